@@ -141,8 +141,8 @@ app = typer.Typer(
 )
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(requested: bool) -> None:
+    if requested:
         print(f"robofleet {installed_version('robofleet')}")
         raise typer.Exit
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from robofleet.core.clock import MS, S, WallClock
-from robofleet.core.kernels.store import Kept
+from robofleet.core.kernels.store import KernelCache
 
 _PATIENCE_NS = 120 * S  # a compilation that failed keeps its lock
 
@@ -15,10 +15,10 @@ _PATIENCE_NS = 120 * S  # a compilation that failed keeps its lock
 @contextmanager
 def compiled_once(locks: Path) -> Iterator[None]:
     """Lock each kernel that is not on disk yet, from the look at its file until it is kept."""
-    load, save, clock = Kept.load_overload, Kept.save_overload, WallClock()
+    load, save, clock = KernelCache.load_overload, KernelCache.save_overload, WallClock()
     held: dict[str, IO[bytes]] = {}
 
-    def load_overload(kept: Kept, sig: Any, target_context: Any) -> Any:
+    def load_overload(kept: KernelCache, sig: Any, target_context: Any) -> Any:
         found = load(kept, sig, target_context)
         if found is not None:
             return found
@@ -40,15 +40,15 @@ def compiled_once(locks: Path) -> Iterator[None]:
             lock.close()
         return found
 
-    def save_overload(kept: Kept, sig: Any, data: Any) -> None:
+    def save_overload(kept: KernelCache, sig: Any, data: Any) -> None:
         save(kept, sig, data)
         if (lock := held.pop(kept._name_of(sig, data.codegen), None)) is not None:
             lock.close()
 
-    Kept.load_overload, Kept.save_overload = load_overload, save_overload  # type: ignore[method-assign]
+    KernelCache.load_overload, KernelCache.save_overload = load_overload, save_overload  # type: ignore[method-assign]
     try:
         yield
     finally:
-        Kept.load_overload, Kept.save_overload = load, save  # type: ignore[method-assign]
+        KernelCache.load_overload, KernelCache.save_overload = load, save  # type: ignore[method-assign]
         for lock in held.values():
             lock.close()

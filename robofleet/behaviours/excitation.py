@@ -42,7 +42,7 @@ class Act(Enum):
     RANDOM = 4
 
 
-class Part(NamedTuple):
+class Spell(NamedTuple):
     """A part of a robot's script: until when [s, from the script's start], and the wheels' speeds [rad/s]."""
 
     until: float
@@ -162,7 +162,7 @@ class _Surroundings(NamedTuple):
         return best
 
 
-def _script(vehicle: DifferentialDrive, tick: float, rng: np.random.Generator) -> Iterator[Part]:
+def _script(vehicle: DifferentialDrive, tick: float, rng: np.random.Generator) -> Iterator[Spell]:
     """Give the parts of one robot's script in their order."""
     radius, base, highest = vehicle.wheel_radius, vehicle.wheel_base, vehicle.max_wheel_speed
     spin, straight = _SPIN * highest, _STRAIGHT * min(highest, vehicle.max_speed / radius)
@@ -171,16 +171,16 @@ def _script(vehicle: DifferentialDrive, tick: float, rng: np.random.Generator) -
     plan.append((Act.TURN, math.pi / omega + 1.0, 0.0, 0.0))
     plan += [(Act.LINE, _LINE / (straight * radius), way * straight, way * straight) for way in (1.0, -1.0) * 2]
     until = _REST_S
-    yield Part(until, Act.REST)
+    yield Spell(until, Act.REST)
     for act, duration, left, right in plan:
         until += duration
-        yield Part(until, act, left, right)
+        yield Spell(until, act, left, right)
         until += _REST_S
-        yield Part(until, Act.REST)
+        yield Spell(until, Act.REST)
     end = until + _RANDOM_S
     while until < end:
         until += tick * int(rng.integers(3, 7))
         left, right = (rng.uniform(_SLOWEST, _FASTEST, 2) * rng.choice((-1.0, 1.0), 2) * highest).tolist()
         ratio = feasible_ratio(left, right, radius, highest, vehicle.max_speed)
-        yield Part(until, Act.RANDOM, ratio * left, ratio * right)
-    yield Part(until + _REST_S, Act.REST)
+        yield Spell(until, Act.RANDOM, ratio * left, ratio * right)
+    yield Spell(until + _REST_S, Act.REST)

@@ -322,7 +322,7 @@ class GoTo(Behaviour):
         yield from _tightest(self._edge_of(name, goal) for name, goal in goals)
         yield from _tightest(bound for name, goal in goals for bound in self._beside(name, goal))
         yield from _tightest(bound for name, goal in goals for bound in self._beside_bystanders(name, goal))
-        yield from _tightest(self._apart(*one, *other) for one, other in itertools.combinations(goals, 2))
+        yield from _tightest(self._apart(*pair, *other) for pair, other in itertools.combinations(goals, 2))
         speed = self.settings.speed_m_s
         for robot, drive in zip(self.team.robots, self.team.drives, strict=True):
             if speed is not None:
@@ -342,9 +342,9 @@ class GoTo(Behaviour):
         keepout = self.team.keepout
         near = max(from_edge(keepout, body) for body in self._bodies(name))
         for solid, away in zip(keepout.solids, distances(keepout.solids, self._kept(goal)[None])[:, 0], strict=True):
-            of = "the floor's edge (floor_m)" if solid.floor else solid.name
-            mend = f"the barrier keeps robots from {of}, so move the goal" + ("" if solid.floor else f" or {of}")
-            what = f"the distance of {name}'s goal from {of}"
+            edge = "the floor's edge (floor_m)" if solid.floor else solid.name
+            mend = f"the barrier keeps robots from {edge}, so move the goal" + ("" if solid.floor else f" or {edge}")
+            what = f"the distance of {name}'s goal from {edge}"
             least = near + self.settings.position_accuracy_m
             yield Bound(f"settings.goals.{name}", what, float(away), least, "m", mend, at_least=True)
 
@@ -358,13 +358,13 @@ class GoTo(Behaviour):
                 what = f"the distance of {name}'s goal from {robot}, which stands"
                 yield Bound(f"settings.goals.{name}", what, away, near, "m", mend, at_least=True)
 
-    def _apart(self, one: str, goal: Array, other: str, its: Array) -> Bound:
+    def _apart(self, robot: str, goal: Array, other: str, other_goal: Array) -> Bound:
         keepout = self.team.keepout
-        near = max(apart_at_rest(keepout, a, b) for a in self._bodies(one) for b in self._bodies(other))
+        near = max(apart_at_rest(keepout, a, b) for a in self._bodies(robot) for b in self._bodies(other))
         near += 2 * self.settings.position_accuracy_m
-        what = f"the distance of the goals of {one} and {other}, {keepout.ahead:g} m ahead of the axles,"
+        what = f"the distance of the goals of {robot} and {other}, {keepout.ahead:g} m ahead of the axles,"
         mend = "the barrier keeps bodies so far apart, so move one of them, or lower controller.barrier.ahead_m"
-        away = float(np.hypot(*(self._kept(goal) - self._kept(its))))
+        away = float(np.hypot(*(self._kept(goal) - self._kept(other_goal))))
         return Bound(f"settings.goals.{other}", what, away, near, "m", mend, at_least=True)
 
     def _kept(self, goal: Array) -> Array:
@@ -384,10 +384,10 @@ class GoTo(Behaviour):
 
     def summary(self, past: Past) -> dict[str, Any]:
         """Return the figures, and what was left of them in the end."""
-        told = super().summary(past)
+        figures = super().summary(past)
         for figure in self.figures[:2]:
-            told[f"final_{figure.shown_key}"] = statistics(past.figures[figure.name][-1:] * figure.scale)
-        return told | {"not_at_goal": self._not_at_goal(past)}
+            figures[f"final_{figure.shown_key}"] = statistics(past.figures[figure.name][-1:] * figure.scale)
+        return figures | {"not_at_goal": self._not_at_goal(past)}
 
     def _not_at_goal(self, past: Past) -> dict[str, dict[str, float]] | None:
         """Return how far off the robots ended that are not at their goals as accurately as they should be, by id."""

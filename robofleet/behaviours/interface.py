@@ -502,12 +502,12 @@ class Behaviour:
             By default mean, ``max`` and each robot's mean of all figures and measures, by their names. ``max`` is the
             largest magnitude: a figure may have a sign. A figure that was not measured is None.
         """
-        told = [
+        own = [
             Measure(f.name, f.unit, past.figures[f.name], self.team.robots, f.shown, f.meaning) for f in self.figures
         ]
         return {
             with_unit(m.name, m.shown or m.unit): statistics(m.values[past.settled] * scale(m.unit, m.shown))
-            for m in [*told, *self.measures(past)]
+            for m in [*own, *self.measures(past)]
         }
 
 

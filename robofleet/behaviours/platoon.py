@@ -93,9 +93,9 @@ class Platoon(Behaviour):
 
     def decide(self, now: Situation) -> Decision:
         """Return Algorithm 1's inputs."""
-        told = self._law.tick(now.t, now.poses, now.driving, now.disturbance)
-        figures = {name: told[:, column] for name, column in _FIGURES}
-        return Decision(told[:, INPUTS], references=told[:, REFERENCES], figures=figures)
+        law_row = self._law.tick(now.t, now.poses, now.driving, now.disturbance)
+        figures = {name: law_row[:, column] for name, column in _FIGURES}
+        return Decision(law_row[:, INPUTS], references=law_row[:, REFERENCES], figures=figures)
 
     def restart(self) -> None:
         """Begin at the path's beginning, or where the leader stands."""
@@ -149,8 +149,11 @@ class Platoon(Behaviour):
             takes = f"about {late_s:.0f} s" if math.isfinite(late_s) else "more than 25 s"
             yield late_s, f"{robot} starts {away_m:.2f} m from its place and needs {takes} to it"
         if found.through > 0.0 and not found.jams:
-            one, other = (self.team.robots[i] for i in found.pair)
-            yield math.inf, f"the ways of {one} and {other} to their places meet: they may wait for each other, or jam"
+            first, other = (self.team.robots[i] for i in found.pair)
+            yield (
+                math.inf,
+                f"the ways of {first} and {other} to their places meet: they may wait for each other, or jam",
+            )
 
     def ways(self) -> Ways:
         """Return what a start is judged by."""
@@ -200,10 +203,10 @@ class Platoon(Behaviour):
         mend = f"a spacing of {laps.rounded_down(length / len(team)):g} fits"
         what = "the platoon with a gap behind it, spacing_m a robot,"
         yield Bound(key, what, len(team) * spacing, length, "m", mend, strict=True)
-        for (one, ahead), (other, behind) in itertools.pairwise(zip(team.robots, team.bodies, strict=True)):
+        for (front, ahead), (other, behind) in itertools.pairwise(zip(team.robots, team.bodies, strict=True)):
             fastest = min(float(np.abs(lap.v).max()), behind.drive.max_speed)
             near = apart(team.keepout, ahead, behind) + 2 * fastest / team.keepout.rate
-            mend = f"the barrier would hold {other} back from {one}, so raise it"
+            mend = f"the barrier would hold {other} back from {front}, so raise it"
             yield Bound(key, "spacing_m", spacing, near, "m", mend, at_least=True)
 
     def _clear_of_the_path(self, lap: laps.Lap) -> Iterator[Bound]:
@@ -223,19 +226,19 @@ class Platoon(Behaviour):
         if len(poses) < len(self.team) or (why := starts.reason(self.ways(), tuple(poses))) is None:
             return
         ids = self.team.robots
-        one, other = ids[why.one], ids[why.other]
+        first, other = ids[why.one], ids[why.other]
         if why.order is not None:
             order = ", ".join(ids[i] for i in why.order)
             yield Refusal(
                 "robots",
-                f"{one} stands ahead of {other}, and the group's order is {', '.join(ids)}: exchange their starts, "
+                f"{first} stands ahead of {other}, and the group's order is {', '.join(ids)}: exchange their starts, "
                 f"or write `robots: [{order}]`",
             )
             return
         x, y, psi = self.places()[why.other]
         yield Refusal(
             f"{other}.start",
-            f"{other} and {one} are in each other's way to their places on the path: leave `start` out, or bring "
+            f"{other} and {first} are in each other's way to their places on the path: leave `start` out, or bring "
             f"{other} to x_m {x:g}, y_m {y:g}, heading_deg {round(math.degrees(psi), 2):g}",
         )
 
@@ -249,7 +252,7 @@ class Platoon(Behaviour):
     def measures(self, past: Past) -> Sequence[Measure]:
         """Return the paper's errors, of the true poses, and the distances between successive points."""
         robots = self.team.robots
-        pairs = tuple(f"{one} to {other}" for one, other in itertools.pairwise(robots))
+        pairs = tuple(f"{front} to {other}" for front, other in itertools.pairwise(robots))
         spacing = np.linalg.norm(np.diff(past.points, axis=1), axis=-1)
         unknown = np.full(past.points.shape[:2], np.nan)
         path, timed, centre = (unknown,) * 3

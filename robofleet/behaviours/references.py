@@ -119,8 +119,8 @@ class Reference(Model):
             yield Refusal(key, "a closed way needs three way points or more: add one")
             return
         following = itertools.pairwise((*places, places[0]) if self.closed and places else places)
-        for k, (one, other) in enumerate(following):
-            if math.dist(one, other) < 1e-3:
+        for k, (point, other) in enumerate(following):
+            if math.dist(point, other) < 1e-3:
                 k_other = (k + 1) % len(places)
                 yield Refusal(f"{key}.{k_other}", f"is where way point {k} is: remove one of them")
 

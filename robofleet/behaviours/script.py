@@ -147,12 +147,12 @@ class _Journey:
         own = dataclasses.replace(
             now, poses=now.poses[rows], driving=now.driving[rows], disturbance=now.disturbance[rows], others=others
         )
-        told = self._go_to.decide(own)
+        decision = self._go_to.decide(own)
         velocities, references, away = np.zeros((n, 2)), np.full((n, 2), np.nan), np.full(n, np.nan)
-        velocities[rows] = told.velocities
-        away[rows] = told.figures["distance_to_goal"]
-        if told.references is not None:
-            references[rows] = told.references
+        velocities[rows] = decision.velocities
+        away[rows] = decision.figures["distance_to_goal"]
+        if decision.references is not None:
+            references[rows] = decision.references
         return Decision(velocities, "body", references, {"distance_to_goal": away}), self._go_to.arrived
 
 

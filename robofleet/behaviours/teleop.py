@@ -123,12 +123,12 @@ class Teleop(Behaviour):
         for robot, drive in zip(team.robots, team.drives, strict=True):
             mend = f"{robot} drives no faster"
             yield Bound("settings.max_speed_m_s", "max_speed_m_s", s.max_speed_m_s, drive.max_speed, "m/s", mend)
-        for (one, ahead), (other, behind) in itertools.pairwise(zip(team.robots, team.bodies, strict=True)):
+        for (front, ahead), (other, behind) in itertools.pairwise(zip(team.robots, team.bodies, strict=True)):
             near = (
                 apart(team.keepout, ahead, behind)
                 + 2 * min(s.max_speed_m_s, behind.drive.max_speed) / team.keepout.rate
             )
-            mend = f"the barrier would hold {other} back from {one}, so raise it"
+            mend = f"the barrier would hold {other} back from {front}, so raise it"
             yield Bound("settings.spacing_m", "spacing_m", s.spacing_m, near, "m", mend, at_least=True)
 
     def summary(self, past: Past) -> dict[str, Any]:
@@ -154,8 +154,8 @@ class Teleop(Behaviour):
             if piece >= left:
                 for _ in range(k):
                     way.popleft()
-                place: Array = newer + (way[0] - newer) * (left / piece)
-                return place
+                point_at: Array = newer + (way[0] - newer) * (left / piece)
+                return point_at
             left, newer = left - piece, way[k]
         return own
 

@@ -201,7 +201,7 @@ class _Unicycles:
 
         A robot stands where its reference at the horizon is nearer than it would drive at its slowest.
         """
-        asked, error = np.zeros((len(self._flows), 2)), np.zeros(len(self._flows))
+        inputs, error = np.zeros((len(self._flows), 2)), np.zeros(len(self._flows))
         self._psi = now.poses[:, 2].copy()
         for i, flow in enumerate(self._flows):
             distance = math.dist(references[i], now.poses[i, :2])
@@ -214,8 +214,8 @@ class _Unicycles:
             missing = references[i] - end
             error[i] = math.hypot(*missing)
             trusted = min(1.0, _TRUSTED * abs(v) * self._horizon / max(error[i], 1e-9))
-            asked[i] = flow.update(np.array([x, y, psi, slip, spin]), end + trusted * missing)
-        return asked, error
+            inputs[i] = flow.update(np.array([x, y, psi, slip, spin]), end + trusted * missing)
+        return inputs, error
 
     def _body(self, i: int, velocities: Array) -> tuple[float, float]:
         """Return v and omega of a robot, from its point's velocity."""

@@ -276,8 +276,8 @@ def _spoiled(file: Path) -> PlaceError:
 
 def _is_locked(descriptor: int) -> bool:
     """Return whether a launcher lives that holds a file: only who may write to it can lock it for writing."""
-    asked = _LOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
-    kind, *_ = _LOCK.unpack(fcntl.fcntl(descriptor, fcntl.F_OFD_GETLK, asked))
+    lock = _LOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
+    kind, *_ = _LOCK.unpack(fcntl.fcntl(descriptor, fcntl.F_OFD_GETLK, lock))
     return bool(kind != fcntl.F_UNLCK)
 
 
@@ -297,8 +297,8 @@ def _running(file: Path) -> ArenaFile | None:
         before = None
         for _ in range(_TRIES):
             text = os.pread(descriptor, _LARGEST, 0)
-            if text != before and (there := _checked(text, name[1], uid)) is not None:
-                return there
+            if text != before and (run := _checked(text, name[1], uid)) is not None:
+                return run
             before = text
             os.sched_yield()  # it is being written
     except OSError:
@@ -311,28 +311,28 @@ def _running(file: Path) -> ArenaFile | None:
 def _checked(text: bytes, arena: str, uid: int) -> ArenaFile | None:
     """Return what a file says; None if no launcher can have written that."""
     try:
-        said = json.loads(text)
-        units = {unit: tuple(robots) for unit, robots in said["units"].items()}
-        there = ArenaFile(**said | {"robots": tuple(said["robots"]), "units": units, "uid": uid})
+        fields = json.loads(text)
+        units = {unit: tuple(robots) for unit, robots in fields["units"].items()}
+        run = ArenaFile(**fields | {"robots": tuple(fields["robots"]), "units": units, "uid": uid})
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
-    lines = there.folder, there.started, there.endpoint
+    lines = run.folder, run.started, run.endpoint
     if not all(type(line) is str and line.isprintable() and len(line) <= _LONGEST_LINE for line in lines):
         return None
-    if type(there.pid) is not int or there.pid <= 1 or there.arena != arena:
+    if type(run.pid) is not int or run.pid <= 1 or run.arena != arena:
         return None
-    if there.endpoint == PRIVATE or not re.match(ENDPOINT_PATTERN, there.endpoint):
+    if run.endpoint == PRIVATE or not re.match(ENDPOINT_PATTERN, run.endpoint):
         return None
-    named = all(type(name) is str and re.match(NAME_PATTERN, name) for name in (*there.robots, *there.units))
-    if not named or sorted(chain(*there.units.values())) != sorted(there.robots):
+    named = all(type(name) is str and re.match(NAME_PATTERN, name) for name in (*run.robots, *run.units))
+    if not named or sorted(chain(*run.units.values())) != sorted(run.robots):
         return None
-    return there
+    return run
 
 
-def _whose(arena: str, there: ArenaFile | None) -> str:
-    if there is None:
+def _whose(arena: str, run: ArenaFile | None) -> str:
+    if run is None:
         return f"the arena {arena} has a run already: end it first"
-    what = f"the arena {arena} has a run already, in {there.folder} since {there.started} (process {there.pid}"
-    if there.mine and there.uid == os.geteuid():
-        return f"{what}): end it with Ctrl-C there, or with `kill {there.pid}`"
-    return f"{what} of {there.user}): ask {there.user} to end it, or an administrator"
+    what = f"the arena {arena} has a run already, in {run.folder} since {run.started} (process {run.pid}"
+    if run.mine and run.uid == os.geteuid():
+        return f"{what}): end it with Ctrl-C there, or with `kill {run.pid}`"
+    return f"{what} of {run.user}): ask {run.user} to end it, or an administrator"

@@ -49,10 +49,10 @@ class BySender:
         queue = self._queues.get(sender)
         if queue is None:
             owner = sender.rpartition("/")[0]
-            sessions = [one for one in self._queues if one.rpartition("/")[0] == owner]
+            sessions = [session for session in self._queues if session.rpartition("/")[0] == owner]
             superseded = sessions[0] if len(sessions) >= _SESSIONS else None
             queue = self._queue()
-            kept = {one: self._queues[one] for one in self._queues if one != superseded}
+            kept = {session: self._queues[session] for session in self._queues if session != superseded}
             self._queues = kept | {sender: queue}  # another one: ``take`` may be reading it
         queue.put(arrival_ns, payload)
 

@@ -156,12 +156,14 @@ def _handed() -> Path | None:
 def joined() -> dict[str, Joined]:
     """Return the arenas of other computers that this one has joined, by name; what cannot be read is passed over."""
     found = {}
-    for place in (folders.own_settings() / "keys", folders.SYSTEM / "keys"):
-        for file in sorted(place.glob(f"*/{JOINED}")) if os.access(place, os.R_OK | os.X_OK) else ():
+    for folder in (folders.own_settings() / "keys", folders.SYSTEM / "keys"):
+        for file in sorted(folder.glob(f"*/{JOINED}")) if os.access(folder, os.R_OK | os.X_OK) else ():
             with suppress(OSError, ValueError, TypeError, KeyError):
-                told = json.loads(file.read_bytes())
-                check_name(told["name"])
-                found[file.parent.name] = Joined(told["arena"], told["name"], told["kind"], tuple(told["router"]))
+                fields = json.loads(file.read_bytes())
+                check_name(fields["name"])
+                found[file.parent.name] = Joined(
+                    fields["arena"], fields["name"], fields["kind"], tuple(fields["router"])
+                )
     return found
 
 
@@ -197,7 +199,9 @@ def credentials(arena: str, name: str) -> Credentials:
     return found
 
 
-def session_id(told: Passport) -> str:
+def session_id(passport: Passport) -> str:
     """Return the only Zenoh ID that a unit with this certificate may have: so a copied key finds its place taken."""
-    drawn = hashlib.blake2b(f"{told.arena}\n{told.common_name}\n{told.serial}".encode(), digest_size=_ZID).hexdigest()
+    drawn = hashlib.blake2b(
+        f"{passport.arena}\n{passport.common_name}\n{passport.serial}".encode(), digest_size=_ZID
+    ).hexdigest()
     return f"1{drawn[1:]}"  # Zenoh takes no leading zero

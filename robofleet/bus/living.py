@@ -21,9 +21,9 @@ _MOST = 16  # tokens of one role; two are enough to believe nobody
 class RoleTakenError(RobofleetError):
     """Raised where another process has the role already. The message names it."""
 
-    def __init__(self, arena: str, role: str, there: "Sequence[Token]") -> None:
+    def __init__(self, arena: str, role: str, living: "Sequence[Token]") -> None:
         """Say which."""
-        which = ", ".join(f"process {token.pid}" for token in there)
+        which = ", ".join(f"process {token.pid}" for token in living)
         super().__init__(f"the arena {arena} has a {role} already ({which}): end that one first")
 
 
@@ -72,8 +72,8 @@ class Living:
         """Why an answer in this role is not believed."""
         if len(self.ids) < 2:
             return f"another client answered in place of the {self._role}"
-        there = ", ".join(sorted(token.pid for token in tuple(self._tokens)))
-        return f"several processes claim to be the {self._role}, so none is believed (processes {there})"
+        living = ", ".join(sorted(token.pid for token in tuple(self._tokens)))
+        return f"several processes claim to be the {self._role}, so none is believed (processes {living})"
 
     def _told(self, sample: zenoh.Sample) -> None:
         token = _token(str(sample.key_expr))

@@ -64,8 +64,8 @@ def permissions(arena: str, who: Identity) -> Iterator[Permission]:
 def _receivers(topic: Topic) -> list[str]:
     """Return the roles that hear a topic, or answer on it."""
     several = {"all": ROLES, "viewers": ("recorder", PAGE, OPERATOR, VIEWER), "process": ("supervisor", "tracker")}
-    heard = [role for word in topic.receivers.split() for role in several.get(word, (word,))]
-    return heard if topic in ASKED else [*heard, "recorder"]  # it keeps what everybody said
+    receivers = [role for word in topic.receivers.split() for role in several.get(word, (word,))]
+    return receivers if topic in ASKED else [*receivers, "recorder"]  # it keeps what everybody said
 
 
 def _reached(arena: str, topic: Topic, who: Identity, roles: Iterable[str], *, sends: bool = False) -> str | None:

@@ -16,16 +16,16 @@ SensorsSaid = tuple[NDArray[Any], NDArray[np.float64]]  # whose numbers they are
 def said(readings: Iterable[tuple[int, SensorReading]]) -> SensorsSaid:
     """Return what is said of the robots at these places of a unit."""
     robots, values = [], list[float]()
-    for place, reading in readings:
+    for index, reading in readings:
         parts, distances, own = packed(reading)
-        robots.append((place, parts, distances))
+        robots.append((index, parts, distances))
         values += own
     return np.array(robots, UNIT_SENSORS.item_dtype), np.array(values, np.float64)
 
 
-def encoded(seq: int, stamp_ns: int, said: SensorsSaid) -> bytes:
+def encoded(seq: int, stamp_ns: int, message: SensorsSaid) -> bytes:
     """Return the payload of a unit's message."""
-    robots, values = said
+    robots, values = message
     return UNIT_SENSORS.encode_array((seq, stamp_ns), robots, values.astype("<f8", copy=False).tobytes())
 
 
@@ -35,10 +35,10 @@ def decoded(payload: bytes) -> tuple[int, dict[int, SensorReading]] | None:
     if message is None:
         return None
     readings, at = {}, 0
-    for place, parts, distances in message.robots:
+    for index, parts, distances in message.robots:
         count = numbers(parts, distances)
         if at + count > len(message.numbers):
             return None
-        readings[place] = unpacked(parts, distances, message.numbers[at : at + count])
+        readings[index] = unpacked(parts, distances, message.numbers[at : at + count])
         at += count
     return (message.stamp_ns, readings) if at == len(message.numbers) else None

@@ -38,10 +38,10 @@ class Statuses:
         rows = {robot: row for row, robot in enumerate(robots)}
         self.units: list[Part] = []
         for name, members in units.items():
-            mine = [(rows[robot], place) for place, robot in enumerate(members) if robot in rows]
+            mine = [(rows[robot], index) for index, robot in enumerate(members) if robot in rows]
             if mine:
-                of, places = (np.array(column, np.intp) for column in zip(*mine, strict=True))
-                self.units.append(Part(name, len(members), of, _index(of), _index(places)))
+                rows_of, places = (np.array(column, np.intp) for column in zip(*mine, strict=True))
+                self.units.append(Part(name, len(members), rows_of, _index(rows_of), _index(places)))
         self.by_radio = frozenset(number for number, unit in enumerate(self.units) if unit.name in by_radio)
         wakes = [wake if number in self.by_radio else None for number in range(len(self.units))]
         self._inboxes = [

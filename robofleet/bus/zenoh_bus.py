@@ -193,9 +193,9 @@ class ZenohBus:
     def _wait_for(self, role: str) -> None:
         """Return when no other process has a role; RoleTakenError if one keeps it."""
         deadline_ns = self._clock.now_ns() + _GONE_WITHIN_NS
-        while there := others(self._session, self._arena, role):
+        while living := others(self._session, self._arena, role):
             if self._clock.now_ns() > deadline_ns:
-                raise RoleTakenError(self._arena, role, there)
+                raise RoleTakenError(self._arena, role, living)
             self._clock.sleep_until(self._clock.now_ns() + _AGAIN_NS)
 
     def publisher(self, topic: Topic, name: str = "") -> Publish:
@@ -427,10 +427,10 @@ class _ZenohAnswer:
 
     def take(self) -> bytes | None:
         """Return the answer, once; None while there is none that can be believed."""
-        there = self._living.ids
-        if self._taken or len(there) != 1:
+        living = self._living.ids
+        if self._taken or len(living) != 1:
             return None
-        answer = self._answers.get(next(iter(there)))
+        answer = self._answers.get(next(iter(living)))
         self._taken = answer is not None
         return answer
 

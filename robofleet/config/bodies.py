@@ -48,8 +48,8 @@ def _speed(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
     """The wheels can give the top speed; one of them may be held back."""
     most = vehicle.max_wheel_speed_rad_s * vehicle.wheel_radius_m
     if vehicle.max_speed_m_s > _HELD_BACK * most:
-        asked = f"{vehicle.max_speed_m_s:g} m/s is far more than these wheels give, {most:.3g} m/s"
-        yield "max_speed_m_s", f"{asked}: lower it, or mend max_wheel_speed_rad_s or wheel_radius_m"
+        request = f"{vehicle.max_speed_m_s:g} m/s is far more than these wheels give, {most:.3g} m/s"
+        yield "max_speed_m_s", f"{request}: lower it, or mend max_wheel_speed_rad_s or wheel_radius_m"
 
 
 def _measured(robot: Robot) -> Iterator[tuple[str, str]]:

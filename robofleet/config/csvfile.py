@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from robofleet.config.yamlfile import Mistake, Node, Place, Source
+from robofleet.config.yamlfile import Mistake, Node, Position, Source
 from robofleet.core.files import read_named
 
 _LARGEST = 1 << 20  # [bytes]
@@ -18,7 +18,7 @@ def read_table(file: Path, source: Source, path: str, columns: tuple[str, ...]) 
     Raises:
         FileNotFoundError: there is no such file.
     """
-    begin = Place(source, 1, 1, "")
+    begin = Position(source, 1, 1, "")
     try:
         text = read_named(file, _LARGEST).decode("utf-8-sig")
     except FileNotFoundError:
@@ -34,21 +34,21 @@ def read_table(file: Path, source: Source, path: str, columns: tuple[str, ...]) 
     for number, line in enumerate(lines, start=2):
         if line.strip():
             where = f"{path}.{len(rows)}"
-            row, fault = _row(line, Place(source, number, 1, where), columns)
+            row, fault = _row(line, Position(source, number, 1, where), columns)
             if fault is not None:
                 return None, [fault]
             rows.append(row)
-    return Node(rows, begin_at := Place(source, 1, 1, path), begin_at), []
+    return Node(rows, begin_at := Position(source, 1, 1, path), begin_at), []
 
 
-def _row(line: str, place: Place, columns: tuple[str, ...]) -> tuple[Node, Mistake | None]:
+def _row(line: str, position: Position, columns: tuple[str, ...]) -> tuple[Node, Mistake | None]:
     """Return one line's numbers, and what is wrong with it."""
     cells, numbers, column = line.split(","), [], 1
-    row = Node([], place, place)
+    row = Node([], position, position)
     if len(cells) != len(columns):
-        return row, Mistake(place, f"must have {len(columns)} numbers ({','.join(columns)}), has {len(cells)}")
+        return row, Mistake(position, f"must have {len(columns)} numbers ({','.join(columns)}), has {len(cells)}")
     for k, cell in enumerate(cells):
-        at = Place(place.source, place.line, column + len(cell) - len(cell.lstrip()), f"{place.path}.{k}")
+        at = Position(position.source, position.line, column + len(cell) - len(cell.lstrip()), f"{position.path}.{k}")
         try:
             value = float(cell[:_LONGEST_NUMBER])
         except ValueError:
@@ -57,4 +57,4 @@ def _row(line: str, place: Place, columns: tuple[str, ...]) -> tuple[Node, Mista
             return row, Mistake(at, f"{columns[k]} must be a finite number, not {cell.strip()[:40]!r}")
         numbers.append(Node(value, at, at))
         column += len(cell) + 1
-    return Node(list(numbers), place, place), None
+    return Node(list(numbers), position, position), None

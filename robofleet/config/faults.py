@@ -257,7 +257,7 @@ def _members(config: Config) -> Iterator[Complaint]:
     named: list[tuple[str, str]] = []
     for path, camera in config.camera_keys:
         named += _in_scenes(f"{path}.simulated", camera.simulated)
-    place: dict[str, int] = {}
+    index: dict[str, int] = {}
     titles: dict[str, int] = {}
     for i, group in enumerate(config.groups):
         if group.name is not None and titles.setdefault(group.name, i) != i:
@@ -266,8 +266,8 @@ def _members(config: Config) -> Iterator[Complaint]:
             named.append((f"groups.{i}.robots.{k}", robot))
             if robot in group.robots[:k]:
                 yield f"groups.{i}.robots.{k}", f"{robot} is in the group already: remove one"
-            elif place.setdefault(robot, i) != i:
-                yield f"groups.{i}.robots.{k}", f"{robot} is in groups.{place[robot]} already: a robot has one group"
+            elif index.setdefault(robot, i) != i:
+                yield f"groups.{i}.robots.{k}", f"{robot} is in groups.{index[robot]} already: a robot has one group"
     unseen = [robot.id for robot in config.virtual]
     for path, robot in named:
         if robot in unseen and path.startswith("camera"):

@@ -82,10 +82,10 @@ def behaviour(config: Config, group: Group) -> Behaviour:
     return made(group, team(config, group))
 
 
-def made(group: Group, its: Team) -> Behaviour:
+def made(group: Group, team_: Team) -> Behaviour:
     """Return a group's behaviour for a team; errors as ``behaviour``."""
-    of = kind(group)
-    return of(of.Settings.model_validate(group.settings), its)
+    behaviour = kind(group)
+    return behaviour(behaviour.Settings.model_validate(group.settings), team_)
 
 
 def behaviours(config: Config) -> tuple[Behaviour, ...]:
@@ -98,15 +98,16 @@ def scripted(config: Config) -> tuple[str, ...]:
     return tuple(group.title for group in config.groups if kind(group).takes_wishes)
 
 
-def wishing(config: Config, of: type[Behaviour]) -> tuple[str, ...]:
+def wishing(config: Config, behaviour: type[Behaviour]) -> tuple[str, ...]:
     """Return the names of the groups of one kind of behaviour."""
-    return tuple(group.title for group in config.groups if issubclass(kind(group), of))
+    return tuple(group.title for group in config.groups if issubclass(kind(group), behaviour))
 
 
 def descriptions(config: Config) -> tuple[described.Group, ...]:
     """Return the groups as others see them."""
     return tuple(
-        described.described(one, group.behaviour) for one, group in zip(behaviours(config), config.groups, strict=True)
+        described.described(behaviour, group.behaviour)
+        for behaviour, group in zip(behaviours(config), config.groups, strict=True)
     )
 
 
@@ -117,11 +118,11 @@ def jam_of(config: Config) -> Callable[[Sequence[Pose]], Reason | None]:
     every, own = behaviours(config), rows(config.groups)
 
     def jam(poses: Sequence[Pose]) -> Reason | None:
-        for behaviour, its in zip(every, own, strict=True):
-            why = behaviour.start(poses[its]).jam
+        for behaviour, team_ in zip(every, own, strict=True):
+            why = behaviour.start(poses[team_]).jam
             if why is not None:
-                order = None if why.order is None else tuple(its.start + row for row in why.order)
-                return Reason(its.start + why.one, its.start + why.other, order)
+                order = None if why.order is None else tuple(team_.start + row for row in why.order)
+                return Reason(team_.start + why.one, team_.start + why.other, order)
         return None
 
     return jam

@@ -32,7 +32,7 @@ from robofleet.config.groups import named
 from robofleet.config.names import SHIPPED, missing, nearest
 from robofleet.config.numbers import numbered
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import NUMBER_LIKE, Mistake, Node, Place, Source, parse_yaml, read_yaml
+from robofleet.config.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, parse_yaml, read_yaml
 from robofleet.core.errors import BadInputError
 from robofleet.core.plugins import PluginError, reach
 
@@ -51,7 +51,7 @@ TABLES: dict[tuple[str, ...], tuple[str, ...]] = {
 
 Loc = tuple[str | int, ...]
 Files = dict[Path, tuple[Node | None, list[Mistake]]]  # each file that was read: its tree, and its faults
-Kept = TypeVar("Kept")
+Loaded = TypeVar("Loaded")
 
 
 class ConfigError(BadInputError):
@@ -254,9 +254,9 @@ class ConfigFile:
                 break
             node, depth = child, depth + 1
         if not node.bad:
-            place = node.key if at_key else node.place
-            path = ".".join(filter(None, (place.path, *map(str, loc[depth:]))))
-            self._faults.append(Mistake(replace(place, path=path), message))
+            position = node.key if at_key else node.place
+            path = ".".join(filter(None, (position.path, *map(str, loc[depth:]))))
+            self._faults.append(Mistake(replace(position, path=path), message))
 
     def _error(self) -> ConfigError:
         def position(fault: Mistake) -> tuple[int, int, int]:
@@ -271,7 +271,7 @@ class ConfigFile:
         try:
             return self._read(file)
         except FileNotFoundError:
-            self._faults.append(Mistake(Place(Source(str(file)), 1, 1, ""), missing(file)))
+            self._faults.append(Mistake(Position(Source(str(file)), 1, 1, ""), missing(file)))
             return None
 
     def _read(self, file: Path) -> Node | None:
@@ -313,7 +313,7 @@ class ConfigFile:
         parts = key.split(".")
         if not equals or "" in parts:
             message = "write KEY=VALUE with a dotted key, for example robots.0.tag=7"
-            self._faults.append(Mistake(Place(source, 1, 1, ""), message))
+            self._faults.append(Mistake(Position(source, 1, 1, ""), message))
             return root
         node, faults = parse_yaml(value, source)
         self._faults += faults
@@ -396,7 +396,7 @@ class ConfigFile:
             return [self._folder / name]
         if not re.fullmatch(r"[\w-]+", name):
             return []
-        return [place / folder / f"{name}.yaml" for place in (self._folder, SHIPPED)]
+        return [parent / folder / f"{name}.yaml" for parent in (self._folder, SHIPPED)]
 
     def _not_found(self, name: str, folder: str) -> str:
         candidates = self._candidates(name, folder)
@@ -406,7 +406,7 @@ class ConfigFile:
         if len(candidates) == 1:
             near = nearest(candidates[0])
             return f"there is no file {candidates[0]}: " + (f"did you mean {near}?" if near else "mend its name")
-        known = {file.stem for place in (self._folder, SHIPPED) for file in (place / folder).glob("*.yaml")}
+        known = {file.stem for parent in (self._folder, SHIPPED) for file in (parent / folder).glob("*.yaml")}
         return f"there is no file {candidates[0]}, nor one in {SHIPPED}: {did_you_mean(name, known)}"
 
 
@@ -424,10 +424,10 @@ def _each_once(invalid: ValidationError, root: type[BaseModel]) -> Iterator[Erro
         yield error
 
 
-def _kept_at(path: Loc, kinds: Mapping[tuple[str, ...], Kept]) -> Kept | None:
+def _kept_at(path: Loc, kinds: Mapping[tuple[str, ...], Loaded]) -> Loaded | None:
     """Return what a table of paths says of this one; ``*`` in it is any part."""
     for pattern, kept in kinds.items():
-        if len(pattern) == len(path) and all(one in ("*", part) for one, part in zip(pattern, path, strict=True)):
+        if len(pattern) == len(path) and all(wild in ("*", part) for wild, part in zip(pattern, path, strict=True)):
             return kept
     return None
 

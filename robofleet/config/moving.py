@@ -25,7 +25,7 @@ def added(config: Config) -> Config:
     One that is there already, as in a configuration that was written by a run, is not added again.
     """
     known = {(robot.id, robot.tag): robot.vehicle for robot in config.robots}
-    every = [_robot(config, one) for one in config.arena.moving]
+    every = [_robot(config, moving) for moving in config.arena.moving]
     new = [robot for robot in every if known.get((robot.id, robot.tag)) != robot.vehicle]
     return config.model_copy(update={"robots": (*config.robots, *new)}) if new else config
 
@@ -36,7 +36,7 @@ def place(config: Config, path: str) -> str:
     row, _, key = rest.partition(".")
     if first != "robots" or not row.isdigit() or not config.arena.moving or int(row) >= len(config.robots):
         return path
-    names = [one.name for one in config.arena.moving]
+    names = [moving.name for moving in config.arena.moving]
     robot = config.robots[int(row)]
     if robot.id not in names or int(row) < len(config.robots) - len(names):
         return path
@@ -45,14 +45,20 @@ def place(config: Config, path: str) -> str:
     return f"arena.moving.{names.index(robot.id)}.{own}".rstrip(".")
 
 
-def _robot(config: Config, one: Moving) -> Robot:
-    wheel = _WHEEL * one.radius_m
+def _robot(config: Config, moving: Moving) -> Robot:
+    wheel = _WHEEL * moving.radius_m
     vehicle = Vehicle(
-        wheel_radius_m=wheel, wheel_base_m=_BASE * one.radius_m, body_radius_m=one.radius_m,
-        max_wheel_speed_rad_s=one.speed_m_s / wheel, max_speed_m_s=one.speed_m_s, max_wheel_acceleration_rad_s2=1e3,
+        wheel_radius_m=wheel, wheel_base_m=_BASE * moving.radius_m, body_radius_m=moving.radius_m,
+        max_wheel_speed_rad_s=moving.speed_m_s / wheel, max_speed_m_s=moving.speed_m_s,
+        max_wheel_acceleration_rad_s2=1e3,
         motor_lag_s=0.0, simulated=_IDEAL,
     )  # fmt: skip
     driver = "simulated" if config.poses_simulated else CART
     return Robot(
-        id=one.name, tag=one.tag, tag_height_m=one.tag_height_m, driver=driver, vehicle=vehicle, start=one.start
+        id=moving.name,
+        tag=moving.tag,
+        tag_height_m=moving.tag_height_m,
+        driver=driver,
+        vehicle=vehicle,
+        start=moving.start,
     )

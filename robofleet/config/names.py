@@ -15,8 +15,8 @@ def missing(file: Path) -> str:
     found = _beside(file) or _below(file) or _shipped(file)
     if found is not None:
         return f"there is no such file: did you mean {found}?"
-    if there := _configurations(file.parent):
-        return f"there is no such file: in {file.parent} are {_listed(path.name for path in there)}"
+    if others := _configurations(file.parent):
+        return f"there is no such file: in {file.parent} are {_listed(path.name for path in others)}"
     return "there is no such file: name a configuration, for example configs/platoon.yaml"
 
 
@@ -27,9 +27,9 @@ def nearest(file: Path) -> Path | None:
 
 def in_folder(folder: Path) -> str:
     """Return what to name instead of a folder."""
-    there = _configurations(folder)
-    first = [path for path in there if path.name == "config.yaml"]  # of a run's folder
-    return f"name a file in it: {_listed(map(str, first or there))}" if there else "name a file"
+    others = _configurations(folder)
+    first = [path for path in others if path.name == "config.yaml"]  # of a run's folder
+    return f"name a file in it: {_listed(map(str, first or others))}" if others else "name a file"
 
 
 def _beside(file: Path) -> Path | None:

@@ -122,8 +122,8 @@ def _outline(path: str, corners: Sequence[tuple[float, float]]) -> Iterator[tupl
     """Yield why corners are no polygon."""
     n = len(corners)
     edges = [(corners[k], corners[(k + 1) % n]) for k in range(n)]
-    for k, (one, other) in enumerate(edges):
-        if math.dist(one, other) < 1e-6:
+    for k, (edge, other) in enumerate(edges):
+        if math.dist(edge, other) < 1e-6:
             yield path, f"corner {k + 1} and the one after it are the same: remove one"
             return
     for (j, side), (k, across) in itertools.combinations(enumerate(edges), 2):

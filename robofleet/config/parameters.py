@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 from robofleet.config.faults import Complaint, plain_words
 from robofleet.config.load import ConfigError
 from robofleet.config.names import missing
-from robofleet.config.yamlfile import Mistake, Node, Place, Source, read_yaml
+from robofleet.config.yamlfile import Mistake, Node, Position, Source, read_yaml
 from robofleet.core.settings import Model
 
 Loc = tuple[str | int, ...]
@@ -40,7 +40,7 @@ def load_placed(kind: type[M], file: Path) -> tuple[M, Node]:
     try:
         root, faults = read_yaml(file, Source(str(file)))
     except FileNotFoundError:
-        root, faults = None, [Mistake(Place(Source(str(file)), 1, 1, ""), missing(file))]
+        root, faults = None, [Mistake(Position(Source(str(file)), 1, 1, ""), missing(file))]
     if root is None:
         raise ConfigError(str(fault) for fault in faults)
     try:
@@ -63,8 +63,8 @@ def mistake_at(root: Node, loc: Loc, message: str, *, at_key: bool = False) -> M
         if (child := node.child(part)) is None:
             break
         node, depth = child, depth + 1
-    place = node.key if at_key else node.place
-    return Mistake(replace(place, path=".".join(filter(None, (place.path, *map(str, loc[depth:]))))), message)
+    position = node.key if at_key else node.place
+    return Mistake(replace(position, path=".".join(filter(None, (position.path, *map(str, loc[depth:]))))), message)
 
 
 def _loc(path: str) -> Loc:

@@ -9,7 +9,7 @@ from pydantic_core import ErrorDetails
 
 from robofleet.config.faults import plain_words
 from robofleet.config.load import ConfigError
-from robofleet.config.yamlfile import Mistake, Node, Place, Source, read_yaml
+from robofleet.config.yamlfile import Mistake, Node, Position, Source, read_yaml
 from robofleet.core import folders
 from robofleet.core.patterns import NETWORK_PATTERN
 from robofleet.core.settings import Model, Name
@@ -68,7 +68,7 @@ def load_robot_file(file: Path) -> RobotFile:
         root, mistakes = read_yaml(file, source)
     except FileNotFoundError:
         joining = "no such file: `robofleet join FILE` writes it from what `robofleet keys bundle` made"
-        root, mistakes = None, [Mistake(Place(source, 1, 1, ""), joining)]
+        root, mistakes = None, [Mistake(Position(source, 1, 1, ""), joining)]
     if root is None or mistakes:
         raise ConfigError(map(str, mistakes))
     try:
@@ -82,5 +82,5 @@ def _mistake(root: Node, error: ErrorDetails) -> Mistake:
     node = root
     for part in error["loc"]:
         node = node.child(part) or node
-    place = replace(node.place, path=".".join(map(str, error["loc"])))
-    return Mistake(place, plain_words(error, RobotFile))
+    position = replace(node.place, path=".".join(map(str, error["loc"])))
+    return Mistake(position, plain_words(error, RobotFile))

@@ -66,14 +66,16 @@ def _where(behaviour: str, settings: Node) -> Node:
 def _let_files_stand(root: Node, models: Node, above: Sequence[str]) -> None:
     """Let the name of a file stand for what it holds, in a model whose own keys stand below ``above``."""
     for pattern, places in ((NAME_OR_FILE, FOLDERS), (TABLE_FILE, TABLES)):
-        for place in places:
-            *parents, key = place
-            inside = place[: len(above)] == tuple(above) and (above or place[: len(SETTINGS)] != SETTINGS)
+        for schema_part in places:
+            *parents, key = schema_part
+            inside = schema_part[: len(above)] == tuple(above) and (above or schema_part[: len(SETTINGS)] != SETTINGS)
             model = _at(models, root, parents[len(above) :]) if inside else None
             if model is None or key not in model.get("properties", {}):
                 continue
             given = model["properties"][key]
-            inline = given.get("anyOf") or [{one: given.pop(one) for one in ("$ref", "items", "type") if one in given}]
+            inline = given.get("anyOf") or [
+                {word: given.pop(word) for word in ("$ref", "items", "type") if word in given}
+            ]
             named = {"type": "string", "pattern": pattern}
             if named not in inline:  # several behaviours share a part
                 given["anyOf"] = [named, *inline]

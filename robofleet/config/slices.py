@@ -160,7 +160,7 @@ def sensors(robot: Robot) -> SensorKind | None:
 
 
 def _distances(d: Distances) -> DistanceSensors:
-    places = tuple((place.x_m, place.y_m, math.radians(place.heading_deg)) for place in d.places)
+    places = tuple((sensor.x_m, sensor.y_m, math.radians(sensor.heading_deg)) for sensor in d.places)
     return DistanceSensors(places, d.range_m, d.noise, d.dropout, d.outliers)
 
 
@@ -181,7 +181,7 @@ def walls(arena: Arena) -> tuple[tuple[float, float, float, float], ...]:
 
 def _sides(corners: Sequence[Sequence[float]]) -> tuple[tuple[float, float, float, float], ...]:
     ends = zip(corners, (*corners[1:], corners[0]), strict=True)
-    return tuple((*one, *other) for (one, other) in ends)  # type: ignore[misc]
+    return tuple((*end, *other) for (end, other) in ends)  # type: ignore[misc]
 
 
 def _sensing(config: Config, robot: Robot) -> Sensing | None:

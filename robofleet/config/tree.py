@@ -344,7 +344,7 @@ class Config(Model):
                 named.setdefault(robot.unit, []).append(robot.id)
         crews = {crew[0].id: [robot.id for robot in crew] for crew in self.crews}
         found = {name: tuple(ids) for name, ids in {**crews, **named}.items()}
-        places = {robot.id: place for place, robot in enumerate(self.robots)}
+        places = {robot.id: index for index, robot in enumerate(self.robots)}
         return dict(sorted(found.items(), key=lambda unit: places[unit[1][0]]))
 
     @property

@@ -34,7 +34,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Place:
+class Position:
     """A line and a column (from 1) of a source, and the dotted path that stands there."""
 
     source: Source
@@ -47,7 +47,7 @@ class Place:
 class Mistake:
     """Something wrong at a place."""
 
-    place: Place
+    place: Position
     message: str
 
     def __str__(self) -> str:
@@ -68,8 +68,8 @@ class Node:
     """A value, where it stands and where its key stands; ``bad`` when a fault was reported here already."""
 
     value: Value
-    place: Place
-    key: Place
+    place: Position
+    key: Position
     bad: bool = False
 
     def child(self, part: str | int) -> "Node | None":
@@ -100,10 +100,10 @@ def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Mistake]]:
     except FileNotFoundError:
         raise
     except IsADirectoryError:
-        return None, [Mistake(Place(source, 1, 1, ""), f"is a folder: {names.in_folder(file)}")]
+        return None, [Mistake(Position(source, 1, 1, ""), f"is a folder: {names.in_folder(file)}")]
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        return None, [Mistake(Place(source, 1, 1, ""), f"cannot be read: {reason}")]
+        return None, [Mistake(Position(source, 1, 1, ""), f"cannot be read: {reason}")]
     return parse_bytes(data, source)
 
 
@@ -111,14 +111,14 @@ def parse_bytes(data: bytes, source: Source) -> tuple[Node | None, list[Mistake]
     """Parse what a file holds: its tree (None when there is none) and its faults."""
     if data.startswith(_MCAP):
         message = f"is a recording, not a configuration: `robofleet report {source.name}` reads it"
-        return None, [Mistake(Place(source, 1, 1, source.key), message)]
+        return None, [Mistake(Position(source, 1, 1, source.key), message)]
     if len(data) > _LARGEST:
-        return None, [Mistake(Place(source, 1, 1, source.key), f"is longer than {_LARGEST} bytes")]
+        return None, [Mistake(Position(source, 1, 1, source.key), f"is longer than {_LARGEST} bytes")]
     try:
         return parse_yaml(data.decode("utf-8-sig"), source)
     except UnicodeDecodeError as error:
-        place = _place_of(source, data[: error.start].decode("utf-8-sig"))
-        return None, [Mistake(place, "is not UTF-8 text: save the file as UTF-8")]
+        position = _place_of(source, data[: error.start].decode("utf-8-sig"))
+        return None, [Mistake(position, "is not UTF-8 text: save the file as UTF-8")]
 
 
 def parse_yaml(text: str, source: Source) -> tuple[Node | None, list[Mistake]]:
@@ -137,19 +137,21 @@ def _parsed(text: str, source: Source) -> tuple[Node | None, tuple[Mistake, ...]
         message = f"the character {error.character!r} may not stand in YAML"
         return None, (Mistake(_place_of(source, text[: error.position]), message),)
     except RecursionError:
-        return None, (Mistake(Place(source, 1, 1, source.key), "is nested too deeply"),)
+        return None, (Mistake(Position(source, 1, 1, source.key), "is nested too deeply"),)
     except (ValueError, OverflowError) as error:  # an escape beyond Unicode
-        return None, (Mistake(Place(source, 1, 1, source.key), f"is not YAML: {error}"),)
+        return None, (Mistake(Position(source, 1, 1, source.key), f"is not YAML: {error}"),)
     if root is None:
-        return None, (Mistake(Place(source, 1, 1, source.key), "is empty: copy configs/platoon.yaml, and change it"),)
+        return None, (
+            Mistake(Position(source, 1, 1, source.key), "is empty: copy configs/platoon.yaml, and change it"),
+        )
     walk = _Walk(source)
     node = walk.node(root, source.key, None)
     return node, tuple(walk.faults)
 
 
-def _place_of(source: Source, before: str) -> Place:
+def _place_of(source: Source, before: str) -> Position:
     lines = before.split("\n")
-    return Place(source, len(lines), len(lines[-1]) + 1, source.key)
+    return Position(source, len(lines), len(lines[-1]) + 1, source.key)
 
 
 def _syntax_fault(error: yaml.MarkedYAMLError, source: Source, text: str) -> Mistake:
@@ -177,11 +179,11 @@ def _syntax_fault(error: yaml.MarkedYAMLError, source: Source, text: str) -> Mis
         before = [i for i, line in enumerate(text.split("\n")[: mark.line if mark else 0]) if line.strip()]
         if before and (glued := _GLUED.match(text.split("\n")[before[-1]])):
             message = "no space follows the colon: write `key: value`"
-            return Mistake(Place(source, before[-1] + 1, glued.start(1) + 1, source.key), message)
+            return Mistake(Position(source, before[-1] + 1, glued.start(1) + 1, source.key), message)
         if "mapping values" in problem:
             message += ", and quote a text that holds a colon"
     line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-    return Mistake(Place(source, line, column, source.key), message)
+    return Mistake(Position(source, line, column, source.key), message)
 
 
 class _Loader(yaml.SafeLoader):
@@ -219,8 +221,8 @@ class _Walk:
         self.source = source
         self.faults: list[Mistake] = []
 
-    def node(self, node: yaml.Node, path: str, key: Place | None) -> Node:
-        place = self._place(node, path)
+    def node(self, node: yaml.Node, path: str, key: Position | None) -> Node:
+        position = self._place(node, path)
         value: Value = None
         message = None
         if node.tag.startswith(_EXPLICIT):
@@ -232,14 +234,14 @@ class _Walk:
         else:
             value, message = _scalar(node)
         if message:
-            self.faults.append(Mistake(place, message))
-        return Node(value, place, key or place, bad=message is not None)
+            self.faults.append(Mistake(position, message))
+        return Node(value, position, key or position, bad=message is not None)
 
     def _mapping(self, node: yaml.MappingNode, path: str) -> dict[str, Node]:
         children: dict[str, Node] = {}
         for key_node, value_node in node.value:
             key = key_node.value if isinstance(key_node, yaml.ScalarNode) else ""
-            place = self._place(key_node, _join(path, key))
+            position = self._place(key_node, _join(path, key))
             if key_node.tag == _TAG + "merge":
                 message = "merge keys are not read: write the keys out"
             elif key_node.tag != _TAG + "str" or not key.isprintable() or not key:
@@ -247,13 +249,13 @@ class _Walk:
             elif key in children:
                 message = f"is written twice, first on line {children[key].key.line}: remove one"
             else:
-                children[key] = self.node(value_node, place.path, place)
+                children[key] = self.node(value_node, position.path, position)
                 continue
-            self.faults.append(Mistake(place, message))
+            self.faults.append(Mistake(position, message))
         return children
 
-    def _place(self, node: yaml.Node, path: str) -> Place:
-        return Place(self.source, node.start_mark.line + 1, node.start_mark.column + 1, path)
+    def _place(self, node: yaml.Node, path: str) -> Position:
+        return Position(self.source, node.start_mark.line + 1, node.start_mark.column + 1, path)
 
 
 def _join(path: str, part: str) -> str:

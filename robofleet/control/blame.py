@@ -31,7 +31,7 @@ def blame(error: Exception, functions: Iterable[Suspect]) -> FlowError:
             continue
         try:
             alone, _ = snapshot(function, INFINITE)
-            defaults = [one.default for one in inspect.signature(alone.py_func).parameters.values()][count:]
+            defaults = [parameter.default for parameter in inspect.signature(alone.py_func).parameters.values()][count:]
             alone.compile((*(vector,) * count, *map(omitted, defaults)))
         except Exception as found:  # noqa: BLE001 - numba raises what it likes, not its own errors alone
             return FlowError(f"{name}: {complaint(found, function)}")

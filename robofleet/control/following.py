@@ -96,7 +96,7 @@ class Follower:
         n = len(drives)
         self.state = np.zeros((n, len(State)))
         self.u = np.zeros((n, 2))
-        self._allowed, self._done, self._place = (np.zeros(n, dtype=np.int64) for _ in range(3))
+        self._allowed, self._done, self._reached = (np.zeros(n, dtype=np.int64) for _ in range(3))
         self._plan: Plan | None = None
         self._goals = np.zeros((n, 3))
 
@@ -105,7 +105,7 @@ class Follower:
         self._plan, self._goals = plan, np.ascontiguousarray(goals)
         self.state[:] = 0.0
         self.state[:, :3] = poses
-        for index in (self._allowed, self._done, self._place):
+        for index in (self._allowed, self._done, self._reached):
             index[:] = 0
 
     def changed(self, u: Array, poses: Array) -> None:
@@ -121,7 +121,7 @@ class Follower:
             s = self._settings
             _advance(
                 *self._plan, poses, driving, self._limits, s.point_ahead, s.tick, self.state, self._allowed,
-                self._done, self._place,
+                self._done, self._reached,
             )  # fmt: skip
             _drive(
                 poses, driving, disturbance, self._goals, self._limits, self._accuracy, s.point_ahead, s.horizon,
@@ -175,7 +175,7 @@ def _modelled(u: Array, poses: Array, limits: Array, l: float, tick: float, stat
 @kernel
 def _advance(
     places: Array, length: Array, needed: NDArray[np.int32], poses: Array, driving: Flags, limits: Array, l: float,
-    tick: float, state: Array, allowed: Indices, done: Indices, place: Indices,
+    tick: float, state: Array, allowed: Indices, done: Indices, stage: Indices,
 ) -> None:  # fmt: skip
     """Move the virtual robots by a tick, as far as the others' progress allows."""
     n, last = len(places), places.shape[1] - 1
@@ -191,10 +191,10 @@ def _advance(
             allowed[i] = a
         s[10], s[11], s[12] = 0.0, 0.0, 0.0
         end = length[i, allowed[i]]
-        while place[i] < allowed[i] and length[i, place[i] + 1] <= s[3] + 1e-9:
-            place[i] += 1
-        if driving[i] and place[i] < allowed[i] and s[3] < end - 1e-9:
-            k = place[i]
+        while stage[i] < allowed[i] and length[i, stage[i] + 1] <= s[3] + 1e-9:
+            stage[i] += 1
+        if driving[i] and stage[i] < allowed[i] and s[3] < end - 1e-9:
+            k = stage[i]
             x, y = places[i, k + 1, 0] - places[i, k, 0], places[i, k + 1, 1] - places[i, k, 1]
             turn = _wrapped(np.arctan2(y, x) - s[2])
             before_x, before_y = s[0] + l * np.cos(s[2]), s[1] + l * np.sin(s[2])

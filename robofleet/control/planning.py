@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.control import solid_ways
-from robofleet.control.solid_ways import Kept
+from robofleet.control.solid_ways import SolidWays
 from robofleet.core.kernels import kernel
 from robofleet.vehicles.solids import Solid
 
@@ -71,7 +71,7 @@ class _Grid(NamedTuple):
     at: Array
     near: Indices
     reach: Array
-    standing: Kept
+    standing: SolidWays
 
 
 class _World(NamedTuple):
@@ -96,7 +96,7 @@ def clearance(problem: Problem) -> Clearance:
     return Clearance(both, radii, problem.distance / 2)
 
 
-def kept(problem: Problem) -> Kept:
+def kept(problem: Problem) -> SolidWays:
     """Return what ways keep from solids."""
     return solid_ways.kept(problem.solids, problem.beside, np.concatenate([problem.starts, problem.goals]))
 
@@ -229,8 +229,8 @@ def _lacam(
             if old is not node:
                 open_.append(old)
             continue
-        there = following == goals
-        waited = np.where(there, 1e-3 * ties, np.floor(node.waited) + 1 + 1e-3 * ties)
+        at_goal = following == goals
+        waited = np.where(at_goal, 1e-3 * ties, np.floor(node.waited) + 1 + 1e-3 * ties)
         new = _Node(following.copy(), waited, node)
         known[new.q.tobytes()] = new
         open_.append(new)
@@ -238,7 +238,7 @@ def _lacam(
 
 
 def _back(node: _Node) -> Indices:
-    return np.array([one.q for one in reversed(list(_ancestors(node)))])
+    return np.array([step.q for step in reversed(list(_ancestors(node)))])
 
 
 def _ancestors(node: _Node | None) -> Iterator[_Node]:
@@ -263,7 +263,7 @@ def rho(x: float, y: float, places: Array, radii: Array, most: float) -> float:
 
 
 @kernel
-def _direct(at: Array, n: int, reach: Array, standing: Kept, direct: NDArray[np.bool_]) -> None:
+def _direct(at: Array, n: int, reach: Array, standing: SolidWays, direct: NDArray[np.bool_]) -> None:
     first = len(at) - 2 * n
     for i in range(n):
         start, goal = at[first + i], at[first + n + i]
@@ -272,7 +272,7 @@ def _direct(at: Array, n: int, reach: Array, standing: Kept, direct: NDArray[np.
 
 @kernel
 def _neighbours(
-    at: Array, free: NDArray[np.bool_], nx: int, ny: int, cell: float, left: Array, standing: Kept, near: Indices,
+    at: Array, free: NDArray[np.bool_], nx: int, ny: int, cell: float, left: Array, standing: SolidWays, near: Indices,
     reach: Array,
 ) -> None:  # fmt: skip
     """Write which free places of the grid are next to each vertex; a start or goal off the grid reaches the nearest."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robofleet.control import planning, solid_ways
 from robofleet.control.planning import Problem
-from robofleet.control.solid_ways import Kept
+from robofleet.control.solid_ways import SolidWays
 from robofleet.core.kernels import kernel
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ def _radii(places: Array, ends: Array, end_radii: Array, most: float, out: Array
 @kernel
 def _shorten(
     places: Array, radii: Array, i: int, ends: Array, end_radii: Array, most: float, obstacles: Array,
-    standing: Kept, step: float,
+    standing: SolidWays, step: float,
 ) -> bool:  # fmt: skip
     """Replace pieces of robot i's way by straight ones, long pieces first; returns whether any was.
 

@@ -20,7 +20,7 @@ _WALKED = 0.002  # [m]; what is looked at of a straight way is no further apart
 _away = solids.away
 
 
-class Kept(NamedTuple):
+class SolidWays(NamedTuple):
     """What is kept from solids: ``beside``, and less near those ends of ways that are nearer to them."""
 
     outlines: Outlines
@@ -29,23 +29,23 @@ class Kept(NamedTuple):
     ends: Array  # (T, 3): x, y, and what is kept there [m]
 
 
-def kept(standing: Sequence[Solid], beside: float, ends: Array) -> Kept:
+def kept(standing: Sequence[Solid], beside: float, ends: Array) -> SolidWays:
     """Return what ways between ends (M, 2) keep from solids."""
     away = solids.distances(standing, ends) - _EPSILON
     ring, end = np.nonzero(away < beside)
     tight = np.column_stack([ends[end], away[ring, end]])
-    return Kept(solids.outlines(standing), beside, ring, tight)
+    return SolidWays(solids.outlines(standing), beside, ring, tight)
 
 
 @kernel
-def left(at: Array, standing: Kept, out: Array) -> None:
+def left(at: Array, standing: SolidWays, out: Array) -> None:
     """Write how much places (M, 2) have left of what is kept from solids (M,) [m]."""
     for v in range(len(at)):
         out[v] = _left_at(at[v, 0], at[v, 1], standing)
 
 
 @kernel
-def _left_at(x: float, y: float, standing: Kept) -> float:
+def _left_at(x: float, y: float, standing: SolidWays) -> float:
     outlines, least = standing.outlines, np.inf
     for r in range(len(outlines.rings)):
         away = _away(outlines.edges, outlines.rings[r], x, y)
@@ -61,7 +61,7 @@ def _left_at(x: float, y: float, standing: Kept) -> float:
 
 
 @kernel
-def clear_way(from_x: float, from_y: float, to_x: float, to_y: float, standing: Kept) -> bool:
+def clear_way(from_x: float, from_y: float, to_x: float, to_y: float, standing: SolidWays) -> bool:
     """Whether a straight way keeps what is kept from solids: it is walked in steps that cannot come too near."""
     length, gone = np.hypot(to_x - from_x, to_y - from_y), 0.0
     if len(standing.outlines.rings) == 0:

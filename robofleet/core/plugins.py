@@ -45,8 +45,8 @@ def load(group: str, name: str) -> Any:
         mend = "mend its name, or install its package"
         if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
             mend += f", or put {error.name}.py beside the configuration"
-        elif (place := _raised_in(error)) is not None:
-            mend = f"mend {place}"
+        elif (where := _raised_in(error)) is not None:
+            mend = f"mend {where}"
         raise PluginError(f"{name!r} cannot be loaded: {error}: {mend}") from error
     if not isinstance(found, type):
         raise PluginError(f"{name!r} is not a class: mend its name")
@@ -96,7 +96,7 @@ def _search(folder: str) -> None:
 
 def _hand(folder: Path) -> None:
     """Let the processes started from here search a folder, if it is searched here."""
-    if folder in (Path(place).resolve() for place in sys.path) and str(folder) not in (handed := _handed()):
+    if folder in (Path(directory).resolve() for directory in sys.path) and str(folder) not in (handed := _handed()):
         os.environ[_HANDED] = json.dumps([*handed, str(folder)])
 
 

@@ -20,7 +20,7 @@ class BusyNews:
         self._cause = Event.NOTHING  # that load explains, while it stands
         self._late: dict[int, int] = {}  # by process, when that cause came [ns]
         self._due_ns = 0
-        self._said = False
+        self._reported = False
 
     def stopped(self, memory: busy.Memory, status: RunStatus, now_ns: int) -> None:
         """Take note of a change of the run's phase."""
@@ -44,6 +44,6 @@ class BusyNews:
 
     def line(self, memory: busy.Memory, message: BusyMachine) -> list[str]:
         """Return what the log says of the first message; of the others it says nothing."""
-        said, self._said = self._said, True
+        already, self._reported = self._reported, True
         words = busy.words(memory.worst, message.load, message.cores, self._robots)
-        return [] if said else [f"this machine is busy: {words}"]
+        return [] if already else [f"this machine is busy: {words}"]

@@ -167,7 +167,9 @@ class CamerasHeard:
         """
         robots["camera_out"] = 0
         rows = np.flatnonzero((robots["unseen_ns"] >= LATE_NS) & (robots["seen_ns"] != NEVER))
-        away = np.array([its.out_ns is not None and now_ns - its.out_ns < LOST_NS for its in self._cameras])
+        away = np.array(
+            [latch_group.out_ns is not None and now_ns - latch_group.out_ns < LOST_NS for latch_group in self._cameras]
+        )
         if not (len(rows) and away.any() and any(believed)):
             return
         last = self._last[rows]
@@ -182,12 +184,12 @@ class CamerasHeard:
 
     def _heard_news(self) -> tuple[Happening, ...]:
         """Return what the trackers told, of the cameras and of our tags, in the run's own words."""
-        heard: list[Happening] = []
+        happenings: list[Happening] = []
         for k, camera in enumerate(self._cameras):
             for _, _, payload in camera.news.drain():
                 if (news := TRACKER_NEWS.decode(payload)) is not None:
-                    heard += self._told(k, camera, news)
-        return tuple(heard)
+                    happenings += self._told(k, camera, news)
+        return tuple(happenings)
 
     def _told(self, number: int, camera: _Camera, news: TrackerNews) -> tuple[Happening, ...]:
         row = int(self._tags[news.tag])

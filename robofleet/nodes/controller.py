@@ -28,11 +28,11 @@ from robofleet.core.clock import Clock, S, TickGrid
 from robofleet.core.compiling import Say, on_stderr, told
 from robofleet.core.kernels import kernel
 from robofleet.nodes import fleet
-from robofleet.nodes.deciding import Deciding, Judge, untimed
+from robofleet.nodes.deciding import BehaviourRunner, Judge, untimed
 from robofleet.nodes.leases import Leases
 from robofleet.nodes.rescues import crawls
-from robofleet.nodes.sighting import Sighting
-from robofleet.nodes.wishes import Wishes
+from robofleet.nodes.sighting import MeasurementUpdate
+from robofleet.nodes.wishes import SetpointInbox
 from robofleet.safety import barrier as safety_barrier
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.wiggle import STROKES, probe_speeds
@@ -101,7 +101,7 @@ class Controller:
         self._tick_s = c.tick_s
         self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._lost_after_s = c.filter.lost_after_s
-        self._sighting = Sighting(config, bus, clock, self._epoch)
+        self._sighting = MeasurementUpdate(config, bus, clock, self._epoch)
         self._drives = [slices.drive(robot) for robot in robots]
         self._statuses = Statuses(bus, config.units, [robot.id for robot in robots], by_radio=config.daemons)
         self._leases = Leases(bus, self._statuses, session, take_over=take_over)
@@ -118,10 +118,10 @@ class Controller:
         self._index = 0
         self._timing = _Timing()
         self._record = np.zeros((len(robots), len(RobotTick._fields)))
-        self._said = _Parts.of(self._record)
+        self._record_parts = _Parts.of(self._record)
         self._nobody = np.zeros(len(robots), dtype=np.bool_)
-        self._deciding, self._groups = Deciding(config, judge), groups.rows(config.groups)
-        self._wishes = Wishes(config, bus)
+        self._deciding, self._groups = BehaviourRunner(config, judge), groups.rows(config.groups)
+        self._setpoints = SetpointInbox(config, bus)
         self._crawls = crawls(config)
         self._unknown = np.zeros((len(robots), 2))
         self._begin()
@@ -139,7 +139,7 @@ class Controller:
         self._permitted = np.zeros(n, dtype=np.bool_)
         self._tried: list[tuple[int, int]] = []  # robots whose wheels are tried, and their strokes
         self._out: int | None = None  # the robot that a person drives out of a held run
-        self._heard = (0, 0)  # epoch and seq of the supervisor's newest word
+        self._newest_word = (0, 0)  # epoch and seq of the supervisor's newest word
 
     def step(self, now_ns: int) -> int:
         """Do the newest tick that is due; ticks that were missed are counted and never made up.
@@ -177,18 +177,18 @@ class Controller:
         unseen_s, moving = estimator.ages(self._filter.measured_ns, tick_ns), self._phase in MOVING
         lost = unseen_s > self._lost_after_s
         self._run_tick += self._phase is Phase.RUNNING
-        wishes = self._wishes.at(self._index, self._phase)
-        driving = self._permitted & ~lost if moving else self._driven_out(wishes, lost)
-        here, there, turning = self._filter.predict(tick_ns)
-        w = self._filter.disturbance(there, self._point_ahead) if self._offset_free else self._unknown
-        bodies, pushed = there, None
+        setpoints = self._setpoints.at(self._index, self._phase)
+        driving = self._permitted & ~lost if moving else self._driven_out(setpoints, lost)
+        here, then, turning = self._filter.predict(tick_ns)
+        w = self._filter.disturbance(then, self._point_ahead) if self._offset_free else self._unknown
+        bodies, pushed = then, None
         if len(self._bystanders.measured_ns):
-            bodies = np.concatenate([there, self._bystanders.predict(tick_ns)])
+            bodies = np.concatenate([then, self._bystanders.predict(tick_ns)])
             pushed = np.concatenate([np.zeros_like(turning), self._bystanders.velocities])
             turning = np.concatenate([turning, np.zeros_like(self._bystanders.velocities)])
             unseen_s = np.concatenate([unseen_s, estimator.ages(self._bystanders.measured_ns, tick_ns)])
-        self._deciding.tick(bodies, unseen_s < np.inf, driving, w, moving=moving, wishes=wishes)
-        self._said.filtered[:], self._said.blocked[:] = self._barrier.filter(
+        self._deciding.tick(bodies, unseen_s < np.inf, driving, w, moving=moving, setpoints=setpoints)
+        self._record_parts.filtered[:], self._record_parts.blocked[:] = self._barrier.filter(
             bodies, turning, unseen_s, driving, self._deciding.wheels, self._deciding.u, pushed
         )
         if self._out is not None:
@@ -208,7 +208,7 @@ class Controller:
         if payload is None or (message := RUN_STATE.view(payload)) is None:
             return
         state, robots = message
-        self._heard = state.epoch, state.seq
+        self._newest_word = state.epoch, state.seq
         n = len(self._permitted)
         if state.phase in self._phases and len(robots) >= n:
             np.not_equal(robots["permitted"][:n], 0, out=self._permitted)
@@ -222,17 +222,17 @@ class Controller:
                     self._run_tick = -1
                     self._deciding.restart(self._phase)
 
-    def _driven_out(self, wishes: Sequence[Wish | None], lost: Flags) -> Flags:
+    def _driven_out(self, setpoints: Sequence[Wish | None], lost: Flags) -> Flags:
         """Return the one robot that the supervisor permits in a held run, if a person's wish is about it."""
         self._out = None
         permitted = np.flatnonzero(self._permitted).tolist() if self._phase is Phase.HOLD else []
         if len(permitted) != 1 or self._deciding.phase is not Phase.RUNNING or lost[permitted[0]]:
             return self._nobody
         (row,) = permitted
-        for wish, own in zip(wishes, self._groups, strict=True):
-            if wish is None or wish.kind is not WishKind.RESCUE:
+        for setpoint, own in zip(setpoints, self._groups, strict=True):
+            if setpoint is None or setpoint.kind is not WishKind.RESCUE:
                 continue
-            if [own.start + k for k in np.flatnonzero(wish.told).tolist()] == [row]:
+            if [own.start + k for k in np.flatnonzero(setpoint.told).tolist()] == [row]:
                 self._out = row
                 alone = self._nobody.copy()
                 alone[row] = True
@@ -287,9 +287,14 @@ class Controller:
         self._commands[unit](UNIT_COMMAND.encode_view(head, items))
 
     def _publish_record(self, tick_ns: int, here: Array, used: Flags, lost: Flags, seq: int) -> None:
-        said, decided = self._said, self._deciding
-        said.pose[:], said.point[:], said.u[:], said.wheels[:] = here, decided.points, decided.u, decided.wheels
-        said.saturated[:], said.measured[:], said.lost[:], said.failed[:] = (
+        record_parts, decided = self._record_parts, self._deciding
+        record_parts.pose[:], record_parts.point[:], record_parts.u[:], record_parts.wheels[:] = (
+            here,
+            decided.points,
+            decided.u,
+            decided.wheels,
+        )
+        record_parts.saturated[:], record_parts.measured[:], record_parts.lost[:], record_parts.failed[:] = (
             decided.saturated,
             used,
             lost,
@@ -298,7 +303,7 @@ class Controller:
         running = self._phase is Phase.RUNNING
         head = (
             self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
-            *self._sighting.taken[0], self._sighting.exposure_ns, *self._heard, seq,
+            *self._sighting.taken[0], self._sighting.exposure_ns, *self._newest_word, seq,
             self._phase, decided.arrived, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
         self._publish_tick(
@@ -345,7 +350,7 @@ def compile_kernels(config: Config, say: Say | None = None) -> None:
 
 
 def _call_kernels(config: Config) -> None:
-    deciding, fleet_filter, barrier = Deciding(config), fleet.fleet_filter(config), fleet.barrier(config)
+    deciding, fleet_filter, barrier = BehaviourRunner(config), fleet.fleet_filter(config), fleet.barrier(config)
     to_start, to_park = config.run.begin == "go_to_start", config.run.end == "park"
     n = len(config.members)
     driving = np.ones(n, dtype=np.bool_)
@@ -357,10 +362,10 @@ def _call_kernels(config: Config) -> None:
         measured.placed(nobody, measured.rows_of({}), instant_ns, instant_ns, poses, instants_ns)
         fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, measured.COLUMNS)))
         estimator.ages(fleet_filter.measured_ns, instant_ns)
-        _, there, _ = fleet_filter.predict(instant_ns + 1)
-        w = fleet_filter.disturbance(there, config.controller.point_ahead_m)
+        _, then, _ = fleet_filter.predict(instant_ns + 1)
+        w = fleet_filter.disturbance(then, config.controller.point_ahead_m)
         bodies = np.zeros((len(config.bodies), 3))
-        bodies[:n] = there
+        bodies[:n] = then
         deciding.tick(bodies, np.ones(len(bodies), dtype=np.bool_), driving, w, moving=True)
         barrier.filter(bodies, bodies[:, :2].copy(), bodies[:, 0].copy(), driving, deciding.wheels, deciding.u)
         for wanted, phase in ((to_start, Phase.POSITIONING), (to_park, Phase.PARKING)):

@@ -41,7 +41,7 @@ def untimed(group: int, decide: Callable[[], Decision]) -> tuple[Decision, bool]
     return decide(), False
 
 
-class Deciding:
+class BehaviourRunner:
     """The groups' behaviours, and what they decided in the newest tick; arrays over the members, group by group.
 
     On the way to the start and to the park one behaviour, ``go_to``, drives all members. A behaviour that raises,
@@ -61,10 +61,10 @@ class Deciding:
         self.saturated, self.failed = np.zeros(n), np.zeros(n)
         self._late: set[int] = set()  # rows of the crew, of this tick
         self._velocities, self._of_body = np.zeros((n, 2)), np.zeros(n, dtype=np.bool_)
-        said = groups.descriptions(config)
-        self.numbers = np.full(described.size(said), np.nan)  # as behaviours.described reads them
-        self._columns = [{figure.name: 2 + k for k, figure in enumerate(group.figures)} for group in said]
-        self._told = [part[0] for part in described.parts(said, self.numbers[None])]
+        group_descriptions = groups.descriptions(config)
+        self.numbers = np.full(described.size(group_descriptions), np.nan)  # as behaviours.described reads them
+        self._columns = [{figure.name: 2 + k for k, figure in enumerate(group.figures)} for group in group_descriptions]
+        self._figures = [part[0] for part in described.parts(group_descriptions, self.numbers[None])]
         self.begin()
 
     def begin(self) -> None:
@@ -115,7 +115,7 @@ class Deciding:
 
     def tick(
         self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, *, moving: bool,
-        wishes: Sequence[Wish | None] = (),
+        setpoints: Sequence[Wish | None] = (),
     ) -> None:  # fmt: skip
         """Ask every behaviour; then find what the wheels can do of it.
 
@@ -126,10 +126,10 @@ class Deciding:
         n = len(self.u)
         self._ticks += moving
         self.numbers.fill(np.nan)
-        wished = wishes if self.phase is Phase.RUNNING else ()
-        said = self._asked(bodies, seen, driving, disturbance, wished)
-        self._check(said, driving)
-        for k, decision in said.items():
+        wished = setpoints if self.phase is Phase.RUNNING else ()
+        decisions = self._asked(bodies, seen, driving, disturbance, wished)
+        self._check(decisions, driving)
+        for k, decision in decisions.items():
             if k not in self._stopped:
                 self._tell(k, decision)
                 if decision.hold is not None:
@@ -142,21 +142,21 @@ class Deciding:
         )  # fmt: skip
 
     def _asked(
-        self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, wishes: Sequence[Wish | None]
+        self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, setpoints: Sequence[Wish | None]
     ) -> dict[int, Decision]:
         """Return what each group decides, by its row of the crew."""
         poses, may, w = bodies[: len(self.u)].copy(), driving.copy(), disturbance.copy()  # a behaviour may write there
         others = self._others(bodies, seen)
-        t, said = max(0, self._ticks) * self._tick_s, {}
+        t, decisions = max(0, self._ticks) * self._tick_s, {}
         for k, (behaviour, own) in enumerate(self._crew):
             if k not in self._stopped:
                 now = Situation(
                     t=t + behaviour.team.delay, poses=poses[own], driving=may[own], disturbance=w[own],
-                    others=others(own), wish=wishes[k] if wishes else None,
+                    others=others(own), wish=setpoints[k] if setpoints else None,
                 )  # fmt: skip
                 if (decision := self._ask(k, now)) is not None:
-                    said[k] = decision
-        return said
+                    decisions[k] = decision
+        return decisions
 
     def _others(self, bodies: Array, seen: Flags) -> Callable[[slice], Array]:
         """Return what tells a group who else is in the arena (M, 3): x, y, body radius [m]."""
@@ -185,12 +185,12 @@ class Deciding:
             self._late.add(k)
         return decision
 
-    def _check(self, said: dict[int, Decision], driving: Flags) -> None:
+    def _check(self, decisions: dict[int, Decision], driving: Flags) -> None:
         """Stop who decided what is not finite, or too late."""
         known = np.abs(self._velocities) < _BEYOND
         if not known.all():
             unknown = ~known.all(axis=1) & driving
-            for k in said:
+            for k in decisions:
                 own = self._crew[k][1]
                 if unknown[own].any():
                     row = int(unknown[own].argmax())
@@ -205,20 +205,20 @@ class Deciding:
             if self.phase is Phase.RUNNING:
                 self._keep(k, decision)
             elif decision.references is not None:  # on the way no group decides: there are no figures
-                for part, own in zip(self._told, self._rows, strict=True):
+                for part, own in zip(self._figures, self._rows, strict=True):
                     part[:, :2] = decision.references[own]
             self._arrived[k] = bool(self._crew[k][0].arrived)
         except _RAISED:
             self._raised(k)
 
     def _keep(self, k: int, decision: Decision) -> None:
-        told, columns = self._told[k], self._columns[k]
+        group_figures, columns = self._figures[k], self._columns[k]
         if decision.references is not None:
-            told[:, :2] = decision.references
+            group_figures[:, :2] = decision.references
         for name, values in decision.figures.items():
             if name not in columns:
                 raise ValueError(f"the figure {name!r} is none of its `figures`")
-            told[:, columns[name]] = values
+            group_figures[:, columns[name]] = values
 
     def _heard(self, k: int, hear: Callable[..., None], *what: Any) -> None:
         """Let a behaviour hear something that it need not answer."""
@@ -243,5 +243,5 @@ class Deciding:
         self._stopped.add(k)
         self.failed[own] = Event.BEHAVIOUR_STANDS
         self.failed[own.start + row] = why
-        said = f"group {team.name}, {team.robots[row]}: {type(behaviour).__name__} {what}: the group stands"
-        print(said, file=sys.stderr)
+        line = f"group {team.name}, {team.robots[row]}: {type(behaviour).__name__} {what}: the group stands"
+        print(line, file=sys.stderr)

@@ -73,11 +73,11 @@ class FleetListener:
         """Take the statuses that came: those of the ``newer`` units."""
         statuses, self.newer = self.statuses, self.statuses.take()
         for unit in self.newer:
-            said, part = statuses.newest[unit], statuses.units[unit]
-            assert said is not None
-            if part.name in self._daemons and said.build != self._build:
+            status, part = statuses.newest[unit], statuses.units[unit]
+            assert status is not None
+            if part.name in self._daemons and status.build != self._build:
                 continue  # it has not taken this run's configuration yet
-            _take_statuses(self._robots, statuses.robots, part.numbers, now_ns, said.build, np.uint64(said.boot_id))
+            _take_statuses(self._robots, statuses.robots, part.numbers, now_ns, status.build, np.uint64(status.boot_id))
 
     def _take_tick(self, head: NDArray[Any], robots: NDArray[Any], now_ns: int) -> None:
         record = dict(zip(TICK_RECORD.head_dtype.names or (), head[0].item(), strict=True))

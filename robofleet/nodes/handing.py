@@ -35,8 +35,8 @@ def unpacked(message: Handed) -> Config:
     ours = version("robofleet")
     try:
         unpacking = zlib.decompressobj()
-        told: Any = json.loads(unpacking.decompress(message.packed, _LARGEST))
-        theirs, plain = str(told["version"]), json.dumps(told["config"])
+        fields: Any = json.loads(unpacking.decompress(message.packed, _LARGEST))
+        theirs, plain = str(fields["version"]), json.dumps(fields["config"])
     except (zlib.error, ValueError, TypeError, KeyError) as error:
         raise HandedError("the configuration came damaged") from error
     if theirs != ours:
@@ -45,9 +45,9 @@ def unpacked(message: Handed) -> Config:
         config = Config.model_validate_json(plain)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
+        where = ".".join(map(str, first["loc"]))
         raise HandedError(
-            f"the configuration is not valid here ({place}: {first['msg']}): install the laboratory's robofleet"
+            f"the configuration is not valid here ({where}: {first['msg']}): install the laboratory's robofleet"
         ) from error
     if slices.build(config) != message.build:
         raise HandedError("the configuration came damaged: its number is another one")
@@ -69,7 +69,7 @@ class Handing:
         self._message = HANDED.encode(packed(config)) if self._units else b""
         self._build = slices.build(config)
         self._numbers = {unit.name: number for number, unit in enumerate(statuses.units)}
-        self._asked: dict[str, Answer] = {}
+        self._requests: dict[str, Answer] = {}
         self._heard_ns: dict[str, int] = {}  # when a unit's status was a new one
         self._newest: dict[str, tuple[int, int]] = {}
         self._again_ns = 0
@@ -80,12 +80,12 @@ class Handing:
         if not self._units:
             return []
         self._listen(now_ns)
-        news = [refusal for unit in tuple(self._asked) if (refusal := self._heard(unit)) is not None]
+        news = [refusal for unit in tuple(self._requests) if (refusal := self._heard(unit)) is not None]
         if now_ns >= self._again_ns:
             self._again_ns = now_ns + _AGAIN_NS
             for unit in self._units:
                 if not self._has(unit, now_ns):
-                    self._asked[unit] = self._bus.ask(CONFIG, unit, self._message)
+                    self._requests[unit] = self._bus.ask(CONFIG, unit, self._message)
         return news
 
     def _listen(self, now_ns: int) -> None:
@@ -104,10 +104,10 @@ class Handing:
         return has
 
     def _heard(self, unit: str) -> Refusal | None:
-        answer = self._asked[unit].take()
+        answer = self._requests[unit].take()
         if answer is None:
             return None
-        del self._asked[unit]
+        del self._requests[unit]
         words = answer.decode(errors="replace")
         if words == "ok" or words == self.refused.get(unit):
             return None

@@ -21,7 +21,7 @@ class Leases:
         self._bus, self._statuses, self.session = bus, statuses, session
         units = statuses.units
         self._actions = [LeaseAction.TAKE_OVER if take_over else LeaseAction.ACQUIRE] * len(units)
-        self._asked: list[Answer | None] = [None] * len(units)
+        self._requests: list[Answer | None] = [None] * len(units)
         self._again = [0] * len(units)
         self._session = np.uint64(session)
         self.mine = np.zeros(len(statuses.robots), np.bool_)  # (N,) which robots answer to this controller
@@ -46,4 +46,4 @@ class Leases:
             if self._again[number] < 0:
                 self._again[number] = _ASK_AGAIN_TICKS
                 request = LEASE_REQUEST.encode(LeaseRequest(self.session, self._actions[number]))
-                self._asked[number] = self._bus.ask(LEASE, unit.name, request)
+                self._requests[number] = self._bus.ask(LEASE, unit.name, request)

@@ -54,16 +54,16 @@ class MocapPoses:
         if settings.system == "simulated":
             return
         try:
-            there = bodies_there(settings)
+            bodies = bodies_there(settings)
         except CameraError as error:
             yield "tracker.mocap.host", str(error)
             return
         wanted = {robot.body_name for robot in config.seen}
         for i, robot in enumerate(config.robots):
-            if robot.body_name in wanted and robot.body_name not in there:
-                key, known = "body" if robot.body else "id", did_you_mean(robot.body_name, there)
+            if robot.body_name in wanted and robot.body_name not in bodies:
+                key, known = "body" if robot.body else "id", did_you_mean(robot.body_name, bodies)
                 yield f"robots.{i}.{key}", f"{settings.system} tracks no body '{robot.body_name}': {known}"
-        strange = [name for name in there if name not in wanted and name not in settings.others]
+        strange = [name for name in bodies if name not in wanted and name not in settings.others]
         if strange:
             names = ", ".join(strange)
             yield "tracker.mocap.others", f"the body of no robot: {names}: name the robot's body, or list it here"

@@ -128,8 +128,8 @@ class Lifeline:
     def _watch(self) -> None:
         assert self._socket is not None
         try:
-            while said := self._socket.recv(4096):
-                self.last_word += said
+            while word := self._socket.recv(4096):
+                self.last_word += word
         except OSError:
             pass
         self.why = "its run ended it"

@@ -52,9 +52,9 @@ class Words:
                 head, robots = message
                 sender = split(full)[1]
                 by_page = sender.partition("/")[0] == PAGE
-                told = np.flatnonzero(robots["told"]).tolist()
-                out = head.kind == WishKind.RESCUE and len(told) == 1 and len(robots) == rows.stop - rows.start
+                commanded = np.flatnonzero(robots["told"]).tolist()
+                out = head.kind == WishKind.RESCUE and len(commanded) == 1 and len(robots) == rows.stop - rows.start
                 held = head.kind in (WishKind.BODY, WishKind.RESCUE)
-                robot = rows.start + told[0] if out else NOBODY
+                robot = rows.start + commanded[0] if out else NOBODY
                 event = Event.DRIVEN_OUT_BY_PAGE if by_page else Event.DRIVEN_OUT_BY_GAMEPAD
                 yield Word((sender, head.epoch), held, robot, event, head.echo_tick)

@@ -22,7 +22,7 @@ Instants = NDArray[np.int64]
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
-class Sighting:
+class MeasurementUpdate:
     """The newest image of every camera, once a tick. It owns the filter and the bystanders while it is asked.
 
     Where there are several cameras, it says of each whether it agrees with the others.
@@ -35,7 +35,7 @@ class Sighting:
         self._images = [bus.newest(POSES, name) for name in config.camera_names]
         self._single = np.empty((self._bodies, measured.COLUMNS)), np.empty(self._bodies, dtype=np.int64)
         self._news = [bus.publisher(NEWS, name) for name in config.camera_names]
-        self._said = 0
+        self._used = 0
 
     def begin(self, fleet_filter: FleetFilter, bystanders: Bystanders) -> None:
         """Start anew with this filter and these bystanders."""
@@ -105,9 +105,9 @@ class Sighting:
             self._bystanders.observe(seen.instants_ns[self._members :], poses)
 
     def _say(self, verdict: Verdict) -> None:
-        self._said += 1
+        self._used += 1
         event = TrackerEvent.CAMERA_AGREES if verdict.believed else TrackerEvent.CAMERA_DISAGREES
-        news = TrackerNews(self._epoch, self._said, self._clock.now_ns(), event, NO_TAG, verdict.apart)
+        news = TrackerNews(self._epoch, self._used, self._clock.now_ns(), event, NO_TAG, verdict.apart)
         self._news[verdict.camera](TRACKER_NEWS.encode(news))
 
 

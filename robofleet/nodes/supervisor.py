@@ -224,7 +224,7 @@ class Supervisor:
         before, then, now_ns = self._status, self._busy, self._view.now_ns
         self._busy, self._status = busy.step(then, before, happening, now_ns, simulated=self._simulated)
         if self._status.phase is Phase.ARMED is before.phase and self._busy.checks_ns != then.checks_ns:
-            self._check_again(happening, said=self._busy.attempts > then.attempts)
+            self._check_again(happening, repeated=self._busy.attempts > then.attempts)
         if self._status.phase is not before.phase:
             self._busy_news.stopped(self._busy, self._status, now_ns)
             self._lines.append(f"{before.phase.name} -> {self._status.phase.name}: {self._status.describe(self._ids)}")
@@ -233,11 +233,11 @@ class Supervisor:
             if self._status.phase is Phase.ESTOP:
                 self._naming_ns = self._view.now_ns + _ACKNOWLEDGED_WITHIN_NS
 
-    def _check_again(self, happening: Happening, *, said: bool) -> None:
+    def _check_again(self, happening: Happening, *, repeated: bool) -> None:
         """Begin the checks before a start anew: a busy machine has spoilt them."""
         self._checks = arming.begin(self._view.now_ns)
         self._memory = self._memory._replace(since_ns=self._view.now_ns)
-        if said:
+        if repeated:
             self._lines.append(f"the checks begin anew, this machine is busy: {describe(happening, self._ids)}")
 
     def _go_on(self) -> None:
@@ -445,7 +445,7 @@ def compile_kernels(say: Say) -> None:
         fleet_view.compile_kernels()
         scan.compile_kernels()
         solids.distances((), np.zeros((1, 2)))
-        none, of = np.zeros(0, np.intp), np.zeros(1, UNIT_STATUS.item_dtype)
+        none, rows_of = np.zeros(0, np.intp), np.zeros(1, UNIT_STATUS.item_dtype)
         _fill_enables(
-            np.zeros(0, UNIT_ENABLE.item_dtype), of, none, none, np.zeros(1), np.zeros(1, np.uint64), 0, 0, 0, True
+            np.zeros(0, UNIT_ENABLE.item_dtype), rows_of, none, none, np.zeros(1), np.zeros(1, np.uint64), 0, 0, 0, True
         )

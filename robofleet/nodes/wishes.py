@@ -27,7 +27,7 @@ _PARTED = frozenset({WishKind.DONE, WishKind.FAILED})  # by these a session ends
 _KINDS, _NOTHING = frozenset(WishKind), frozenset[WishKind]()
 
 
-class Wishes:
+class SetpointInbox:
     """The newest setpoint of each group, in the order of the groups."""
 
     def __init__(self, config: Config, bus: Bus) -> None:
@@ -48,7 +48,7 @@ class Wishes:
         """
         if not self._some:
             return self.nobody
-        return tuple(None if one is None else one.at(tick, phase) for one in self._groups)
+        return tuple(None if group is None else group.at(tick, phase) for group in self._groups)
 
 
 class _Lease(NamedTuple):
@@ -77,10 +77,10 @@ class _OfGroup:
         for sender, payload in self._setpoints.take():
             if self._take(sender, payload, tick, kinds):
                 break  # of one session in a tick: a replay has no other
-        wish, lease = self._newest, self._lease
-        if wish is None or lease is None:
+        newest, lease = self._newest, self._lease
+        if newest is None or lease is None:
             return None
-        return replace(wish, age=(tick - lease.echo_tick) * self._tick_s)
+        return replace(newest, age=(tick - lease.echo_tick) * self._tick_s)
 
     def _take(self, sender: str, payload: bytes, tick: int, kinds: frozenset[WishKind]) -> bool:
         """Take a setpoint that can be one, of the session that drives this group; returns whether it is done."""
@@ -96,14 +96,14 @@ class _OfGroup:
             if self._lease is not None and self._lease.session == session:
                 self._lease = lease  # it waits until the robots may drive
             return False
-        values, told = SCRIPT_WISH.floats(robots).copy(), robots["told"] != 0
+        values, about = SCRIPT_WISH.floats(robots).copy(), robots["told"] != 0
         if np.abs(values).max() > _BEYOND:
             return False
-        if not told.all():
-            values[~told] = 0.0
+        if not about.all():
+            values[~about] = 0.0
         self._lease = lease
         self._newest = Wish(
-            kind=WishKind(head.kind), values=values, told=told, order=head.order, age=0.0, epoch=head.epoch,
+            kind=WishKind(head.kind), values=values, told=about, order=head.order, age=0.0, epoch=head.epoch,
             seq=head.seq,
         )  # fmt: skip
         return True

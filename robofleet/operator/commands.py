@@ -25,7 +25,7 @@ def running_names() -> list[str]:
     """Return what a shell completes for ARENA."""
     from robofleet.bus.arena_file import running  # noqa: PLC0415
 
-    return [there.arena for there in running()]
+    return [run.arena for run in running()]
 
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's configuration.")]
@@ -294,10 +294,10 @@ def hosts(
 
     file = None if arena is None else Path(arena)
     named = file is None or not (file.exists() or file.suffix)  # as an arena
-    there = _elsewhere(arena) if named else None
+    elsewhere_ = _elsewhere(arena) if named else None
     try:
-        if there is not None:
-            found = asking.hosts_elsewhere(there)
+        if elsewhere_ is not None:
+            found = asking.hosts_elsewhere(elsewhere_)
         else:
             file = Path(_running(arena, own=True).folder) / "config.yaml" if file is None or named else file
             found = asking.hosts(_for_one_process(file))
@@ -350,18 +350,18 @@ def web(
         assert run is not None
         tree = _for_one_process(Path(run))
         with bad_input():
-            place, its = listening(host, port, "--host"), page_keys(tree.arena.name, host, "--host")
-            process.of_run(tree, Path(run).absolute().parent, lifeline, place, host, its)
+            socket_, keys = listening(host, port, "--host"), page_keys(tree.arena.name, host, "--host")
+            process.of_run(tree, Path(run).absolute().parent, lifeline, socket_, host, keys)
         return
     from robofleet.operator.page import command  # noqa: PLC0415
 
     with bad_input():
-        there = command.there(run, partial(_running, own=True), _for_one_process)
-        with listening(host, port, "--host") as place:
-            its = page_keys(there.config.arena.name, host, "--host")
-            done, said = command.serve(there, place, host, its, browser=not no_browser)
-        if said:
-            _told(done, said)
+        page_run = command.there(run, partial(_running, own=True), _for_one_process)
+        with listening(host, port, "--host") as socket_:
+            keys = page_keys(page_run.config.arena.name, host, "--host")
+            done, line = command.serve(page_run, socket_, host, keys, browser=not no_browser)
+        if line:
+            _told(done, line)
 
 
 def _for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool = False) -> "Config":

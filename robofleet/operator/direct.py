@@ -39,8 +39,8 @@ def stop(arena: str | None) -> int:
     from robofleet.operator import requests as operator  # noqa: PLC0415
 
     try:
-        there = elsewhere.joined_arena(arena)
-        answers = operator.stop_all(arena) if there is None else [elsewhere.stop(there)]
+        access = elsewhere.joined_arena(arena)
+        answers = operator.stop_all(arena) if access is None else [elsewhere.stop(access)]
     except operator.NoArenaError as error:
         return _refused(error)
     return max(_answered(done, what) for done, what in answers)
@@ -52,8 +52,8 @@ def request(what: str, arena: str | None) -> int:
     from robofleet.operator import requests as operator  # noqa: PLC0415
 
     try:
-        there = elsewhere.joined_arena(arena)
-        done, answer = operator.ask(operator.chosen(arena), what) if there is None else elsewhere.ask(there, what)
+        access = elsewhere.joined_arena(arena)
+        done, answer = operator.ask(operator.chosen(arena), what) if access is None else elsewhere.ask(access, what)
     except operator.NoArenaError as error:
         return _refused(error)
     then = _THEN.get(what)

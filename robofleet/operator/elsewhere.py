@@ -38,39 +38,41 @@ def joined_arena(name: str | None) -> Elsewhere | None:
     """
     if next(Search(name).permitted(), None) is not None:
         return None
-    there = {arena: told for arena, told in joined_arenas().items() if told.kind != UNIT and name in (None, arena)}
-    if len(there) > 1:
-        raise NoArenaError(f"this computer has joined several arenas: name one of {', '.join(there)}")
-    for arena, told in there.items():
+    joins = {
+        arena: joined for arena, joined in joined_arenas().items() if joined.kind != UNIT and name in (None, arena)
+    }
+    if len(joins) > 1:
+        raise NoArenaError(f"this computer has joined several arenas: name one of {', '.join(joins)}")
+    for arena, joined in joins.items():
         try:
-            return Elsewhere(arena, told.router, credentials(arena, told.name), told.kind)
+            return Elsewhere(arena, joined.router, credentials(arena, joined.name), joined.kind)
         except KeysError as error:
             raise NoArenaError(str(error)) from error
     return None
 
 
-def ask(there: Elsewhere, what: str) -> tuple[bool, str]:
+def ask(access: Elsewhere, what: str) -> tuple[bool, str]:
     """Ask the supervisor of another computer's arena; returns whether it does so, and its answer."""
     clock = WallClock()
-    if there.role != OPERATOR and what.encode() not in SAFE:
-        name = there.credentials.name
+    if access.role != OPERATOR and what.encode() not in SAFE:
+        name = access.credentials.name
         return (
             False,
-            f"{name} is a {there.role} of {there.arena}, who may ask for {SAFE_WORDS}: {what} is an operator's",
+            f"{name} is a {access.role} of {access.arena}, who may ask for {SAFE_WORDS}: {what} is an operator's",
         )
     try:
-        with reached(there, clock) as bus:
-            answer = asked(bus, clock, "supervisor", what.encode(), role=there.role).decode(errors="replace")
+        with reached(access, clock) as bus:
+            answer = asked(bus, clock, "supervisor", what.encode(), role=access.role).decode(errors="replace")
             return answer.startswith("ok"), answer
     except (UnreachableError, TimeoutError) as error:
-        return False, f"{error}: see at the computer of {there.arena} whether a run is on"
+        return False, f"{error}: see at the computer of {access.arena} whether a run is on"
 
 
-def stop(there: Elsewhere) -> tuple[bool, str]:
+def stop(access: Elsewhere) -> tuple[bool, str]:
     """Ask for the emergency stop until every robot has acknowledged it; returns whether all have, and what happened."""
     clock = WallClock()
     try:
-        with urgent(), reached(there, clock) as bus:
+        with urgent(), reached(access, clock) as bus:
             states, began_ns = bus.newest(STATE), clock.now_ns()
             answer, again_ns = bus.ask(SAFE_REQUEST, "supervisor", b"estop"), began_ns + _AGAIN_NS
             left: list[int] | None = None  # rows that have not acknowledged
@@ -83,7 +85,7 @@ def stop(there: Elsewhere) -> tuple[bool, str]:
                         after_ms = (now_ns - began_ns) / MS
                         return (
                             True,
-                            f"emergency stop of {there.arena}: every robot acknowledged, after {after_ms:.0f} ms",
+                            f"emergency stop of {access.arena}: every robot acknowledged, after {after_ms:.0f} ms",
                         )
                 if answer.take() is None and left is None and now_ns >= again_ns:
                     answer, again_ns = bus.ask(SAFE_REQUEST, "supervisor", b"estop"), now_ns + _AGAIN_NS
@@ -91,13 +93,13 @@ def stop(there: Elsewhere) -> tuple[bool, str]:
     except UnreachableError as error:
         return False, f"{error}: no robot has acknowledged: go and look"
     missing = "the supervisor does not answer" if left is None else f"{len(left)} robots have not acknowledged"
-    return False, f"emergency stop of {there.arena}: {missing}: go and look"
+    return False, f"emergency stop of {access.arena}: {missing}: go and look"
 
 
 @contextmanager
-def reached(there: Elsewhere, clock: WallClock) -> Iterator[ZenohBus]:
+def reached(access: Elsewhere, clock: WallClock) -> Iterator[ZenohBus]:
     """Join the bus of another computer's arena; UnreachableError where its router does not answer."""
-    at = there.arena, there.router, there.role, clock, _CONNECT_WITHIN_S
-    silent = f"the router of {there.arena} at {', '.join(there.router)} does not answer, or refuses this certificate"
-    with answering(silent, *at, credentials=there.credentials) as bus:
+    at = access.arena, access.router, access.role, clock, _CONNECT_WITHIN_S
+    silent = f"the router of {access.arena} at {', '.join(access.router)} does not answer, or refuses this certificate"
+    with answering(silent, *at, credentials=access.credentials) as bus:
         yield bus

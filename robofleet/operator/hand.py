@@ -48,15 +48,15 @@ class Hand:
     """Commands one group."""
 
     def __init__(self, bus: Bus, config: Config, group: str) -> None:
-        its = next(one for one in config.groups if one.title == group)
-        settings = Teleop.Settings.model_validate(its.settings)
+        own = next(candidate for candidate in config.groups if candidate.title == group)
+        settings = Teleop.Settings.model_validate(own.settings)
         self._most = {
             WishKind.BODY: (settings.max_speed_m_s, settings.max_turn_rad_s),
             WishKind.RESCUE: (min(settings.crawl_m_s, settings.max_speed_m_s), settings.max_turn_rad_s),
         }
-        self._ids = its.robots
+        self._ids = own.robots
         self._publish = bus.publisher(TELEOP, group)
-        self._robots = np.zeros(len(its.robots), SCRIPT_WISH.item_dtype)
+        self._robots = np.zeros(len(own.robots), SCRIPT_WISH.item_dtype)
         self._values = SCRIPT_WISH.floats(self._robots)  # of the same memory (N, 3)
         self._epoch, self._seq = 1 + secrets.randbits(_EPOCH_BITS - 1), 0
         self._tick = 0

@@ -35,15 +35,15 @@ def hosts(config: Config) -> dict[str, Any]:
         return {"arena": arena, "units": _asked(bus, clock, arena, config.units, config.daemons)}
 
 
-def hosts_elsewhere(there: Elsewhere) -> dict[str, Any]:
+def hosts_elsewhere(access: Elsewhere) -> dict[str, Any]:
     """Return the units of another computer's arena that are linked now: only its configuration knows the others.
 
     UnreachableError where no router answers.
     """
     clock = WallClock()
-    with reached(there, clock) as bus:
+    with reached(access, clock) as bus:
         linked = sorted(unit for role in bus.roles() if (unit := unit_of_role(role)) is not None)
-        return {"arena": there.arena, "units": _asked(bus, clock, there.arena, dict.fromkeys(linked, ()), linked)}
+        return {"arena": access.arena, "units": _asked(bus, clock, access.arena, dict.fromkeys(linked, ()), linked)}
 
 
 def _asked(
@@ -54,10 +54,10 @@ def _asked(
     keys = {key(arena, STATUS, unit): unit for unit in units}
     statuses = bus.stream(*keys, capacity=1024 * len(keys))
     clock.sleep_until(clock.now_ns() + S // 5)  # who serves what is heard of first
-    asked = {unit: (clock.now_ns(), bus.ask(HOST, unit, b"?")) for unit in daemons}
+    requests = {unit: (clock.now_ns(), bus.ask(HOST, unit, b"?")) for unit in daemons}
     end_ns = clock.now_ns() + _LISTEN_NS
     while (now_ns := clock.now_ns()) < end_ns:
-        for unit, (asked_ns, answer) in asked.items():
+        for unit, (asked_ns, answer) in requests.items():
             if unit not in answers and (reply := answer.take()) is not None:
                 answers[unit] = (now_ns - asked_ns) / MS, _read(reply)
         for _, full, payload in statuses.drain():
@@ -69,37 +69,37 @@ def _asked(
 
 def _read(reply: bytes) -> dict[str, Any]:
     try:
-        told = json.loads(reply)
+        fields = json.loads(reply)
     except ValueError:
         return {}
-    return told if isinstance(told, dict) else {}
+    return fields if isinstance(fields, dict) else {}
 
 
 def _unit(
-    unit: str, robots: Sequence[str], said: list[UnitStatus], answer: tuple[float, dict[str, Any]] | None, *,
+    unit: str, robots: Sequence[str], statuses: list[UnitStatus], answer: tuple[float, dict[str, Any]] | None, *,
     daemon: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    trip_ms, told = answer or (None, {})
-    seqs = [status.seq for status in said]
+    trip_ms, fields = answer or (None, {})
+    seqs = [status.seq for status in statuses]
     sent = max(seqs) - min(seqs) + 1 if seqs else 0
-    charges = [robot.battery for robot in said[-1].robots if robot.battery >= 0.0] if said else []
+    charges = [robot.battery for robot in statuses[-1].robots if robot.battery >= 0.0] if statuses else []
     return {
         "unit": unit, "robots": list(robots),
-        "state": _state(said, daemon=daemon, answers=answer is not None),
-        **{name: told.get(name) for name in ("host", "version", "certificate_ends", "since")},
+        "state": _state(statuses, daemon=daemon, answers=answer is not None),
+        **{name: fields.get(name) for name in ("host", "version", "certificate_ends", "since")},
         "round_trip_ms": None if trip_ms is None else round(trip_ms, 1),
         "loss": round(1.0 - len(set(seqs)) / sent, 3) if sent > 1 else None,
         "battery": round(min(charges), 3) if charges else None,
     }  # fmt: skip
 
 
-def _state(said: list[UnitStatus], *, daemon: bool, answers: bool) -> str:
+def _state(statuses: list[UnitStatus], *, daemon: bool, answers: bool) -> str:
     """Return what a unit does: where it is silent, somebody must look."""
     if daemon and not answers:
-        return "no answer" if said else "silent"
-    if not daemon and not said:
+        return "no answer" if statuses else "silent"
+    if not daemon and not statuses:
         return "silent"
-    drives = bool(said) and any(robot.gate == GateStatus.OPEN for robot in said[-1].robots)
+    drives = bool(statuses) and any(robot.gate == GateStatus.OPEN for robot in statuses[-1].robots)
     return ("drives" if drives else "waits") + ("" if daemon else ", on this computer")
 
 
@@ -108,13 +108,13 @@ def table(found: dict[str, Any]) -> "Table":
     shown = Table(title=f"the computers of {found['arena']}", box=None, header_style="bold")
     for name in ("unit", "state", "host", "version", "certificate", "round trip", "loss", "battery", "since"):
         shown.add_column(name)
-    for one in found["units"]:
-        state = f"[red]{one['state']}[/]" if one["state"] in ("silent", "no answer") else one["state"]
+    for host in found["units"]:
+        state = f"[red]{host['state']}[/]" if host["state"] in ("silent", "no answer") else host["state"]
         shown.add_row(
-            one["unit"], state, one["host"] or "", one["version"] or "", one["certificate_ends"] or "",
-            "" if one["round_trip_ms"] is None else f"{one['round_trip_ms']:.1f} ms",
-            "" if one["loss"] is None else f"{100 * one['loss']:.1f} %",
-            "" if one["battery"] is None else f"{100 * one['battery']:.0f} %",
-            (one["since"] or "")[5:16].replace("T", " "),
+            host["unit"], state, host["host"] or "", host["version"] or "", host["certificate_ends"] or "",
+            "" if host["round_trip_ms"] is None else f"{host['round_trip_ms']:.1f} ms",
+            "" if host["loss"] is None else f"{100 * host['loss']:.1f} %",
+            "" if host["battery"] is None else f"{100 * host['battery']:.0f} %",
+            (host["since"] or "")[5:16].replace("T", " "),
         )  # fmt: skip
     return shown

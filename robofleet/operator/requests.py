@@ -89,60 +89,60 @@ def _complain(search: Search) -> None:
         print(f"some runs may not be listed: {trouble}", file=sys.stderr)
 
 
-def _not_yours(there: ArenaFile) -> str:
-    whose = f"the arena {there.arena} has a run of {there.user} (process {there.pid})"
-    if there.mine:  # root's, who may stop it
-        return f"{whose}, whose configuration may name code of {there.user}: do this as {there.user} (`sudo -u`)"
-    return f"{whose}, which is not yours: ask {there.user} or an administrator (`sudo robofleet stop {there.arena}`)"
+def _not_yours(run: ArenaFile) -> str:
+    whose = f"the arena {run.arena} has a run of {run.user} (process {run.pid})"
+    if run.mine:  # root's, who may stop it
+        return f"{whose}, whose configuration may name code of {run.user}: do this as {run.user} (`sudo -u`)"
+    return f"{whose}, which is not yours: ask {run.user} or an administrator (`sudo robofleet stop {run.arena}`)"
 
 
-def stop(there: ArenaFile) -> tuple[bool, str]:
+def stop(run: ArenaFile) -> tuple[bool, str]:
     """Stop every robot at once and latch its gate; returns whether all have said so, and what happened.
 
     Where the bus does not answer, the launcher is told by signals to cut its processes' lifelines.
     """
     clock = WallClock()
     try:
-        with urgent(), reached(there, clock) as bus:
-            stopped = emergency_stop(bus, clock, there.units)
-            return not stopped.silent, f"emergency stop of {there.arena}: {stopped.describe()}"
+        with urgent(), reached(run, clock) as bus:
+            stopped = emergency_stop(bus, clock, run.units)
+            return not stopped.silent, f"emergency stop of {run.arena}: {stopped.describe()}"
     except UnreachableError:
-        _signalled(there)
+        _signalled(run)
         clock.sleep_until(clock.now_ns() + _BETWEEN_NS)
-        _signalled(there)
+        _signalled(run)
         return False, (
-            f"the bus of {there.arena} does not answer: the launcher was told to end every process; "
+            f"the bus of {run.arena} does not answer: the launcher was told to end every process; "
             "no robot has acknowledged: go and look"
         )
 
 
-def _signalled(there: ArenaFile) -> None:
+def _signalled(run: ArenaFile) -> None:
     """Signal a launcher, if the process is its user's: what the file says is the user's word alone."""
     with suppress(OSError):  # it is gone
-        if Path(f"/proc/{there.pid}").stat().st_uid == there.uid:
-            os.kill(there.pid, signal.SIGTERM)
+        if Path(f"/proc/{run.pid}").stat().st_uid == run.uid:
+            os.kill(run.pid, signal.SIGTERM)
 
 
-def ask(there: ArenaFile, what: str) -> tuple[bool, str]:
+def ask(run: ArenaFile, what: str) -> tuple[bool, str]:
     """Ask the supervisor; returns whether it does so, and its answer."""
     clock = WallClock()
     try:
-        with reached(there, clock) as bus:
+        with reached(run, clock) as bus:
             answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
             return answer.startswith("ok"), answer
     except UnreachableError as error:
         return False, str(error)
     except TimeoutError as error:
-        return False, f"{error}: end the run with Ctrl-C in its terminal, or with `kill {there.pid}`"
+        return False, f"{error}: end the run with Ctrl-C in its terminal, or with `kill {run.pid}`"
 
 
-def status(there: ArenaFile) -> dict[str, Any]:
+def status(run: ArenaFile) -> dict[str, Any]:
     """Return what a run says of itself within a moment; None for what is silent."""
     clock = WallClock()
     state: RunState | None = None
     newest: dict[str, tuple[int, RobotStatus]] = {}
-    with reached(there, clock) as bus:
-        names = {key(there.arena, STATUS, unit): robots for unit, robots in there.units.items()}
+    with reached(run, clock) as bus:
+        names = {key(run.arena, STATUS, unit): robots for unit, robots in run.units.items()}
         states, statuses = bus.newest(STATE), bus.stream(*names, capacity=16 * len(names))
         end_ns = clock.now_ns() + _LISTEN_NS
         while (now_ns := clock.now_ns()) < end_ns:
@@ -154,25 +154,25 @@ def status(there: ArenaFile) -> dict[str, Any]:
                         newest[robot] = now_ns, status
             clock.sleep_until(now_ns + _POLL_NS)
     return {
-        "arena": there.arena,
-        "folder": there.folder,
-        "started": there.started,
-        "pid": there.pid,
-        "endpoint": there.endpoint,
+        "arena": run.arena,
+        "folder": run.folder,
+        "started": run.started,
+        "pid": run.pid,
+        "endpoint": run.endpoint,
         "phase": None if state is None else named(Phase, state.phase),
-        "cause": None if state is None else advised(run_cause(state, there.robots), state.cause),
+        "cause": None if state is None else advised(run_cause(state, run.robots), state.cause),
         "next": _SILENT if state is None else WAY_OUT.get(state.phase),
         "robots": [
             _robot(robot, newest.get(robot), "" if state is None else halt_cause(state, row), clock.now_ns())
-            for row, robot in enumerate(there.robots)
+            for row, robot in enumerate(run.robots)
         ],
     }
 
 
-def _robot(robot: str, heard: tuple[int, RobotStatus] | None, halted: str, now_ns: int) -> dict[str, Any]:
-    if heard is None:
+def _robot(robot: str, status: tuple[int, RobotStatus] | None, halted: str, now_ns: int) -> dict[str, Any]:
+    if status is None:
         return {"id": robot, "gate": None, "latch": None, "battery": None, "age_ms": None, "halted": halted or None}
-    heard_ns, message = heard
+    heard_ns, message = status
     return {
         "id": robot,
         "gate": named(GateStatus, message.gate),
@@ -184,10 +184,10 @@ def _robot(robot: str, heard: tuple[int, RobotStatus] | None, halted: str, now_n
 
 
 @contextmanager
-def reached(there: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
+def reached(run: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
     """Join a run's bus; UnreachableError where it does not answer."""
-    silent = f"the bus of {there.arena} at {there.endpoint} does not answer: end the run with `kill {there.pid}`"
-    with answering(silent, there.arena, there.endpoint, "operator", clock, _CONNECT_WITHIN_S) as bus:
+    silent = f"the bus of {run.arena} at {run.endpoint} does not answer: end the run with `kill {run.pid}`"
+    with answering(silent, run.arena, run.endpoint, "operator", clock, _CONNECT_WITHIN_S) as bus:
         yield bus
 
 

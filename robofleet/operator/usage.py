@@ -33,9 +33,9 @@ def _line(error: Any) -> str:  # noqa: PLR0911 - one answer for each kind of mis
     if kind == "BadOptionUsage":
         return f"{error.option_name}: needs a value: {see}"
     if kind == "MissingParameter":
-        place = _place(error.param)
-        place = f"{place}: is missing" if place.startswith("-") else f"{command}: {place} is missing"
-        return f"{place}: for example: {_example(ctx) or see}"
+        name = _place(error.param)
+        name = f"{name}: is missing" if name.startswith("-") else f"{command}: {name} is missing"
+        return f"{name}: for example: {_example(ctx) or see}"
     if kind == "BadParameter":
         what = re.sub(r"^Input should ", "must ", error.message).partition(", unable")[0].rstrip(".")
         return f"{_place(error.param)}: {what}: {see}"

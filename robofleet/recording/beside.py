@@ -34,7 +34,7 @@ class LogBeside:
         self._process.start()
         theirs.close()
         log.let_go()
-        self._said: list[tuple[int, list[tuple[str, bytes]]]] = []
+        self._batches: list[tuple[int, list[tuple[str, bytes]]]] = []
         self._waiting = 0
         self._closed = False
         self.messages = 0  # that came
@@ -44,10 +44,10 @@ class LogBeside:
     def add_all(self, said: Iterable[tuple[str, bytes]], at_ns: int) -> None:
         """Keep messages that came at one instant."""
         messages = list(said)
-        self._said.append((at_ns, messages))
+        self._batches.append((at_ns, messages))
         self._waiting += len(messages)
         if self._waiting >= _AT_ONCE:
-            self._send(self._said)
+            self._send(self._batches)
 
     def end(self, ending: bytes) -> None:
         """Keep how the run ended, and close."""
@@ -61,13 +61,13 @@ class LogBeside:
         with suppress(OSError):  # it was killed: that is told at the end
             self._to_log.send_bytes(marshal.dumps(what))
         self.messages += self._waiting
-        self._said, self._waiting = [], 0
+        self._batches, self._waiting = [], 0
 
     def _close(self, ending: bytes) -> None:
         if self._closed:
             return
         self._closed = True
-        self._send(self._said)
+        self._send(self._batches)
         self.dropped, self.failed = self.messages, "the process that writes it was killed"
         with suppress(OSError, EOFError):
             self._to_log.send_bytes(marshal.dumps(ending))
@@ -76,16 +76,16 @@ class LogBeside:
         self._process.join()
 
 
-def _write(log: RunLog, heard: Connection, theirs: Connection) -> None:
+def _write(log: RunLog, incoming: Connection, theirs: Connection) -> None:
     """Write what the run says until it ends, or is killed."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
     gc.freeze()  # what the run had is not looked at again
     theirs.close()
     with log, suppress(EOFError):
-        while isinstance(said := marshal.loads(heard.recv_bytes()), list):
-            for at_ns, messages in said:
+        while isinstance(batch := marshal.loads(incoming.recv_bytes()), list):
+            for at_ns, messages in batch:
                 log.add_all(messages, at_ns)
-        log.end(said)
+        log.end(batch)
         with suppress(OSError):
-            heard.send_bytes(marshal.dumps((log.dropped, log.failed)))
+            incoming.send_bytes(marshal.dumps((log.dropped, log.failed)))

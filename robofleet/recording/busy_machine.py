@@ -23,7 +23,7 @@ def told(state: RunState, message: BusyMachine | None, robots: tuple[str, ...], 
     cause = run_cause(state, robots)
     explained = message is not None and state.cause != 0 and message.cause == state.cause
     if explained and message is not None:
-        late = busy.latest(Lateness(its.process, its.late_ns) for its in message.late if its.late_ns)
+        late = busy.latest(Lateness(process.process, process.late_ns) for process in message.late if process.late_ns)
         cause += f" (this machine was busy: {busy.words(late, message.load, message.cores, robots)})"
     return advised(cause, state.cause, busy=explained) if advice else cause
 
@@ -48,23 +48,23 @@ def figures(payloads: Iterable[bytes], robots: tuple[str, ...]) -> dict[str, Any
         "armed_again": newest.attempts,
         "load": round(load, 2),
         "cores": newest.cores,
-        "late_s": {_name(its.process, robots): round(its.most_ns / 1e9, 3) for its in newest.late},
+        "late_s": {_name(process.process, robots): round(process.most_ns / 1e9, 3) for process in newest.late},
         "words": verdict(newest, load, robots),
     }
 
 
 def verdict(message: BusyMachine, load: float, robots: tuple[str, ...]) -> str:
     """Return a run's verdict on its machine."""
-    said = f"This machine was busy: {_so_far(message._replace(load=load), robots)}."
+    sentence = f"This machine was busy: {_so_far(message._replace(load=load), robots)}."
     if message.attempts:
-        said += f" The checks before the start began anew {_times(message.attempts)}."
+        sentence += f" The checks before the start began anew {_times(message.attempts)}."
     if message.resumed:
-        said += f" The run was held and went on by itself {_times(message.resumed)}."
-    return said
+        sentence += f" The run was held and went on by itself {_times(message.resumed)}."
+    return sentence
 
 
 def _so_far(message: BusyMachine, robots: tuple[str, ...]) -> str:
-    late = [Lateness(its.process, its.most_ns) for its in message.late]
+    late = [Lateness(process.process, process.most_ns) for process in message.late]
     return busy.words(busy.latest(late), message.load, message.cores, robots)
 
 

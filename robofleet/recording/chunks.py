@@ -55,12 +55,12 @@ def encode(record: McapRecord) -> bytes:
 
 def encode_chunk(definitions: Sequence[bytes], messages: Sequence[Waiting], at: int) -> tuple[bytes, ChunkIndex]:
     """Return a chunk with its message indexes behind it, to stand at ``at`` in the file, and its entry in the index."""
-    parts, place, indexes = [*definitions], sum(map(len, definitions)), defaultdict[int, list[int]](list)
+    parts, offset, indexes = [*definitions], sum(map(len, definitions)), defaultdict[int, list[int]](list)
     for channel, sequence, log_ns, data in messages:
-        indexes[channel] += log_ns, place
+        indexes[channel] += log_ns, offset
         length = _MESSAGE.size + len(data)
         parts += _RECORD_MESSAGE.pack(_OPCODE, length, channel, sequence, log_ns, log_ns), data
-        place += RECORD.size + length
+        offset += RECORD.size + length
     content, times = b"".join(parts), [*map(itemgetter(2), messages)]
     packed, first, last = ZstdCompressor(_LEVEL).compress(content), min(times), max(times)
     block = bytearray(encode(Chunk(_COMPRESSION, packed, last, first, zlib.crc32(content), len(content))))

@@ -14,7 +14,7 @@ import numpy as np
 from robofleet.core.files import replaced
 from robofleet.recording.gauge import Gauge
 from robofleet.recording.measures import exposure_to_tick_ms, exposure_to_wheel_ms, told_at_ticks
-from robofleet.recording.run import Array, Part
+from robofleet.recording.run import Array, GroupColumns
 from robofleet.recording.series import Series
 
 CSV = "metrics.csv"
@@ -116,20 +116,20 @@ def table(columns: Series) -> Array:
     shape = len(columns.t), len(columns.robots)
     running = columns.run.running[:, None]
     values = np.full((*shape, len(COLUMNS)), np.nan)
-    for place, column in enumerate(COLUMNS):
+    for index, column in enumerate(COLUMNS):
         if (told := column.of(columns)) is not None:
-            values[..., place] = np.where(running, told, np.nan) if column.running else told
+            values[..., index] = np.where(running, told, np.nan) if column.running else told
     return values
 
 
-def own_table(part: Part, names: Sequence[str]) -> Array:
+def own_table(part: GroupColumns, names: Sequence[str]) -> Array:
     """Return columns of a group's own (K, n, C) by their names; NaN where the group has none of this name."""
     values = np.full((len(part.said.robots), len(names), len(part.running)), np.nan)
-    places = {name: place for place, name in enumerate(names)}
+    places = {name: index for index, name in enumerate(names)}
     for curve in part.curves:
         for name, (rows, columns) in curve.columns.items():
-            if (place := places.get(own_name(name))) is not None:
-                values[rows, place] = curve.values.T[list(columns)]
+            if (index := places.get(own_name(name))) is not None:
+                values[rows, index] = curve.values.T[list(columns)]
     return values.transpose(2, 0, 1)
 
 

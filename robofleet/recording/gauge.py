@@ -60,38 +60,41 @@ class Curve(NamedTuple):
             return {_field(self.key): (tuple(rows), tuple(range(len(rows))))}
         alone, every = len(self.of) == 1, tuple(range(self.robots))
         return {
-            _field(self.key if alone else with_unit(f"{self.name}_{of}", self.unit)): (every, (k,) * len(every))
-            for k, of in enumerate(self.of)
+            _field(self.key if alone else with_unit(f"{self.name}_{statistic}", self.unit)): (every, (k,) * len(every))
+            for k, statistic in enumerate(self.of)
         }
 
 
 class Gauge:
     """Asks a group's behaviour what it measures."""
 
-    def __init__(self, config: Config, k: int, said: described.Group, foreign: Collection[str] = ()) -> None:
+    def __init__(self, config: Config, k: int, group: described.Group, foreign: Collection[str] = ()) -> None:
         """Make the behaviour of the ``k``-th group; where it is missing, the group's description is what is known.
 
         ``foreign``: behaviours that are not imported.
         """
-        self.said = said
+        self.said = group
         self._team = groups.team(config, config.groups[k])
-        self._behaviour = _made(config, k, said, foreign) or _only_described(said, self._team)
+        self._behaviour = _made(config, k, group, foreign) or _only_described(group, self._team)
         self._complained = False
-        asked = self.curves(_tried(len(said.robots), said))
-        self.asked = {curve.key: curve.asked for curve in asked if curve.asked is not None}  # in the unit that is shown
-        self.columns = {name: curve for curve in asked for name in curve.columns}  # of a table; values mean nothing
-        self._keys = [curve.key for curve in asked]
+        tried = self.curves(_tried(len(group.robots), group))
+        self.asked = {curve.key: curve.asked for curve in tried if curve.asked is not None}  # in the unit that is shown
+        self.columns = {name: curve for curve in tried for name in curve.columns}  # of a table; values mean nothing
+        self._keys = [curve.key for curve in tried]
 
     def curves(self, past: Past) -> tuple[Curve, ...]:
         """Return its figures and measures over the past's ticks."""
-        said, robots = self.said, self._team.robots
-        told = [
-            (Measure(f.name, f.unit, past.figures[f.name], robots, f.shown, f.meaning), f.live) for f in said.figures
+        group, robots = self.said, self._team.robots
+        figures = [
+            (Measure(f.name, f.unit, past.figures[f.name], robots, f.shown, f.meaning), f.live) for f in group.figures
         ]
         measured: list[Measure] = self._tried_to(lambda: self._measures(past), [])
         found: dict[str, Curve] = {}
-        for measure, live, is_told in (*((m, live, True) for m, live in told), *((m, True, False) for m in measured)):
-            curve = _curve(measure, robots, live=live, told=is_told)
+        for measure, live, is_told in (
+            *((m, live, True) for m, live in figures),
+            *((m, True, False) for m in measured),
+        ):
+            curve = _curve(measure, robots, live=live, is_figure=is_told)
             found.setdefault(curve.key, curve)
         return tuple(found.values())
 
@@ -120,8 +123,8 @@ class Gauge:
             if not (self._complained or quietly):
                 self._complained = True
                 traceback.print_exc(file=sys.stderr)
-                said = self.said
-                print(f"group {said.name}: {said.behaviour} cannot measure: its figures are missing", file=sys.stderr)
+                group = self.said
+                print(f"group {group.name}: {group.behaviour} cannot measure: its figures are missing", file=sys.stderr)
             return otherwise
 
 
@@ -145,12 +148,12 @@ def _largest(key: str, value: Any, parts: Sequence[Any]) -> Any:
     return max([value, *others])
 
 
-def gauges(config: Config, said: tuple[described.Group, ...], foreign: Collection[str] = ()) -> tuple[Gauge, ...]:
+def gauges(config: Config, groups: tuple[described.Group, ...], foreign: Collection[str] = ()) -> tuple[Gauge, ...]:
     """Return every group's; ``foreign``: behaviours that are not imported."""
-    return tuple(Gauge(config, k, group, foreign) for k, group in enumerate(said))
+    return tuple(Gauge(config, k, group, foreign) for k, group in enumerate(groups))
 
 
-def _made(config: Config, k: int, said: described.Group, foreign: Collection[str]) -> Behaviour | None:
+def _made(config: Config, k: int, group: described.Group, foreign: Collection[str]) -> Behaviour | None:
     """Return a group's behaviour; None where it is missing, or is not the one that told these figures."""
     if config.groups[k].behaviour in foreign:
         return None
@@ -158,18 +161,18 @@ def _made(config: Config, k: int, said: described.Group, foreign: Collection[str
         made = groups.behaviour(config, config.groups[k])
     except Exception:  # noqa: BLE001 - a module from outside may raise whatever it likes
         return None
-    known = {figure.name for figure in said.figures}
+    known = {figure.name for figure in group.figures}
     return made if {figure.name for figure in made.figures} == known else None
 
 
-def _only_described(said: described.Group, team: Team) -> Behaviour:
+def _only_described(group: described.Group, team: Team) -> Behaviour:
     """Return what stands for a behaviour that is missing: it has the figures that it told."""
-    kind = type("Described", (Behaviour,), {"figures": said.figures})
+    kind = type("Described", (Behaviour,), {"figures": group.figures})
     made: Behaviour = kind(None, team)
     return made
 
 
-def _tried(robots: int, said: described.Group) -> Past:
+def _tried(robots: int, group: described.Group) -> Past:
     """Return a past of robots that stand in a row."""
     t, row = np.arange(_TRIED) / 30, 1.0 + np.arange(robots)
     poses = np.tile(np.stack([0.1 * row, 0.02 * row, 0.1 * row], axis=-1), (_TRIED, 1, 1))
@@ -177,16 +180,16 @@ def _tried(robots: int, said: described.Group) -> Past:
     return Past(
         t=t, poses=poses, points=poses[..., :2].copy(), known=np.ones(robots, dtype=np.bool_), settled=every,
         spaced=every, references=poses[..., :2].copy(),
-        figures={figure.name: np.zeros((_TRIED, robots)) for figure in said.figures},
+        figures={figure.name: np.zeros((_TRIED, robots)) for figure in group.figures},
     )  # fmt: skip
 
 
-def _curve(measure: Measure, robots: tuple[str, ...], *, live: bool, told: bool) -> Curve:
+def _curve(measure: Measure, robots: tuple[str, ...], *, live: bool, is_figure: bool) -> Curve:
     unit, factor = _shown(measure)
-    asked = None if measure.asked is None else measure.asked * factor
+    target = None if measure.asked is None else measure.asked * factor
     return Curve(
         measure.name, with_unit(measure.name, unit), unit, measure.meaning.rstrip("."), measure.values * factor,
-        measure.of, tuple(_rows(measure.of, robots)), asked, live, told,
+        measure.of, tuple(_rows(measure.of, robots)), target, live, is_figure,
         len(robots),
     )  # fmt: skip
 
@@ -199,9 +202,9 @@ def _shown(measure: Measure) -> tuple[str, float]:
         return measure.unit, 1.0
 
 
-def _rows(of: tuple[str, ...], robots: tuple[str, ...]) -> Iterator[int | None]:
+def _rows(owners: tuple[str, ...], robots: tuple[str, ...]) -> Iterator[int | None]:
     """Yield which robot each column is about: of a pair, the second."""
-    for words in of:
+    for words in owners:
         last = words.split()[-1] if words.split() else ""
         yield robots.index(last) if last in robots else None
 

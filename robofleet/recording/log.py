@@ -66,9 +66,9 @@ class RunLog:
         self._kept: list[Attachment | Metadata] = []  # until they are in the file
         self._waiting = 0  # messages that are not in the file yet
         self._undeclared = 0  # messages that were dropped, and the file does not say so yet
-        said = groups.descriptions(config)
+        descriptions = groups.descriptions(config)
         batch = LARGE_BATCH if batched else BATCH
-        self._drawn = Drawn(config, said, epoch_ns=epoch_ns, batch=batch) if drawn else None
+        self._drawn = Drawn(config, descriptions, epoch_ns=epoch_ns, batch=batch) if drawn else None
         for channel in self._drawn.channels if self._drawn else ():
             self._register(channel)
         self._flushed_ns = 0
@@ -76,7 +76,7 @@ class RunLog:
         self.dropped = 0  # that are not in the file
         self.failed: str | None = None  # why the newest write did not succeed
         self._attach(CONFIG, "application/yaml", resolved_yaml(config).encode())
-        self._attach(GROUPS, "application/json", dumps([group.plain() for group in said]).encode())
+        self._attach(GROUPS, "application/json", dumps([group.plain() for group in descriptions]).encode())
         provenance = Provenance.here(config, "realtime" if epoch_ns else "lockstep", epoch_ns)
         self._kept.append(Metadata(PROVENANCE, provenance.metadata()))
         self._write()
@@ -87,14 +87,14 @@ class RunLog:
         self.messages += 1
         self._waiting += 1
         self._container.add_message(channel, self.messages & 0xFFFFFFFF, at_ns + self._epoch_ns, payload)
-        if self._drawn and (told := self._drawn.update(full, payload, at_ns)):
-            self._add_drawn(told)
+        if self._drawn and (drawn := self._drawn.update(full, payload, at_ns)):
+            self._add_drawn(drawn)
         if self._container.waiting_bytes >= self._chunk or (full in self._news and self._is_news(full, payload)):
             self._write()
 
-    def add_all(self, said: Iterable[tuple[str, bytes]], at_ns: int) -> None:
+    def add_all(self, messages: Iterable[tuple[str, bytes]], at_ns: int) -> None:
         """Keep messages that came at one instant, and write what waits if it is time to."""
-        for full, payload in said:
+        for full, payload in messages:
             self.add(full, payload, at_ns)
         if at_ns - self._flushed_ns >= self._flush_ns:
             self.flush(at_ns)
@@ -145,8 +145,8 @@ class RunLog:
         """End the file."""
         self.close()
 
-    def _add_drawn(self, told: Told) -> None:
-        for topic, log_ns, message in told:
+    def _add_drawn(self, messages: Told) -> None:
+        for topic, log_ns, message in messages:
             self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, message)
 
     def _register(self, new: Channel) -> int:
@@ -164,10 +164,10 @@ class RunLog:
         self._kept.append(Attachment(0, 0, name, media_type, data))
 
     def _is_news(self, full: str, payload: bytes) -> bool:
-        told = self._news[full](payload)
-        if told == self._newest.get(full):
+        news = self._news[full](payload)
+        if news == self._newest.get(full):
             return False
-        self._newest[full] = told
+        self._newest[full] = news
         return True
 
     def _write(self) -> None:

@@ -24,11 +24,11 @@ def pose_errors(run: Run, truth: Array) -> tuple[Array, Array]:
     return off, np.angle(np.exp(1j * (run.items["psi_rad"] - truth[..., 2])))
 
 
-def told_at_ticks(run: Run, of: Callable[[NDArray[Any]], Array]) -> Array:
+def told_at_ticks(run: Run, measure: Callable[[NDArray[Any]], Array]) -> Array:
     """Return a figure (K, N) of the newest status of each robot that came before a tick; NaN where there is none."""
     values = np.full((len(run.ticks), len(run.statuses)), np.nan)
     for robot, newest in enumerate(run.newest_statuses):
-        values[newest >= 0, robot] = of(run.statuses[robot][newest[newest >= 0]])
+        values[newest >= 0, robot] = measure(run.statuses[robot][newest[newest >= 0]])
     return values
 
 
@@ -51,8 +51,8 @@ def delays(run: Run) -> Delays:
     for row, status in enumerate(run.statuses) if run.start_ns is not None else ():
         running = status["applied_ns"] >= run.start_ns
         _, newest = np.unique(status["applied_ns"][running], return_index=True)
-        of = status[running][newest][run.own_statuses(row)[running][newest]]
-        wheel.append((of["applied_ns"] - of["applied_exposure_ns"])[of["applied_exposure_ns"] > 0])
+        chosen = status[running][newest][run.own_statuses(row)[running][newest]]
+        wheel.append((chosen["applied_ns"] - chosen["applied_exposure_ns"])[chosen["applied_exposure_ns"] > 0])
     poses = np.array([frame.sent_ns - frame.exposure_ns for frame in run.frames], np.int64)
     tick = (ticks["stamp_ns"] - ticks["exposure_ns"])[ticks["exposure_ns"] > 0]
     return Delays(short(poses), short(tick), short(np.concatenate(wheel) if wheel else np.empty(0, np.int64)))

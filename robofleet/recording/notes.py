@@ -37,8 +37,8 @@ def noted(payload: bytes) -> Noted | None:
         if note.kind == NoteKind.SAY:
             return Noted(note.echo_tick, line=printable(_TEXT.validate_json(note.text)))
         if note.kind == NoteKind.MARK:
-            told = ShapeSaid.model_validate_json(note.text).model_dump(exclude_unset=True)
-            return Noted(note.echo_tick, mark=shape_from_plain(told))
+            shape = ShapeSaid.model_validate_json(note.text).model_dump(exclude_unset=True)
+            return Noted(note.echo_tick, mark=shape_from_plain(shape))
         if note.kind == NoteKind.KEEP:
             return Noted(note.echo_tick, figures=_FIGURES.validate_json(note.text))
     except (ValidationError, TypeError, ValueError):

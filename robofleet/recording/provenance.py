@@ -39,7 +39,9 @@ class Provenance:
     @classmethod
     def here(cls, config: Config, mode: str, epoch_ns: int = 0) -> "Provenance":
         """Return what a recording would say that is made now, on this machine."""
-        versions = {"python": platform.python_version()} | {name: _version(of) for name, of in _PACKAGES.items()}
+        versions = {"python": platform.python_version()} | {
+            name: _version(package) for name, package in _PACKAGES.items()
+        }
         return cls(mode, epoch_ns, VERSION, build(config), platform.machine(), _processor(), versions, _hashes(config))
 
     @classmethod

@@ -228,16 +228,16 @@ class _Content:
                 yield from own(item, channels)
 
 
-def _note(recording: Recording, told: Attachment | Metadata) -> None:
-    if isinstance(told, Attachment):
-        if told.name == ENDING:
-            recording.end(told.data)
-        elif told.name == GROUPS:
-            recording.said = said(told.data, recording.config)
-    elif told.name == PROVENANCE:
-        recording.provenance = Provenance.of(told.metadata)
-    elif told.name == DROPPED:
-        if not 0 <= (dropped := int(told.metadata[COUNT])) < _MOST_DROPPED:
+def _note(recording: Recording, part: Attachment | Metadata) -> None:
+    if isinstance(part, Attachment):
+        if part.name == ENDING:
+            recording.end(part.data)
+        elif part.name == GROUPS:
+            recording.said = said(part.data, recording.config)
+    elif part.name == PROVENANCE:
+        recording.provenance = Provenance.of(part.metadata)
+    elif part.name == DROPPED:
+        if not 0 <= (dropped := int(part.metadata[COUNT])) < _MOST_DROPPED:
             raise ValueError("no count")
         recording.dropped += dropped
 
@@ -260,10 +260,10 @@ def _config(text: bytes, made_by: str, file: Path) -> Config:
         config = Config.model_validate(tree.plain())
     except ValidationError as error:
         fault = error.errors()[0]
-        place = ".".join(map(str, fault["loc"]))
+        where = ".".join(map(str, fault["loc"]))
         raise RecordingError(
-            f"{file}: its configuration is of another version ({place}: {fault['msg']}): install {made_by}"
+            f"{file}: its configuration is of another version ({where}: {fault['msg']}): install {made_by}"
         ) from error
-    for place, message in cross_checks(config):
-        raise RecordingError(f"{file}: its configuration is not valid: {place}: {message}")
+    for where, message in cross_checks(config):
+        raise RecordingError(f"{file}: its configuration is not valid: {where}: {message}")
     return config

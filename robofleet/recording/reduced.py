@@ -95,7 +95,7 @@ def joined(parts: Sequence[Reduced]) -> Reduced:
     """Return the parts of a run together, which come in order."""
     first = next((k for k, part in enumerate(parts) if part.begun), 0)
     counted = parts[first:]  # what images showed in the checks before does not count
-    told = [part.nearest_m for part in parts if part.nearest_m is not None]
+    known = [part.nearest_m for part in parts if part.nearest_m is not None]
     standing = parts[0].standing
     for part in parts:
         standing = np.where(np.isfinite(part.standing), part.standing, standing)
@@ -111,7 +111,7 @@ def joined(parts: Sequence[Reduced]) -> Reduced:
         lateness_ns=np.concatenate([part.lateness_ns for part in parts]),
         work_ns=np.concatenate([part.work_ns for part in counted]),
         overruns=_counted([part.overruns for part in parts]),
-        nearest_m=np.minimum.reduce(told) if told else None,
+        nearest_m=np.minimum.reduce(known) if known else None,
         obstacle_m=float(np.min([part.obstacle_m for part in parts])),
         off2=_mean([part.off2 for part in parts]),
         turn2=_mean([part.turn2 for part in parts]),
@@ -122,7 +122,7 @@ def joined(parts: Sequence[Reduced]) -> Reduced:
         images={name: _seen([part.images[name] for part in counted]) for name in parts[0].images},
         stops=sorted((stop for part in parts for stop in part.stops), key=lambda stop: stop["t_s"]),
         moments=[moment for part in parts for moment in part.moments],
-        rejected=[_counted(of) for of in zip(*(part.rejected for part in parts), strict=True)],
+        rejected=[_counted(counts) for counts in zip(*(part.rejected for part in parts), strict=True)],
         standing=standing,
         peaks={name: [own for part in parts for own in part.peaks[name]] for name in parts[0].peaks},
     )

@@ -132,8 +132,10 @@ class Recording:
 
     def ending(self) -> bytes:
         """Return how the run ended, for its file."""
-        told = {name: getattr(self, name) for name in EndingFile.model_fields}
-        return dumps({name: list(of) if isinstance(of, array) else of for name, of in told.items()}).encode()
+        fields = {name: getattr(self, name) for name in EndingFile.model_fields}
+        return dumps(
+            {name: list(values) if isinstance(values, array) else values for name, values in fields.items()}
+        ).encode()
 
     def end(self, text: bytes) -> None:
         """Take how the run ended from its file; ValueError where it does not say so."""
@@ -152,13 +154,13 @@ class Recording:
         ``message`` is the place among the messages of the key; those of another size than the unit's are left out.
         """
         unit = self.config.unit_of[robot]
-        place = self.config.units[unit].index(robot)
+        index = self.config.units[unit].index(robot)
         layout = topic.layout
         assert isinstance(layout, ListLayout)
         parts = [
             _joined(messages, rows, rows["items"][:, column])
             for messages, rows in self._of_unit(topic, unit)
-            for column in _columns_of(rows["items"], place, len(self.config.units[unit]))
+            for column in _columns_of(rows["items"], index, len(self.config.units[unit]))
         ]
         if not parts:
             return _joined(np.empty(0, np.int64), np.empty(0, layout.dtype(0)), np.empty(0, layout.item_dtype))
@@ -175,11 +177,11 @@ class Recording:
             sizes = np.array([len(payload) for payload in payloads], np.int64)
             parts = []
             for n in range(1, len(self.config.units[unit]) + 1):
-                (of,) = np.nonzero(sizes == layout.dtype(n).itemsize)
-                if len(of):
-                    rows = np.frombuffer(b"".join([payloads[k] for k in of.tolist()]), layout.dtype(n))
+                (fitting,) = np.nonzero(sizes == layout.dtype(n).itemsize)
+                if len(fitting):
+                    rows = np.frombuffer(b"".join([payloads[k] for k in fitting.tolist()]), layout.dtype(n))
                     whole = (rows["count"] == n) & (rows["version"] == VERSION)
-                    parts.append((of[whole], rows[whole]))
+                    parts.append((fitting[whole], rows[whole]))
             self._arrays[full] = self.count, parts
         return parts
 
@@ -192,8 +194,8 @@ class Recording:
     def newest_status(self, robot: str) -> RobotStatus | None:
         """Return what a robot's unit said of it last; None where it has not spoken."""
         unit = self.config.unit_of[robot]
-        said, robots = self.newest(STATUS, unit), self.config.units[unit]
-        return None if said is None or len(said.robots) != len(robots) else said.robots[robots.index(robot)]
+        payload, robots = self.newest(STATUS, unit), self.config.units[unit]
+        return None if payload is None or len(payload.robots) != len(robots) else payload.robots[robots.index(robot)]
 
     def places(self, full: str) -> Sequence[int]:
         """Return the place of a key's messages in the order of all messages."""
@@ -218,7 +220,7 @@ class Own(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Part:
+class GroupColumns:
     """One group of a run."""
 
     gauge: Gauge
@@ -264,13 +266,13 @@ class Run:
         config = self.config = recording.config
         arena, robots = config.arena.name, config.members
         dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups, len(config.camera_names)))
-        placed = [(place, p) for place, p in recording.placed(key(arena, TICK)) if len(p) == dtype.itemsize]
-        told = np.frombuffer(b"".join(p for _, p in placed), dtype=dtype)
-        places = np.array([place for place, _ in placed], np.uint64)
+        placed = [(at, p) for at, p in recording.placed(key(arena, TICK)) if len(p) == dtype.itemsize]
+        records = np.frombuffer(b"".join(p for _, p in placed), dtype=dtype)
+        places = np.array([at for at, _ in placed], np.uint64)
         first, until = np.searchsorted(places, (own.first, own.until))
-        self.near = told  # ticks, with those shortly before and after this part
-        self.before = told[:first][-1:]  # (1,) the tick before these; (0,) where there is none
-        self.all_ticks, places = told[first:until], places[first:until]
+        self.near = records  # ticks, with those shortly before and after this part
+        self.before = records[:first][-1:]  # (1,) the tick before these; (0,) where there is none
+        self.all_ticks, places = records[first:until], places[first:until]
         counted = (self.all_ticks["run_tick"] >= 0) | every_tick
         self._tick_places = places[counted]
         self._take(self.all_ticks[counted])
@@ -286,7 +288,9 @@ class Run:
         self._know(self._at_ticks(truths) if known.any() and len(self.t) else None, known)
         news = [recording.measured(key(arena, NEWS, camera), TRACKER_NEWS, own) for camera in config.camera_names]
         self.news = np.concatenate(news)  # of all cameras
-        self.news_of = np.repeat(config.camera_names, [len(of) for of in news])  # whose each of them is
+        self.news_of = np.repeat(
+            config.camera_names, [len(camera_news) for camera_news in news]
+        )  # whose each of them is
         self.states = _changes(recording, key(arena, STATE))
         self.start_ns = int(self.ticks["stamp_ns"][0]) if own.start_ns is None and len(self.ticks) else own.start_ns
         self.began = own.began
@@ -325,32 +329,32 @@ class Run:
         return [int(seq) for seq in self.ticks["figures"][0, first + 1 :: described.NAMING]]
 
     @cached_property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[GroupColumns, ...]:
         """What became of each group."""
         config, running = self.config, self.running
         t, poses, points = self.t[running], self.poses()[running], self.points()[running]
         settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
         parts = []
         peaks = self.reduced.peaks if self.reduced else {}
-        for gauge, told, of in zip(self.recording.gauges, self.told, groups.rows(config.groups), strict=True):
-            figures = {name: values[running] for name, values in told.figures.items()}
+        for gauge, columns, rows in zip(self.recording.gauges, self.told, groups.rows(config.groups), strict=True):
+            figures = {name: values[running] for name, values in columns.figures.items()}
             past = Past(
                 t=t,
-                poses=poses[:, of],
-                points=points[:, of],
-                known=self.known[of],
+                poses=poses[:, rows],
+                points=points[:, rows],
+                known=self.known[rows],
                 settled=settled,
                 spaced=spaced,
-                references=told.references[running],
+                references=columns.references[running],
                 figures=figures,
             )
-            parts.append(Part(gauge, of, past, running, peaks.get(gauge.said.name, ())))
+            parts.append(GroupColumns(gauge, rows, past, running, peaks.get(gauge.said.name, ())))
         return tuple(parts)
 
     @cached_property
     def references(self) -> Array:
         """Where each robot's followed point is to be (K, N, 2) [m]; NaN: nowhere."""
-        return np.concatenate([told.references for told in self.told], axis=1)
+        return np.concatenate([columns.references for columns in self.told], axis=1)
 
     @cached_property
     def newest_statuses(self) -> list[NDArray[np.int64]]:
@@ -418,11 +422,11 @@ def _images(recording: Recording, camera: str, own: Own, began: int) -> list[Fle
     return [frame for frame in frames if frame is not None and frame.seq >= began]
 
 
-def _columns_of(items: NDArray[Any], place: int, size: int) -> list[int]:
+def _columns_of(items: NDArray[Any], offset: int, size: int) -> list[int]:
     """Return the column of a robot's items (K, n) in messages of ``size`` robots, or of some that say who they are."""
     if "place" not in (items.dtype.names or ()):
-        return [place] if items.shape[1] == size else []
-    return np.flatnonzero(items["place"][0] == place).tolist() if len(items) else []
+        return [offset] if items.shape[1] == size else []
+    return np.flatnonzero(items["place"][0] == offset).tolist() if len(items) else []
 
 
 def _joined(messages: NDArray[np.int64], rows: NDArray[Any], items: NDArray[Any]) -> NDArray[Any]:
@@ -461,8 +465,8 @@ def _with_gaps(items: NDArray[Any]) -> NDArray[Any]:
 def _changes(recording: Recording, full: str) -> list[tuple[int, RunState]]:
     """Return the run's states, each with its place in the order of all messages; repetitions are left out."""
     changes: list[tuple[int, RunState]] = []
-    for place, payload in recording.placed(full):
+    for at, payload in recording.placed(full):
         state = RUN_STATE.decode(payload)
         if state is not None and not (changes and state.repeats(changes[-1][1])):
-            changes.append((place, state))
+            changes.append((at, state))
     return changes

@@ -21,7 +21,7 @@ SUMMARY = "summary.json"
 _LARGEST = 1 << 24  # [bytes] of a summary
 
 
-class _Told(BaseModel):
+class SummaryFile(BaseModel):
     """What a summary says that the recording may not."""
 
     outcome: Annotated[str, Field(max_length=100)] = "unknown"
@@ -71,11 +71,11 @@ def _looked_at(run: Path, imports: Imports, columns: Run | None = None) -> tuple
     """
     columns = columns or look(run, imports)
     recording = columns.recording
-    told = _told(_folder(run) / SUMMARY)
-    outcome, cause = recording.outcome or told.outcome, recording.cause or told.cause
-    mode = recording.provenance.mode if recording.provenance else told.mode
-    name = _name(run) if told.config is None else told.config
-    began = told.began or _began(recording, columns)
+    ending = _told(_folder(run) / SUMMARY)
+    outcome, cause = recording.outcome or ending.outcome, recording.cause or ending.cause
+    mode = recording.provenance.mode if recording.provenance else ending.mode
+    name = _name(run) if ending.config is None else ending.config
+    began = ending.began or _began(recording, columns)
     summary = metrics.summary(recording, name=name, mode=mode, outcome=outcome, cause=cause, began=began, run=columns)
     return columns, summary
 
@@ -89,11 +89,11 @@ def _began(recording: Recording, run: Run) -> str | None:
     return f"{date:%Y-%m-%dT%H:%M:%SZ}"
 
 
-def _told(file: Path) -> _Told:
+def _told(file: Path) -> SummaryFile:
     try:
-        return _Told.model_validate_json(read_plain(file, _LARGEST))
+        return SummaryFile.model_validate_json(read_plain(file, _LARGEST))
     except (OSError, ValidationError):
-        return _Told()  # the run was killed before it could say how it ended
+        return SummaryFile()  # the run was killed before it could say how it ended
 
 
 def _folder(run: Path) -> Path:

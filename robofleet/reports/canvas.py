@@ -37,7 +37,7 @@ ALARM = "#b3261e"
 
 
 @dataclass(frozen=True)
-class View:
+class RunView:
     """What there is to draw."""
 
     recording: Recording
@@ -80,7 +80,7 @@ def sheet(height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[
     return figure, list(grid.flat)
 
 
-def strips(view: View, labels: Sequence[str], height: float = 1.9) -> tuple[Figure, list[Axes]]:
+def strips(view: RunView, labels: Sequence[str], height: float = 1.9) -> tuple[Figure, list[Axes]]:
     """Return axes over the run's time, one below the other, with what interrupted the run behind them."""
     figure, axes = sheet(height * len(labels) + 0.3, len(labels))
     for each, label in zip(axes, labels, strict=True):
@@ -143,8 +143,8 @@ def logarithmic(axes: Axes, lowest: float) -> None:
 
 def zoomed(axes: Axes, values: Array, *also: float | None) -> None:
     """Let the y axis show these values, zero and others that are there, and nothing far beyond."""
-    there = values[np.isfinite(values)]
-    shown = [float(v) for v in (there.min(initial=0.0), there.max(initial=0.0), *also) if v is not None]
+    finite = values[np.isfinite(values)]
+    shown = [float(v) for v in (finite.min(initial=0.0), finite.max(initial=0.0), *also) if v is not None]
     low, high = min(shown), max(shown)
     room = 0.06 * (high - low or 1.0)
     axes.set_ylim(low - room * (low < 0), high + room)

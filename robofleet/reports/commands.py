@@ -97,12 +97,12 @@ def repair(run: RunFolder) -> None:
                 raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
             print(printable(f"{run}: {error.strerror}: make room; the recording is as it was"), file=sys.stderr)
             raise typer.Exit(1) from error
-    there = f"{done.messages} messages over {done.span_ns / S:.1f} s"
+    extent = f"{done.messages} messages over {done.span_ns / S:.1f} s"
     if done.trouble is None:
-        print(printable(f"{done.file}: needs no repair: {there}"))
+        print(printable(f"{done.file}: needs no repair: {extent}"))
         return
     lost = f"; {done.lost} bytes after them are lost" if done.lost else ""
-    print(printable(f"{done.file}: mended: it {done.trouble}; there are {there}{lost}"))
+    print(printable(f"{done.file}: mended: it {done.trouble}; there are {extent}{lost}"))
     if done.kept is not None:
         print(printable(f"The damaged file is kept: {done.kept}"))
 
@@ -165,14 +165,16 @@ def layout(
             if not (error.name or "").startswith("rerun"):
                 raise
             raise RefusedError(f"rerun: its package is missing, or too old: {how_to_install('rerun')}") from error
-        place = out or file.with_name(chosen.file)
+        target = out or file.with_name(chosen.file)
         try:
-            write_bytes(place, written)
+            write_bytes(target, written)
         except OSError as error:
-            raise RefusedError(f"{place}: cannot be written: {error.strerror}: name another file with --out") from error
-    print(printable(str(place)))
+            raise RefusedError(
+                f"{target}: cannot be written: {error.strerror}: name another file with --out"
+            ) from error
+    print(printable(str(target)))
     for line in chosen.opening:
-        print("Next:", printable(line.format(run=shlex.quote(str(file)), layout=shlex.quote(str(place)))))
+        print("Next:", printable(line.format(run=shlex.quote(str(file)), layout=shlex.quote(str(target)))))
 
 
 def _refuse_misplaced(other: Path | None, out: Path | None, figures: Path | None, junit: Path | None) -> None:

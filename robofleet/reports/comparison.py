@@ -12,7 +12,7 @@ from robofleet.core.figures import COLOURS, STYLE
 from robofleet.recording.gauge import Curve
 from robofleet.recording.run import Array
 from robofleet.reports.bounds import JUDGED, Judged, part
-from robofleet.reports.canvas import View, lines, logarithmic, sheet
+from robofleet.reports.canvas import RunView, lines, logarithmic, sheet
 from robofleet.reports.group_plots import wide
 from robofleet.reports.overview import floor, trail
 from robofleet.reports.own_figures import own_figures
@@ -44,7 +44,7 @@ class Side(NamedTuple):
     """One of the two runs."""
 
     name: str
-    view: View
+    view: RunView
     summary: Summary
 
 
@@ -82,27 +82,27 @@ def _ended(summary: Summary) -> str:
 
 def _rows(first: Side, second: Side) -> Iterator[tuple[str, float | None, float | None, str, Marked]]:
     for figure in (*JUDGED.values(), *_ALSO, *_own(first.summary, second.summary), *_NOT_JUDGED):
-        one, other = figure.of(first.summary), figure.of(second.summary)
+        first_value, other = figure.of(first.summary), figure.of(second.summary)
         label = figure.title
-        if figure.own and one is None and other is None:
+        if figure.own and first_value is None and other is None:
             continue
-        if one is None or other is None:
-            yield label, one, other, "", Marked("not measured in both", None)
+        if first_value is None or other is None:
+            yield label, first_value, other, "", Marked("not measured in both", None)
         else:
             judged = figure in JUDGED.values() or figure in _ALSO or "error" in figure.label
-            verdict = _verdict(one, other, more=figure.at_least) if judged else Marked("", None)
-            yield label, one, other, f"{other - one:+.3g}", verdict
+            verdict = _verdict(first_value, other, more=figure.at_least) if judged else Marked("", None)
+            yield label, first_value, other, f"{other - first_value:+.3g}", verdict
 
 
 def _own(first: Summary, second: Summary) -> Iterator[Judged]:
     """Yield the groups' own figures beside those that bounds judge; of an error less is better."""
     groups = first["groups"] | second["groups"]
     for name, group in groups.items():
-        of = f" of {name}" if len(groups) > 1 else ""
+        suffix = f" of {name}" if len(groups) > 1 else ""
         for figure in own_figures(group):
             for words, what in (("mean", "mean"), ("largest", "largest")) if figure.each else (("", "mean"),):
                 if words != "mean" or figure.key not in _MEANS_JUDGED:
-                    label = ", ".join(filter(None, (f"{figure.label}{of}", words)))
+                    label = ", ".join(filter(None, (f"{figure.label}{suffix}", words)))
                     yield Judged(label, figure.unit, _found(name, figure.key, what), own=True)
 
 
@@ -117,23 +117,23 @@ def _found(name: str, key: str, what: str) -> Callable[[Summary], float | None]:
     return value
 
 
-def _verdict(one: float, other: float, *, more: bool) -> Marked:
+def _verdict(before: float, other: float, *, more: bool) -> Marked:
     """Say whether the other one is better; ``more`` is, or less."""
-    if abs(other - one) <= _SAME * max(abs(one), abs(other)):
+    if abs(other - before) <= _SAME * max(abs(before), abs(other)):
         return Marked(_AS_BEFORE, None)
-    better = (other > one) == more
-    by = f" by {100 * abs(other - one) / abs(one):.0f} %" if one else ""
+    better = (other > before) == more
+    by = f" by {100 * abs(other - before) / abs(before):.0f} %" if before else ""
     return Marked(f"{'better' if better else 'worse'}{by}", better)
 
 
 def _keys(page: Page, first: Side, second: Side) -> None:
-    one, other = (_flat(side.view.config.model_dump(mode="json")) for side in (first, second))
+    first_keys, other = (_flat(side.view.config.model_dump(mode="json")) for side in (first, second))
     missing = object()
-    differing = [key for key in one | other if one.get(key, missing) != other.get(key, missing)]
+    differing = [key for key in first_keys | other if first_keys.get(key, missing) != other.get(key, missing)]
     page.section("Configuration", "" if differing else "Both runs have the same configuration, key by key.")
     if differing:
         page.table(
-            ("key", first.name, second.name), [(key, one.get(key), other.get(key)) for key in differing[:_SHOWN]]
+            ("key", first.name, second.name), [(key, first_keys.get(key), other.get(key)) for key in differing[:_SHOWN]]
         )
     if len(differing) > _SHOWN:
         page.note(f"And {len(differing) - _SHOWN} more keys.")
@@ -171,10 +171,10 @@ def overlays(sides: tuple[Side, Side]) -> Iterator[OverlaidPlot]:
     )
     several = any(len(side.view.series.run.parts) > 1 for side in sides)
     for (name, key), curve in (first | second).items():
-        of = f" of {name}" if several else ""
+        suffix = f" of {name}" if several else ""
         off = curve.asked is not None
         yield OverlaidPlot(
-            f"{curve.title}{of}", f"off by, {curve.unit}" if off else curve.unit or curve.label,
+            f"{curve.title}{suffix}", f"off by, {curve.unit}" if off else curve.unit or curve.label,
             (_shown(first.get((name, key))), _shown(second.get((name, key)))),
             "The one that is furthest from what was asked." if off else f"Mean, at every tick: {curve.meaning}.",
         )  # fmt: skip

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from robofleet.core.figures import robot_colours
 from robofleet.recording.gauge import Curve
-from robofleet.recording.run import Array, Part
-from robofleet.reports.canvas import View, level, lines, logarithmic, settling, strips, zoomed
+from robofleet.recording.run import Array, GroupColumns
+from robofleet.reports.canvas import RunView, level, lines, logarithmic, settling, strips, zoomed
 from robofleet.reports.paper import CONTROL_ERROR_MM, is_papers
 from robofleet.reports.plot import Legend, Plot, few
 
@@ -25,7 +25,7 @@ NO_TRUTH = "true poses are known of simulated robots only."
 _PAPERS = {"control_error_mm": (CONTROL_ERROR_MM, "the paper's mean, on hardware")}
 
 
-def of_group(part: Part, *, alone: bool) -> list[Plot]:
+def of_group(part: GroupColumns, *, alone: bool) -> list[Plot]:
     """Return a plot for each figure and each measure; ``alone``: no other group has figures."""
     better = {f"{_ESTIMATED}{curve.name}" for curve in part.curves if not curve.told}
     return [
@@ -38,7 +38,7 @@ def of_group(part: Part, *, alone: bool) -> list[Plot]:
     ]  # fmt: skip
 
 
-def colours(view: View, part: Part, curve: Curve) -> list[str]:
+def colours(view: RunView, part: GroupColumns, curve: Curve) -> list[str]:
     """Return the colour of each column: its robot's own, where it is about one."""
     own, other = view.colours[part.rows], robot_colours(len(curve.of))
     return [other[k] if row is None else own[row] for k, row in enumerate(curve.rows)]
@@ -53,7 +53,7 @@ def wide(values: Array, counted: Array) -> float | None:
     return float(10.0 ** np.floor(np.log10(middle / 10.0))) if known.max() > _WIDE * middle else None
 
 
-def _draw(part: Part, k: int, view: View) -> Figure | None:
+def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
     curve = part.curves[k]
     if not np.isfinite(curve.values).any():
         return None
@@ -81,7 +81,7 @@ def _draw(part: Part, k: int, view: View) -> Figure | None:
     return figure
 
 
-def _lines(axes: Axes, view: View, part: Part, curve: Curve, settle_s: float, bound: float | None) -> None:
+def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s: float, bound: float | None) -> None:
     """Draw a curve: of a figure that was told all of it, of a measure what counts."""
     counted = curve.values[view.counted(settle_s)]
     lowest = wide(curve.values, counted) if curve.told else None
@@ -93,7 +93,7 @@ def _lines(axes: Axes, view: View, part: Part, curve: Curve, settle_s: float, bo
         zoomed(axes, counted, bound)
 
 
-def _missing(part: Part, curve: Curve) -> str:
+def _missing(part: GroupColumns, curve: Curve) -> str:
     if not curve.of:
         return "Not measured: the group has nothing that it could be measured of."
     return "Not measured." if curve.told or part.past.known.all() else f"Not measured: {NO_TRUTH}"
@@ -111,7 +111,7 @@ def _caption(curve: Curve) -> str:
     return f"{meaning}Measured after the run. The axis shows what counts: the start, which is grey, may lie above it."
 
 
-def _legend(part: Part, k: int, view: View) -> Legend:
+def _legend(part: GroupColumns, k: int, view: RunView) -> Legend:
     curve = part.curves[k]
     known = np.atleast_1d(np.isfinite(curve.values).any(axis=0))
-    return few([(of, c) for of, c, seen in zip(curve.of, colours(view, part, curve), known, strict=True) if seen])
+    return few([(owner, c) for owner, c, seen in zip(curve.of, colours(view, part, curve), known, strict=True) if seen])

@@ -90,12 +90,12 @@ def _bound(summary: Summary, bound: dict[str, Any]) -> _Case:
 
 
 def _add(suite: Element, name: str, case: _Case) -> None:
-    its = SubElement(suite, "testcase", classname=name, name=_text(case.name), time=f"{case.seconds:.3f}")
+    element = SubElement(suite, "testcase", classname=name, name=_text(case.name), time=f"{case.seconds:.3f}")
     if case.verdict is not None:
-        said = SubElement(its, case.verdict, message=_text(case.why))
-        said.text = _text(case.why)
+        verdict = SubElement(element, case.verdict, message=_text(case.why))
+        verdict.text = _text(case.why)
         if case.kind:  # the schema has no kind of what was skipped
-            said.set("type", case.kind)
+            verdict.set("type", case.kind)
 
 
 def _said(summary: Summary) -> Iterator[str]:

@@ -85,8 +85,8 @@ def summary(
         "remarks": remarks(config, groups),
         "busy_machine": busy_machine.figures(recording.messages.get(key(config.arena.name, BUSY), ()), config.ids),
         "rejected": {
-            robot.id: None if of is None else of.newest - of.first
-            for robot, of in zip(config.members, whole.rejected, strict=True)
+            robot.id: None if counted is None else counted.newest - counted.first
+            for robot, counted in zip(config.members, whole.rejected, strict=True)
         },
     }
     return figures | {"bounds": judged(figures, config.run.bounds)}
@@ -116,7 +116,7 @@ def reduced(run: Run, *, peaks: bool = False) -> Reduced:
         saturated=_known(run.items["saturated"]),
         measured=_known(run.items["measured"]),
         filtered=_known(run.items["filtered"] > 0),
-        images={name: _images(run, of) for name, of in run.images.items()},
+        images={name: _images(run, seen) for name, seen in run.images.items()},
         stops=stops(run),
         moments=list(moments(run)),
         rejected=[_rejected(run, status) for status in run.statuses],
@@ -139,8 +139,8 @@ def _groups(run: Run, recording: Recording) -> Figures:
 def _hoisted(groups: Figures) -> Figures:
     found: Figures = {}
     for name, parts in _HOISTED.items():
-        told = [own.get(name) for own in groups.values()]
-        have = [own for own in told if isinstance(own, dict) and parts <= own.keys()]
+        values = [own.get(name) for own in groups.values()]
+        have = [own for own in values if isinstance(own, dict) and parts <= own.keys()]
         found[name] = have[0] if len(have) == 1 else None
     return found
 
@@ -211,18 +211,18 @@ def _pose_error(whole: Reduced) -> Figures | None:
 
 def _tracker(run: Run, whole: Reduced, recording: Recording) -> Figures:
     images = whole.images
-    frames = sum(of.frames for of in images.values())
+    frames = sum(seen.frames for seen in images.values())
     durations_ns = np.array(whole.work_ns)
     if recording.tracker_durations_ns is not None:
         durations_ns = np.sort(recording.tracker_durations_ns)[-frames:]  # the other steps had no image
     return {
         "frames": frames,
         "measured_fraction": _measured_fraction(run, whole, frames) if frames else None,
-        "false_ids": sum(of.strange for of in images.values()) if frames else None,
-        "refused": sum(of.refused for of in images.values()) if frames else None,
+        "false_ids": sum(seen.strange for seen in images.values()) if frames else None,
+        "refused": sum(seen.refused for seen in images.values()) if frames else None,
         "events": _events(run) if frames else None,
         "frame_ms": _percentiles(durations_ns / 1e6, (50, 99)),
-        **({"cameras": {name: _camera(of) for name, of in images.items()}} if len(images) > 1 else {}),
+        **({"cameras": {name: _camera(seen) for name, seen in images.items()}} if len(images) > 1 else {}),
     }
 
 
@@ -230,7 +230,7 @@ def _images(run: Run, frames: list[FleetPoses]) -> Images:
     """What a camera saw."""
     if not frames:
         return Images()
-    fleet, members = ({robot.tag for robot in of} for of in (run.config.robots, run.config.members))
+    fleet, members = ({robot.tag for robot in robots} for robots in (run.config.robots, run.config.members))
     tags = [(pose.tag, pose.coasted_ns == 0) for frame in frames for pose in frame.poses]
     return Images(
         frames=len(frames),
@@ -243,13 +243,13 @@ def _images(run: Run, frames: list[FleetPoses]) -> Images:
     )
 
 
-def _camera(of: Images) -> Figures:
+def _camera(images: Images) -> Figures:
     """What one of several cameras saw."""
-    took_s = (of.newest_ns - of.first_ns) / 1e9
+    took_s = (images.newest_ns - images.first_ns) / 1e9
     return {
-        "frames": of.frames,
-        "rate_hz": _rounded((of.frames - 1) / took_s) if took_s > 0.0 else None,
-        "measured": of.measured,
+        "frames": images.frames,
+        "rate_hz": _rounded((images.frames - 1) / took_s) if took_s > 0.0 else None,
+        "measured": images.measured,
     }
 
 
@@ -258,7 +258,7 @@ def _measured_fraction(run: Run, whole: Reduced, frames: int) -> float | None:
     if len(whole.images) > 1:
         return _mean(whole.measured)
     tags = {robot.tag for robot in run.config.members}
-    return _rounded(sum(of.members for of in whole.images.values()) / (frames * len(tags)))
+    return _rounded(sum(seen.members for seen in whole.images.values()) / (frames * len(tags)))
 
 
 def _events(run: Run) -> list[Figures]:
@@ -320,8 +320,8 @@ def _known(values: NDArray[Any]) -> Mean:
     return Mean(float(known.sum()), known.size)
 
 
-def _mean(of: Mean) -> float | None:
-    return None if of.value is None else _rounded(of.value)
+def _mean(mean: Mean) -> float | None:
+    return None if mean.value is None else _rounded(mean.value)
 
 
 def _rounded(value: float, digits: int = 4) -> float:

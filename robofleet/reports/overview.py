@@ -12,7 +12,7 @@ from robofleet.config.robots import Robot
 from robofleet.core.figures import INK, QUIET, robot_colours
 from robofleet.recording import notes
 from robofleet.recording.run import Array
-from robofleet.reports.canvas import ALARM, WIDTH, View, phase_colour, sheet
+from robofleet.reports.canvas import ALARM, WIDTH, RunView, phase_colour, sheet
 from robofleet.reports.timeline import CONTROLLER, FAULTS, TRACKER, Entry
 
 _AROUND_M = 0.1  # the arena
@@ -23,7 +23,7 @@ _GREY = "#d6d6d6"  # of an obstacle
 _FEW = 12  # faults, and robots that have a row whatever happened to them
 
 
-def paths(view: View) -> Figure:
+def paths(view: RunView) -> Figure:
     """Draw every point's trail over the arena, the bodies at the end, and where a robot was stopped."""
     figure, axes = floor(view)
     points = view.series.points
@@ -44,7 +44,7 @@ def paths(view: View) -> Figure:
     return figure
 
 
-def floor(view: View) -> tuple[Figure, Axes]:
+def floor(view: RunView) -> tuple[Figure, Axes]:
     """Draw the arena with its obstacles, and what the groups' behaviours have on its floor."""
     width, height = view.config.arena.size_m
     x, y = width / 2 + _AROUND_M, height / 2 + _AROUND_M
@@ -63,7 +63,7 @@ def floor(view: View) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _solids(axes: Axes, view: View) -> None:
+def _solids(axes: Axes, view: RunView) -> None:
     for solid in obstacles.every(view.config.arena):
         axes.add_patch(Polygon(solid.outline, fc="none" if solid.floor else _GREY, ec=QUIET, lw=1.0, zorder=1.5))
         if not solid.floor:
@@ -87,7 +87,7 @@ def _shape(axes: Axes, shape: Shape, robots: dict[str, str]) -> None:
         axes.annotate("", points[k], points[k - 1], arrowprops=look, zorder=2.5)
 
 
-def _bodies(axes: Axes, view: View) -> None:
+def _bodies(axes: Axes, view: RunView) -> None:
     poses = view.series.run.poses()
     for row, (robot, colour) in enumerate(zip(view.config.members, view.colours, strict=True)):
         _body(axes, robot, poses[-1, row], colour)
@@ -116,7 +116,7 @@ def trail(points: Array) -> Array:
     return points[[*kept, -1]]
 
 
-def happened(view: View) -> Figure:
+def happened(view: RunView) -> Figure:
     """Draw the phases, and a row for every fault that was injected and for everybody to whom something happened."""
     timeline, robots = view.timeline, view.series.robots
     faults = [entry for entry in timeline.entries if entry.who == FAULTS][:_FEW]
@@ -152,7 +152,7 @@ def _fault(axes: Axes, entry: Entry, row: int) -> None:
     )
 
 
-def _phases(axes: Axes, view: View) -> None:
+def _phases(axes: Axes, view: RunView) -> None:
     timeline = view.timeline
     whole = max(timeline.end_s - timeline.shown_s, 0.1)
     for span in timeline.phases:

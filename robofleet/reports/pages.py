@@ -206,8 +206,8 @@ class Page:
         head += f'<div class="legend">{chips}</div>' if chips else ""
         plot = f'<div class="plot long" tabindex="0">{svg}</div>' if long else f'<div class="plot">{svg}</div>'
         links = " ".join(f'<a href="{_text(address)}" download>{_text(kind)}</a>' for kind, address in files())
-        said = _text(caption) + (f'<br><span class="files">This figure as a file: {links}</span>' if links else "")
-        self._parts.append(f"<figure>{head}{plot}<figcaption>{said}</figcaption></figure>")
+        text = _text(caption) + (f'<br><span class="files">This figure as a file: {links}</span>' if links else "")
+        self._parts.append(f"<figure>{head}{plot}<figcaption>{text}</figcaption></figure>")
 
     def listing(self, text: str, folded: str = "") -> None:
         """Add text as it is, folded away under a line where one is given."""

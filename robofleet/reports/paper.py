@@ -24,13 +24,14 @@ def is_papers(config: Config) -> bool:
     if others:
         return False
     law = config.controller
-    said = group.settings
-    asked = said.get("spacing_m"), said.get("path_rate"), law.tick_s, law.alpha, law.horizon_s, law.point_ahead_m
+    settings = group.settings
+    used = settings.get("spacing_m"), settings.get("path_rate"), law.tick_s, law.alpha, law.horizon_s, law.point_ahead_m
     papers = SPACING_M, _PATH_RATE, _TICK_S, _ALPHA, _HORIZON_S, _POINT_AHEAD_M
     same = all(
-        isinstance(ours, int | float) and math.isclose(ours, its) for ours, its in zip(asked, papers, strict=True)
+        isinstance(ours, int | float) and math.isclose(ours, papers_value)
+        for ours, papers_value in zip(used, papers, strict=True)
     )
-    return same and len(group.robots) == _ROBOTS and said.get("path") == _path()
+    return same and len(group.robots) == _ROBOTS and settings.get("path") == _path()
 
 
 def _path() -> Any:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
-from robofleet.reports.canvas import View
+from robofleet.reports.canvas import RunView
 
 Legend = list[tuple[str, str]]  # label, colour
 
@@ -16,9 +16,9 @@ class Plot(NamedTuple):
     """A plot and what to look for in it."""
 
     title: str
-    draw: Callable[[View], Figure | None]  # None: what it would show was not measured
+    draw: Callable[[RunView], Figure | None]  # None: what it would show was not measured
     caption: str
-    legend: Callable[[View], Legend] = lambda _: []
+    legend: Callable[[RunView], Legend] = lambda _: []
     missing: str = ""  # why it was not measured
     long: bool = True  # it must not shrink to a narrow screen
 

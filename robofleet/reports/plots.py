@@ -10,18 +10,18 @@ from matplotlib.figure import Figure
 
 from robofleet.config import slices
 from robofleet.recording.run import Array
-from robofleet.reports.canvas import View, level, lines, phase_colour, settling, sheet, strips, zoomed
+from robofleet.reports.canvas import RunView, level, lines, phase_colour, settling, sheet, strips, zoomed
 from robofleet.reports.group_plots import NO_TRUTH, of_group
 from robofleet.reports.overview import happened, paths
 from robofleet.reports.plot import Plot, few
 from robofleet.reports.timing import delays, latency, ticks
 
 
-def _robots_lines(axes: Axes, view: View, values: Array) -> None:
+def _robots_lines(axes: Axes, view: RunView, values: Array) -> None:
     lines(axes, view.series.t, values, view.span, view.colours)
 
 
-def wheels(view: View) -> Figure | None:
+def wheels(view: RunView) -> Figure | None:
     """Draw each robot's faster wheel."""
     items = view.series.run.items
     drives = [slices.drive(robot) for robot in view.config.members]
@@ -33,7 +33,7 @@ def wheels(view: View) -> Figure | None:
     return figure
 
 
-def references(view: View) -> Figure | None:
+def references(view: RunView) -> Figure | None:
     """Draw the references' speeds |rho'|."""
     run, tick_s = view.series.run, view.config.controller.tick_s
     if np.isnan(run.references).all():
@@ -50,7 +50,7 @@ def references(view: View) -> Figure | None:
     return figure
 
 
-def poses(view: View) -> Figure | None:
+def poses(view: RunView) -> Figure | None:
     """Draw the filter's poses against the true ones over time."""
     off, turn = view.series.pose_mm, view.series.heading_deg
     if off is None or turn is None:
@@ -63,7 +63,7 @@ def poses(view: View) -> Figure | None:
     return figure
 
 
-def pose_distribution(view: View) -> Figure | None:
+def pose_distribution(view: RunView) -> Figure | None:
     """Draw which share of the ticks had a pose error below which size."""
     off, turn = view.series.pose_mm, view.series.heading_deg
     if off is None or turn is None:
@@ -80,25 +80,29 @@ def pose_distribution(view: View) -> Figure | None:
     return figure
 
 
-def _robots(view: View) -> list[tuple[str, str]]:
+def _robots(view: RunView) -> list[tuple[str, str]]:
     return few(list(zip(view.series.robots, view.colours, strict=True)))
 
 
-def _referring(view: View) -> list[tuple[str, str]]:
+def _referring(view: RunView) -> list[tuple[str, str]]:
     """Return the robots that had references."""
     had = np.atleast_1d(np.isfinite(view.series.run.references).any(axis=(0, 2)))
     return few(
-        [robot for robot, its in zip(zip(view.series.robots, view.colours, strict=True), had, strict=True) if its]
+        [
+            robot
+            for robot, present in zip(zip(view.series.robots, view.colours, strict=True), had, strict=True)
+            if present
+        ]
     )
 
 
-def _known(view: View) -> list[tuple[str, str]]:
+def _known(view: RunView) -> list[tuple[str, str]]:
     """Return the robots whose truth is known."""
     every = zip(view.series.robots, view.colours, view.series.run.known, strict=True)
     return few([(robot, colour) for robot, colour, known in every if known])
 
 
-def _phases(view: View) -> list[tuple[str, str]]:
+def _phases(view: RunView) -> list[tuple[str, str]]:
     return list({span.name: (span.name, phase_colour(span.phase)) for span in view.timeline.phases}.values())
 
 
@@ -169,9 +173,9 @@ FLEET = {
 }  # fmt: skip
 
 
-def sections(view: View) -> dict[str, list[Plot]]:
+def sections(view: RunView) -> dict[str, list[Plot]]:
     """Return all plots of a run, by section: what happened, each group's own, the whole fleet's."""
     alone = len(view.series.run.parts) == 1
     groups = {f"Group {part.said.name}": of_group(part, alone=alone) for part in view.series.run.parts}
     plots = {**HAPPENED, **groups, **FLEET}
-    return {section: list(its) for section, its in plots.items() if its}
+    return {section: list(entries) for section, entries in plots.items() if entries}

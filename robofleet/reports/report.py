@@ -17,7 +17,7 @@ from robofleet.recording.run import Recording, Run
 from robofleet.recording.series import series
 from robofleet.reports import sensors
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
-from robofleet.reports.canvas import View
+from robofleet.reports.canvas import RunView
 from robofleet.reports.own_figures import OwnFigure, asked, heading, own_figures
 from robofleet.reports.pages import Marked, Page, Tile
 from robofleet.reports.paper_figures import FigureFiles
@@ -71,18 +71,18 @@ def write(
     return folder / PAGE
 
 
-def view_of(recording: Recording, summary: Summary, run: Run | None = None) -> View:
+def view_of(recording: Recording, summary: Summary, run: Run | None = None) -> RunView:
     """Return what there is to draw of a run."""
     run = run or Run(recording)
-    return View(recording, series(run), Timeline(run, summary["stops"]))
+    return RunView(recording, series(run), Timeline(run, summary["stops"]))
 
 
 def _subtitle(summary: Summary) -> str:
     mode = {"lockstep": "lockstep, on a simulated clock", "realtime": "real time"}.get(summary["mode"], summary["mode"])
     robots = f"{len(summary['robots'])} robot{'s' * (len(summary['robots']) > 1)}"
-    said = f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
+    text = f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
     began = summary["began"]
-    return said if began is None else f"{began.removesuffix('Z').replace('T', ' ')} UTC; {said}"
+    return text if began is None else f"{began.removesuffix('Z').replace('T', ' ')} UTC; {text}"
 
 
 def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
@@ -90,13 +90,13 @@ def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
     missed = failures(summary)
     good: bool | None = not missed and summary["outcome"] == "completed"
     if summary["outcome"] == "completed":
-        of = len(summary["bounds"])
-        said = f"Completed, {len(missed)} of {of} bounds not met" if missed else "Completed"
-        said += ", every bound met" if of and not missed else ""
+        count = len(summary["bounds"])
+        sentence = f"Completed, {len(missed)} of {count} bounds not met" if missed else "Completed"
+        sentence += ", every bound met" if count and not missed else ""
     else:
         ended = _ENDS.get(summary["outcome"], "How it ended was not recorded")
-        said = ended if summary["ticks"] else "Did not start"
-        said += f": {summary['cause']}" if summary["cause"] else ""
+        sentence = ended if summary["ticks"] else "Did not start"
+        sentence += f": {summary['cause']}" if summary["cause"] else ""
     lines = list(_stopped(summary)) if summary["ticks"] else ["Nothing was measured."]
     lines += missed
     if summary["ticks"] and (rest := unjudged(summary)):
@@ -110,7 +110,7 @@ def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
         lines.append(f"The recording is not whole: the file {recording.trouble}.")
     if recording.dropped:
         lines.append(f"The recorder did not get {recording.dropped:,} messages: the figures lack them.")
-    page.verdict(said, good=good, detail="\n".join(lines))
+    page.verdict(sentence, good=good, detail="\n".join(lines))
 
 
 def _stopped(summary: Summary) -> Iterator[str]:
@@ -129,9 +129,9 @@ def _tiles(summary: Summary) -> list[Tile]:
             continue
         note = Marked("no bound", None)
         if bound is not None:
-            asked = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g}"
+            limit = f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g}"
             good = bound["pass"] if is_judged(summary, bound) else None
-            note = Marked({True: "✓ ", False: "✗ ", None: ""}[good] + asked, good)
+            note = Marked({True: "✓ ", False: "✗ ", None: ""}[good] + limit, good)
         shown = "–" if value is None else _short(value)
         tiles.append(Tile(figure.label, shown, figure.unit if value is not None else "not measured", note))
     return [*tiles, *_own_tiles(summary)]
@@ -140,10 +140,10 @@ def _tiles(summary: Summary) -> list[Tile]:
 def _own_tiles(summary: Summary) -> Iterator[Tile]:
     """Yield the groups' own figures that no bound judges."""
     for name, group in summary["groups"].items():
-        of = f" of {name}" if len(summary["groups"]) > 1 else ""
+        suffix = f" of {name}" if len(summary["groups"]) > 1 else ""
         shown = [own for own in own_figures(group) if own.mean is not None and own.key not in JUDGED_KEYS]
         for own in shown[:_OWN_TILES]:
-            words = f"{own.label}, mean{of}" if own.each else f"{own.label}{of}"
+            words = f"{own.label}, mean{suffix}" if own.each else f"{own.label}{suffix}"
             yield Tile(words, _short(own.mean or 0), own.unit, Marked("no bound", None))
 
 
@@ -172,7 +172,7 @@ def _bounds(page: Page, summary: Summary) -> None:
     page.table(("figure", "verdict", "value", "bound", "key"), rows)
 
 
-def _plots(page: Page, view: View, files: FigureFiles | None) -> None:
+def _plots(page: Page, view: RunView, files: FigureFiles | None) -> None:
     ran = len(view.series.t) > 0
     for section, plots in (sections(view) if ran else HAPPENED).items():
         page.section(section)

@@ -64,9 +64,9 @@ class Sampled(Run):
         self._instants.append((stamps[::_SPARSE].copy(), places[::_SPARSE].copy()))
         self._news.append((run.news, run.news_of))
         first, until = run.own.first, run.own.until
-        for place, state in run.states:
-            if first <= place < until and not (self.states and state.repeats(self.states[-1][1])):
-                self.states.append((place, state))
+        for at, state in run.states:
+            if first <= at < until and not (self.states and state.repeats(self.states[-1][1])):
+                self.states.append((at, state))
         for full in run.recording.messages:
             if (about := named(full)) is not None and about[0] in _KEPT:
                 self._messages += [(full, payload) for payload in run.recording.between(full, first, until)]
@@ -100,8 +100,8 @@ class Sampled(Run):
         self.all_ticks = np.concatenate(self._ends) if self._ends else self.ticks
         stamps, places = zip(*self._instants, strict=True)
         self.instants = np.concatenate(stamps), np.concatenate(places)
-        news, of = zip(*self._news, strict=True)
-        self.news, self.news_of = np.concatenate(news), np.concatenate(of)
+        news, owners = zip(*self._news, strict=True)
+        self.news, self.news_of = np.concatenate(news), np.concatenate(owners)
         self.images = {camera: [] for camera in self.config.camera_names}
         self.frames = []
 

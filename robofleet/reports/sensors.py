@@ -34,17 +34,17 @@ def columns(recording: Recording, robot: str) -> SensorColumns:
     """Return what a robot's sensors measured; nothing (K = 0) of a robot whose sensors were not read."""
     config = recording.config
     unit = config.unit_of[robot]
-    place = config.units[unit].index(robot)
+    index = config.units[unit].index(robot)
     payloads = recording.messages.get(key(config.arena.name, SENSORS, unit), ())
-    told = [message for payload in payloads if (message := sensors.decoded(payload)) is not None]
-    own = [(stamp_ns, readings[place]) for stamp_ns, readings in told if place in readings]
+    decoded = [message for payload in payloads if (message := sensors.decoded(payload)) is not None]
+    own = [(stamp_ns, readings[index]) for stamp_ns, readings in decoded if index in readings]
     most = max((len(reading.distances or ()) for _, reading in own), default=0)
 
     def rows(part: str, count: int) -> Array:
         filled = np.full((len(own), count), np.nan)
         for row, (_, reading) in zip(filled, own, strict=True):
-            if (said := getattr(reading, part)) is not None:
-                row[: np.size(said)] = said
+            if (values := getattr(reading, part)) is not None:
+                row[: np.size(values)] = values
         return filled
 
     return SensorColumns(
@@ -60,16 +60,16 @@ def columns(recording: Recording, robot: str) -> SensorColumns:
 def write_csv(recording: Recording, file: Path) -> None:
     """Write one row a reading, robot after robot; what was not measured is empty."""
     config = recording.config
-    told = {robot.id: columns(recording, robot.id) for robot in config.robots if robot.sensors}
-    most = max((said.distances.shape[1] for said in told.values()), default=0)
+    robot_columns = {robot.id: columns(recording, robot.id) for robot in config.robots if robot.sensors}
+    most = max((column.distances.shape[1] for column in robot_columns.values()), default=0)
     units = ("gyro", "rad_s"), ("accelerometer", "m_s2"), ("magnetometer", "t")
     names = [f"{part}_{axis}_{unit}" for part, unit in units for axis in _AXES]
     distances = [f"distance_{number}_m" for number in range(1, most + 1)]
     with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
         out.write(",".join(["robot", "stamp_s", *names, "heading_rad", *distances]) + "\n")
-        for robot, said in told.items():
-            unseen = np.full((len(said.heading), most - said.distances.shape[1]), np.nan)
-            values = np.column_stack([*said[1:], unseen])
-            for stamp_ns, row in zip(said.stamp_ns.tolist(), values.tolist(), strict=True):
+        for robot, column in robot_columns.items():
+            unseen = np.full((len(column.heading), most - column.distances.shape[1]), np.nan)
+            values = np.column_stack([*column[1:], unseen])
+            for stamp_ns, row in zip(column.stamp_ns.tolist(), values.tolist(), strict=True):
                 numbers = ",".join("" if number != number else f"{number:.6g}" for number in row)  # noqa: PLR0124
                 out.write(f"{robot},{stamp_ns * 1e-9:.3f},{numbers}\n")

@@ -56,11 +56,13 @@ def stops(run: Run) -> list[dict[str, Any]]:
 def together(stops: Sequence[dict[str, Any]]) -> list[str]:
     """Return a line for every time that the operator let robots stand: when, how, and whom."""
     lines: list[str] = []
-    asked = [stop for stop in stops if stop["by_operator"]]
-    while asked:
-        first = asked[0]
-        same = [stop for stop in asked if stop["cause"] == first["cause"] and stop["t_s"] - first["t_s"] < _TOGETHER_S]
-        asked = [stop for stop in asked if stop not in same]
+    requested = [stop for stop in stops if stop["by_operator"]]
+    while requested:
+        first = requested[0]
+        same = [
+            stop for stop in requested if stop["cause"] == first["cause"] and stop["t_s"] - first["t_s"] < _TOGETHER_S
+        ]
+        requested = [stop for stop in requested if stop not in same]
         robots = ", ".join(dict.fromkeys(stop["robot"] for stop in same))
         lines.append(f"{robots} at {first['t_s']:.1f} s: {first['cause']}")
     return lines
@@ -79,8 +81,8 @@ def _why(run: Run, row: int, k: int) -> _Why | None:
     before = bisect_right(run.states, places[k], key=lambda change: change[0]) - 1
     if any(driven_out(state, row) for _, state in run.states[max(0, before - 1) : before + 1]):
         return _Why("a person no longer drives it out of the held run", by_operator=True)
-    for place, state in run.states[max(0, before) :]:
-        if place > soon and (place > places[last] or state.cause in _ASKED):
+    for at, state in run.states[max(0, before) :]:
+        if at > soon and (at > places[last] or state.cause in _ASKED):
             break  # what somebody asks for closes no gate beforehand
         if state.phase == Phase.IDLE:
             return None

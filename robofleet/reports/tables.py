@@ -42,8 +42,8 @@ def summary_table(summary: Summary, config: Config) -> Group:
         columns = ["figure", "this run", *([_PAPER] if papers else []), _EACH]
         return _summary_table(summary, rows, [column for column in columns if column not in left_out])
 
-    said = [Text(line) for line in (*_caption(summary), *_stops(summary["stops"]))]
-    return Group(Fitting(make, (_PAPER, _EACH) if papers else (_EACH,)), *said)
+    lines = [Text(line) for line in (*_caption(summary), *_stops(summary["stops"]))]
+    return Group(Fitting(make, (_PAPER, _EACH) if papers else (_EACH,)), *lines)
 
 
 def _summary_table(summary: Summary, rows: Sequence[_Row], columns: Sequence[str]) -> Table:

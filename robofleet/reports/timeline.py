@@ -56,9 +56,9 @@ class Timeline:
         self.phases = list(self._spans())
         awake = next((span.t_s for span in self.phases if span.phase != Phase.IDLE), self.begin_s)
         self.shown_s = max(self.begin_s, awake - _IDLE_SHOWN_S)  # kernels may have been compiled for a minute before
-        said = [Entry(s.t_s, s.t_s, RUN, f"{s.name}: {s.cause}" if s.cause else s.name) for s in self.phases]
+        phases = [Entry(s.t_s, s.t_s, RUN, f"{s.name}: {s.cause}" if s.cause else s.name) for s in self.phases]
         halts = [Entry(s["t_s"], s["t_s"], s["robot"], s["cause"], stop=True) for s in stops]
-        found = *said, *halts, *self._moments(), *self._faults()
+        found = *phases, *halts, *self._moments(), *self._faults()
         self.entries = sorted(found, key=lambda entry: entry.t_s)
 
     def _seconds(self, stamps: NDArray[Any]) -> NDArray[np.float64]:
@@ -66,7 +66,7 @@ class Timeline:
 
     def _spans(self) -> Iterator[Span]:
         """Yield the phases; a state has no stamp of its own: it was said when the statuses around it were."""
-        places = [place for place, _ in self._run.states]
+        places = [starts for starts, _ in self._run.states]
         known = len(self._places) > 0
         times = np.interp(places, self._places, self._seconds(self._stamps)) if known else np.zeros(len(places))
         changes = [

@@ -8,12 +8,12 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from robofleet.core.figures import COLOURS, QUIET
 from robofleet.recording.measures import compute_us, delays_ms, lateness_us
 from robofleet.recording.run import Array
-from robofleet.reports.canvas import View, sheet
+from robofleet.reports.canvas import RunView, sheet
 
 _BINS = 60
 
 
-def delays(view: View) -> list[tuple[str, str]]:
+def delays(view: RunView) -> list[tuple[str, str]]:
     """Return the legend of the delays."""
     names = "poses sent", "taken by a tick", "at a wheel"
     shown = zip(names, delays_ms(view.series.run), COLOURS, strict=False)
@@ -22,7 +22,7 @@ def delays(view: View) -> list[tuple[str, str]]:
     ]
 
 
-def latency(view: View) -> Figure | None:
+def latency(view: RunView) -> Figure | None:
     """Draw how long after its mid-exposure an image was a pose, in a tick, at a wheel."""
     delays = delays_ms(view.series.run)
     if not len(delays[2]):
@@ -41,7 +41,7 @@ def latency(view: View) -> Figure | None:
     return figure
 
 
-def ticks(view: View) -> Figure | None:
+def ticks(view: RunView) -> Figure | None:
     """Draw how long the ticks computed, and how late they were."""
     run = view.series.run
     figure, (compute, late) = sheet(2.5, 1, 2)

@@ -122,8 +122,8 @@ def _worst(broken: Iterable[Bound]) -> list[Bound]:
     """Return one bound of those on one number that mending it mends all: the tightest of each direction."""
     kept: dict[object, Bound] = {}
     for bound in broken:
-        one = bound.path.endswith(("path_rate", "spacing_m"))
-        key = (bound.path, bound.at_least) if one else (bound.path, bound.what, bound.mend)
+        by_itself = bound.path.endswith(("path_rate", "spacing_m"))
+        key = (bound.path, bound.at_least) if by_itself else (bound.path, bound.what, bound.mend)
         if key not in kept or bound.tightness > kept[key].tightness:
             kept[key] = bound
     return list(kept.values())
@@ -221,18 +221,18 @@ def _start(config: Config) -> Iterator[Bound]:
             reach, half = abs(at) + robot.vehicle.body_radius_m, config.arena.size_m[axis] / 2 - room
             yield Bound(f"robots.{i}.start", what, reach, half, "m", f"move {robot.id} into the arena")
     yield from _beside_solids(config, placed)
-    for (i, one, here), (j, other, there) in itertools.combinations(placed, 2):
-        apart = math.hypot(here.x_m - there.x_m, here.y_m - there.y_m)
-        bodies = one.vehicle.body_radius_m + other.vehicle.body_radius_m
-        tried = [robot for robot in (one, other) if robot.id in driven]
+    for (i, first, here), (j, other, second_pose) in itertools.combinations(placed, 2):
+        apart = math.hypot(here.x_m - second_pose.x_m, here.y_m - second_pose.y_m)
+        bodies = first.vehicle.body_radius_m + other.vehicle.body_radius_m
+        tried = [robot for robot in (first, other) if robot.id in driven]
         room = bodies + max((least_room_m(slices.drive(robot).wheel_radius) for robot in tried), default=0.0)
         if len(tried) == 1:
-            k, moves = (i, other) if one.id not in driven else (j, one)
+            k, moves = (i, other) if first.id not in driven else (j, first)
             what = "the distance of a robot that is not in the group from one that is, at the start"
             mend = f"{moves.id}'s wheels are tried before a start, so move {config.robots[k].id} away from it"
             yield Bound(f"robots.{k}.start", what, apart, room, "m", mend, at_least=True)
         else:
-            what, mend = "the distance between two robots at the start", f"move {one.id} and {other.id} apart"
+            what, mend = "the distance between two robots at the start", f"move {first.id} and {other.id} apart"
             yield Bound(f"robots.{j}.start", what, apart, room, "m", mend, at_least=True)
 
 

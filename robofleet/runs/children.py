@@ -57,9 +57,9 @@ class Child:
         """Whether it is there no more."""
         return self.process.poll() is not None
 
-    def hear(self, said: bytes) -> None:
+    def hear(self, word: bytes) -> None:
         """Take what it said before it is ready, or that it is."""
-        *lines, self.unheard = (self.unheard + said.decode()).split("\n")
+        *lines, self.unheard = (self.unheard + word.decode()).split("\n")
         for line in lines:
             if (progress := decoded(line)) is None:
                 self.ready = True
@@ -142,8 +142,8 @@ class Children:
                 raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s: see {waiting[0].log}")
             readable, _, _ = select.select([child.lifeline for child in waiting], [], [], _POLL_S)
             for child in waiting:
-                if child.lifeline in readable and (said := child.lifeline.recv(_LONGEST_WORD)):
-                    child.hear(said)
+                if child.lifeline in readable and (word := child.lifeline.recv(_LONGEST_WORD)):
+                    child.hear(word)
                     if child.progress is not None:
                         deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
 
@@ -159,7 +159,9 @@ class Children:
         for child in self.children:
             code = child.process.poll()
             if code is not None and not child.killed:
-                if child.name in spare and any(its.name in spare and not its.died for its in self.children):
+                if child.name in spare and any(
+                    spare_child.name in spare and not spare_child.died for spare_child in self.children
+                ):
                     child.killed = True
                     continue
                 cause = f"the {child.name} {ended_by(code)}"

@@ -32,15 +32,15 @@ class Companion:
     def __init__(self, child: Child, found: Callable[[str], None], gone: Callable[[], None]) -> None:
         """``found`` is called, from that thread, with the line that says where it serves; ``gone`` when it has died."""
         self._child, self._found, self._gone = child, found, gone
-        self._told = ""
+        self._last_word = ""
         self._over = False
         self._hearing = threading.Thread(target=self._hear, daemon=True)
         self._hearing.start()
 
     def tell(self, words: str) -> None:
         """Say what the launcher does, for as long as nobody else of the run speaks."""
-        if words != self._told:
-            self._told = words
+        if words != self._last_word:
+            self._last_word = words
             with suppress(OSError):
                 self._child.lifeline.send(words.encode() + b"\n", socket.MSG_DONTWAIT)
 
@@ -60,15 +60,15 @@ class Companion:
         child = self._child
         self._hearing.join(_LEAVE_WITHIN_S)
         end_ns = clock.now_ns() + round(_LEAVE_WITHIN_S * S)
-        said = b""
+        word = b""
         with child.lifeline:
             while (left_s := (end_ns - clock.now_ns()) / S) > 0 and not self._hearing.is_alive():
                 readable, _, _ = select.select([child.lifeline], [], [], left_s)
                 with suppress(OSError):
-                    said = child.lifeline.recv(_LONGEST_WORD) if readable else b""
-                if not said or STAYS.encode() in said:
+                    word = child.lifeline.recv(_LONGEST_WORD) if readable else b""
+                if not word or STAYS.encode() in word:
                     break
-        if STAYS.encode() in said:
+        if STAYS.encode() in word:
             _left.append(child.process)
             return
         try:
@@ -79,9 +79,9 @@ class Companion:
 
     def _hear(self) -> None:
         with suppress(OSError):
-            said = self._child.lifeline.recv(_LONGEST_WORD).decode(errors="replace").strip()
-            if said and not self._over:
-                self._found(said)
+            word = self._child.lifeline.recv(_LONGEST_WORD).decode(errors="replace").strip()
+            if word and not self._over:
+                self._found(word)
 
 
 _left: list["subprocess.Popen[bytes]"] = []  # they end by themselves

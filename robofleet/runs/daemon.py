@@ -147,17 +147,17 @@ def main() -> None:
     file = robot_file()
     try:
         robot = load_robot_file(file)
-        own, told = credentials(robot.arena, robot.unit), passport(robot.arena, robot.unit)
+        own, certificate = credentials(robot.arena, robot.unit), passport(robot.arena, robot.unit)
     except (ConfigError, KeysError) as error:
         raise RefusedError(str(error)) from error
     held = Lifeline(None)
     ahead_of_others()
     clock, waker = WallClock(), Waker()
     _say(f"{robot.unit} of {robot.arena}: waiting for the router at {', '.join(robot.router)}")
-    with closing(_joined(robot, clock, own, session_id(told))) as bus:
+    with closing(_joined(robot, clock, own, session_id(certificate))) as bus:
         host = {
             "version": version("robofleet"), "host": socket.gethostname(), "since": f"{utc_now():%Y-%m-%dT%H:%M:%SZ}",
-            "certificate_ends": f"{told.not_after:%Y-%m-%d}",
+            "certificate_ends": f"{certificate.not_after:%Y-%m-%d}",
         }  # fmt: skip
         node = Daemon(robot, file, bus, clock, waker, host, _say)
         realtime_priority(_PRIORITY)

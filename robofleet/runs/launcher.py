@@ -94,8 +94,8 @@ class Launcher:
         started = table.started_by("run", config)
         self._trackers = tuple(config.trackers) if len(config.trackers) > 1 else ()  # one of them may die
         # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
-        self._first = [one for one in started if one.row.first]
-        self._others = [one for one in started if not one.row.first]
+        self._first = [process for process in started if process.row.first]
+        self._others = [process for process in started if not process.row.first]
         self._phase = "starting"
         self._ending = False
         self._attended_ns = 0  # when the supervisor was told last that the operator is there
@@ -136,8 +136,8 @@ class Launcher:
             return "stopped", str(why)
 
     def _start(self, fleet: Children) -> None:
-        for one in self._first:
-            fleet.start(one.name, *one.command)
+        for process in self._first:
+            fleet.start(process.name, *process.command)
         self._start_companions(fleet)
 
         def wait() -> None:
@@ -147,9 +147,9 @@ class Launcher:
             self._show("compiling" if compiling else "starting", words)
 
         fleet.wait_ready(self._clock, wait)
-        for one in self._others:
-            taking = ["--takeover"] if self._take_over and one.row is table.CONTROLLER else []
-            fleet.start(one.name, *one.command, *taking)
+        for process in self._others:
+            taking = ["--takeover"] if self._take_over and process.row is table.CONTROLLER else []
+            fleet.start(process.name, *process.command, *taking)
         for child in fleet.children:
             if child.name == table.SUPERVISOR.name:
                 self._silence.of(child.process.pid)
@@ -264,10 +264,10 @@ class Launcher:
         """Return what robots' own computers said instead of taking this run's configuration."""
         if not self._config.daemons:
             return ""
-        said: list[str] = []
+        answers: list[str] = []
         with suppress(OSError):
-            said = (self._folder / "log" / "supervisor.log").read_text(errors="replace").splitlines()
-        lines = [line for line in said if line.partition(": ")[0] in self._config.daemons and ": refused: " in line]
+            answers = (self._folder / "log" / "supervisor.log").read_text(errors="replace").splitlines()
+        lines = [line for line in answers if line.partition(": ")[0] in self._config.daemons and ": refused: " in line]
         return "".join(f"; {line}" for line in dict.fromkeys(lines))
 
     def _held(self) -> str:

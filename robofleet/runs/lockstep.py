@@ -19,7 +19,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S, SimulatedClock, stopwatch_ns
 from robofleet.core.compiling import on_stderr
 from robofleet.nodes.node import Node
-from robofleet.nodes.unit.gated_robot import Witness
+from robofleet.nodes.unit.gated_robot import Probe
 from robofleet.nodes.unit.keeping import MemoryKeeping
 from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import RunLog
@@ -45,7 +45,7 @@ class Lockstep:
     Or drive it: ``request`` and ``advance`` as often as you like, look at ``status`` and ``nodes``, ``close`` it.
     """
 
-    def __init__(self, config: Config, witness: Witness | None = None, log: RunLog | LogBeside | None = None) -> None:
+    def __init__(self, config: Config, probe: Probe | None = None, log: RunLog | LogBeside | None = None) -> None:
         """Build every process; ``witness`` is told what each gate decides, ``log`` keeps what is said."""
         self._config = config
         self.clock = SimulatedClock()
@@ -54,11 +54,11 @@ class Lockstep:
         self.keeping = MemoryKeeping()
         self.recording = Recording(config)
         self._hash = hashlib.blake2b(digest_size=16)
-        self._said: list[tuple[str, bytes]] = []  # by the step that is under way
-        self.bus.tap(self._said.append)
+        self._messages: list[tuple[str, bytes]] = []  # by the step that is under way
+        self.bus.tap(self._messages.append)
         self.faults = Schedule(config, self.clock) if config.faults else None
         self._queue = EventQueue(self.clock)
-        self._witness, self._log = witness, log
+        self._probe, self._log = probe, log
         self._progress = on_stderr()
         self._add_processes()
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
@@ -70,8 +70,8 @@ class Lockstep:
         if faults is not None:
             names = table.injectable(config)
             queue.add("faults", lambda _: ProcessFaults(faults, queue, self.bus, names))
-        for one in table.in_lockstep(config):
-            queue.add(one.name, partial(self._made, one)).timed = one.row in _TIMED
+        for process in table.in_lockstep(config):
+            queue.add(process.name, partial(self._made, process)).timed = process.row in _TIMED
         if faults is not None and faults.of("second_controller"):
             second = table.Process(SECOND_CONTROLLER, table.CONTROLLER, ())
             queue.add(SECOND_CONTROLLER, partial(self._made, second)).kill()
@@ -84,7 +84,7 @@ class Lockstep:
         return make(
             table.Edges(
                 process.config(self._config), bus, clock, slot, self._rng(slot, process), self.keeping, self._progress,
-                process.robots, self.faults, witness=self._witness,
+                process.robots, self.faults, probe=self._probe,
             )
         )  # fmt: skip
 
@@ -190,16 +190,16 @@ class Lockstep:
         while not done():
             if not step(end_ns):
                 return False
-            if self._said:
+            if self._messages:
                 self._observe()
         return True
 
     def _observe(self) -> None:
         """Keep and hash what a step said, in order, and note how far the run is."""
-        add, said = self.recording.add, self._said
+        add, messages = self.recording.add, self._messages
         if self._log is not None:
-            self._log.add_all(said, self.clock.now_ns())
-        for full, payload in said:
+            self._log.add_all(messages, self.clock.now_ns())
+        for full, payload in messages:
             self._hash.update(full.encode())
             self._hash.update(payload)
             add(full, payload)
@@ -210,4 +210,4 @@ class Lockstep:
                 if self.faults is not None and not self.faults.begun and self.status.phase is Phase.RUNNING:
                     self.faults.begin(self.clock.now_ns())
                     self._queue.slots["faults"].schedule(self.clock.now_ns())
-        self._said.clear()
+        self._messages.clear()

@@ -179,8 +179,8 @@ def _further(recording: Recording, cameras: int) -> list[tuple[int, int]]:
 
 def _named(numbers: Array, at: tuple[int, int]) -> list[Name]:
     """Return the wish that each tick did, or the image that it took, by its name."""
-    told = np.nan_to_num(np.clip(numbers[:, at], 0, 2**53), nan=0.0).astype(np.int64)
-    return [(int(epoch), int(seq)) for epoch, seq in told]
+    counts = np.nan_to_num(np.clip(numbers[:, at], 0, 2**53), nan=0.0).astype(np.int64)
+    return [(int(epoch), int(seq)) for epoch, seq in counts]
 
 
 class _Player:
@@ -190,8 +190,8 @@ class _Player:
         self._grid, self._clock = grid, SimulatedClock()
         self._clock.advance_to(grid.origin_ns)
         bus = MemoryBus(config.arena.name, self._clock, 0)
-        self._said = bus.newest(TICK)
-        self._give = [(its, bus.publisher(its.topic, its.name)) for its in takings]
+        self._ticks = bus.newest(TICK)
+        self._give = [(input_, bus.publisher(input_.topic, input_.name)) for input_ in takings]
         self._given = [NO_NAME] * len(takings)
         self._late: frozenset[int] = frozenset()
         rng = slices.generator(config.run.seed, "replay")
@@ -210,15 +210,15 @@ class _Player:
         """
         self._clock.advance_to(self._grid.instant(index))
         self._late = late
-        for k, (its, publish) in enumerate(self._give):
+        for k, (input_, publish) in enumerate(self._give):
             if taken[k] != self._given[k] and (k < _ALWAYS or taken[k] != NO_NAME):
-                payload = its.of(taken[k])
+                payload = input_.of(taken[k])
                 if payload is None:
                     return None
                 publish(payload)
                 self._given[k] = taken[k]
         self._controller.step(self._clock.now_ns())
-        return self._said.take()
+        return self._ticks.take()
 
 
 def _driven(
@@ -226,14 +226,14 @@ def _driven(
 ) -> tuple[NDArray[np.bool_], Rows]:
     """Replay the records of one controller, in order; returns which of them could be, and what it says of those."""
     period_ns = round(config.controller.tick_s * S)
-    said: list[bytes | None] = []
+    payloads: list[bytes | None] = []
     player, before, why = None, 0, ""
     head = ["tick", "overruns", "stamp_ns", "state_epoch", "state_seq", "poses_epoch", "poses_seq"]
     firsts = [own.start for own in groups.rows(config.groups)]
     failed = recorded["items"]["failed"][:, firsts] == Event.BEHAVIOUR_LATE
     for k, (row, late) in enumerate(zip(recorded[head], failed, strict=True)):
         tick, overruns, stamp_ns, *names = row.item()
-        taken = (names[0], names[1]), (names[2], names[3]), *(its[k] for its in others)
+        taken = (names[0], names[1]), (names[2], names[3]), *(records[k] for records in others)
         done = tick - overruns
         if done != before + 1 or player is None:
             if done == 1 or not any(names):
@@ -248,13 +248,13 @@ def _driven(
         payload = None if player is None else player.tick(tick, taken, frozenset(np.flatnonzero(late).tolist()))
         if payload is None and player is not None:
             player, why = None, "a message that the first of them took is missing"
-        if payload is None and (not said or said[-1] is not None or holes[-1].why != why):
+        if payload is None and (not payloads or payloads[-1] is not None or holes[-1].why != why):
             holes.append(Hole(tick, tick, why))
         elif payload is None:
             holes[-1].last = tick
-        said.append(payload)
-    known = np.array([payload is not None for payload in said])
-    return known, np.frombuffer(b"".join(payload for payload in said if payload is not None), dtype=recorded.dtype)
+        payloads.append(payload)
+    known = np.array([payload is not None for payload in payloads])
+    return known, np.frombuffer(b"".join(payload for payload in payloads if payload is not None), dtype=recorded.dtype)
 
 
 def _compare_ticks(config: Config, names: list[str], recorded: Rows, now: Rows, verdict: Verdict) -> None:

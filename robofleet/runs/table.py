@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from robofleet.core.clock import Clock
     from robofleet.core.compiling import Say
     from robofleet.nodes.unit.drivers import Drivers
-    from robofleet.nodes.unit.gated_robot import Witness
-    from robofleet.nodes.unit.keeping import Keeping
+    from robofleet.nodes.unit.gated_robot import Probe
+    from robofleet.nodes.unit.keeping import StateStore
     from robofleet.simulation.faults import Schedule
 
 Starter = Literal["run", "systemd", "daemon", "operator", "service"]
@@ -44,14 +44,14 @@ class Edges:
     clock: "Clock"
     wake: "Wake"
     rng: "np.random.Generator"
-    keeping: "Keeping"  # what a driver remembers after a restart
+    keeping: "StateStore"  # what a driver remembers after a restart
     progress: "Say"  # told how far it is, while kernels are compiled
     robots: tuple[str, ...] = ()  # a driver's
     faults: "Schedule | None" = None  # on purpose; bus and clock are wrapped in theirs already
     real_time: bool = False  # it shares this machine with others, and may have an operator
     folder: Path | None = None  # in which the run is recorded; None: in lockstep no disk fills up
     last_word: Callable[[], bytes] = bytes  # that the launcher said to its recorder
-    witness: "Witness | None" = None  # told what each gate decides
+    probe: "Probe | None" = None  # told what each gate decides
     take_over: bool = False  # the robots of a controller that still has them
 
 
@@ -103,33 +103,33 @@ class Process(NamedTuple):
 
 def processes(config: "Config") -> list[Process]:
     """Return every process of a configuration's run, in the order of their start."""
-    return [one for row in TABLE for one in row.instances(config)]
+    return [process for row in TABLE for process in row.instances(config)]
 
 
 def started_by(starter: Starter, config: "Config") -> list[Process]:
     """Return those that somebody starts."""
-    return [one for one in processes(config) if _starter(one, config) == starter]
+    return [process for process in processes(config) if _starter(process, config) == starter]
 
 
-def _starter(one: Process, config: "Config") -> Starter:
-    if one.row.starter is not None:
-        return one.row.starter
-    if one.row is ROUTER:
+def _starter(process: Process, config: "Config") -> Starter:
+    if process.row.starter is not None:
+        return process.row.starter
+    if process.row is ROUTER:
         return config.bus.router
     if config.drivers.started_by == "daemon":
-        return "daemon" if config.unit_of[one.robots[0]] in config.daemons else "run"
+        return "daemon" if config.unit_of[process.robots[0]] in config.daemons else "run"
     return config.drivers.started_by
 
 
 def in_lockstep(config: "Config") -> list[Process]:
     """Return those that lockstep steps, in their order."""
-    stepped = [(one.row.turn, one) for one in processes(config) if one.row.turn is not None]
-    return [one for _, one in sorted(stepped, key=lambda entry: entry[0])]
+    stepped = [(process.row.turn, process) for process in processes(config) if process.row.turn is not None]
+    return [process for _, process in sorted(stepped, key=lambda entry: entry[0])]
 
 
 def injectable(config: "Config") -> tuple[str, ...]:
     """Return the names of the processes that timed faults may strike."""
-    return tuple(one.name for one in processes(config) if one.row.injectable)
+    return tuple(process.name for process in processes(config) if process.row.injectable)
 
 
 def free_bytes(folder: int) -> int:
@@ -257,7 +257,7 @@ def _driver(edges: Edges) -> Node:
         drivers, keeping = FaultyDrivers(drivers, edges.faults), FaultyKeeping(keeping, edges.faults)
     return DriverProcess(
         config, unit, edges.bus, edges.clock, edges.wake, drawn_id(edges.rng, 64), int(edges.rng.integers(LOOP_NS)),
-        keeping, drivers, edges.witness,
+        keeping, drivers, edges.probe,
     )  # fmt: skip
 
 

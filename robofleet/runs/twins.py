@@ -44,8 +44,8 @@ class Twins:
             self._truth_ns += _TRUTH_NS * (1 + (now_ns - self._truth_ns) // _TRUTH_NS)
             self._seq += 1
             for unit, publish in self._publish.items():
-                places = [(place, robot) for place, robot in enumerate(self._units[unit]) if robot in self._twins]
-                truths = tuple(Truth(place, *self._twins[robot].truth()) for place, robot in places)
+                places = [(index, robot) for index, robot in enumerate(self._units[unit]) if robot in self._twins]
+                truths = tuple(Truth(index, *self._twins[robot].truth()) for index, robot in places)
                 publish(UNIT_TRUTH.encode(UnitTruth(self._seq, now_ns, truths)))
         self._waker.descriptors = [twin.descriptor for twin in self._twins.values() if twin.descriptor is not None]
         return min(next_ns, self._truth_ns)

@@ -122,8 +122,8 @@ def _unfit(robot: RobotView, build: int) -> tuple[Event, float] | None:
         fault: tuple[Event, float] | None = (Event.OTHER_BUILD, 0.0)
     elif robot.faults & WIRED_STOP:
         fault = Event.WIRED_STOP, 0.0
-    elif robot.driven and (told := faults_told(robot.faults)):
-        fault = told[0]
+    elif robot.driven and (fault_events := faults_told(robot.faults)):
+        fault = fault_events[0]
     elif robot.latch > Latch.DRILL:
         fault = Event.GATE_LATCHED, robot.latch
     elif robot.driven and 0.0 <= robot.battery < _CHARGE:

@@ -95,7 +95,7 @@ class Barrier:
         self._floors = sum(solid.floor for solid in floors_first)
         self._still = np.zeros((len(bodies), 2))
         self._memory = np.zeros((len(bodies), deadlock.MEMORY), dtype=np.int64)
-        self._told = np.zeros((len(bodies), deadlock.TOLD))
+        self._deadlocks = np.zeros((len(bodies), deadlock.TOLD))
         self._times, self._patience = deadlock.in_ticks(keepout.tick), deadlock.patience(keepout.tick)
 
     def filter(
@@ -123,7 +123,7 @@ class Barrier:
         _filter(
             poses, turning, unseen, pushed, driving, self._bodies, self._between, self._half, self._edges, self._rings,
             self._floors, k.ahead, k.rate, k.point_ahead, k.age, k.lost_after, k.tick, wheels, u, self._times,
-            self._patience, how, blocked, self._memory, self._lately, self._told,
+            self._patience, how, blocked, self._memory, self._lately, self._deadlocks,
         )  # fmt: skip
         return how, blocked
 
@@ -134,7 +134,7 @@ def _filter(
     between: tuple[float, float], half: Array, edges: Array, rings: Array, floors: int, ahead: float,
     rate: float, l: float, age: float, lost_after: float, tick: float, wheels: Array, u: Array,
     times: tuple[int, int, int, int], patience: tuple[int, int], how: Instants, blocked: NDArray[np.bool_],
-    memory: Instants, lately: Array, told: Array,
+    memory: Instants, lately: Array, deadlocks: Array,
 ) -> None:  # fmt: skip
     n = len(poses)
     stops, grown, believed = np.empty((n, 6)), np.empty(n), np.empty(n)
@@ -189,7 +189,7 @@ def _filter(
         for k in range(lately.shape[1] - 1):
             lately[i, k] = lately[i, k + 1]
         lately[i, -1] = abs(v)
-        _watch(poses[i], v * tick, l * omega * tick, l, times[3], told[i], memory[i])
+        _watch(poses[i], v * tick, l * omega * tick, l, times[3], deadlocks[i], memory[i])
         blocked[i] = _is_blocked(memory[i], patience)
 
 

@@ -167,7 +167,7 @@ def go_on(
     if status.phase is not Phase.HOLD or memory.held_ns == NEVER:
         return memory, None
     now_ns = view.now_ns
-    well = missing(view) is None and not any((Phase.RUNNING, told.event) in TRANSITIONS for told in standing)
+    well = missing(view) is None and not any((Phase.RUNNING, happening.event) in TRANSITIONS for happening in standing)
     memory = memory._replace(fresh_ns=(memory.fresh_ns or now_ns) if well else NEVER)
     lately = tuple(at_ns for at_ns in memory.goes_on_ns if now_ns - at_ns < _MINUTE_NS)
     wait_ns = min(LONGEST_WAIT_NS, FIRST_WAIT_NS << len(lately))
@@ -178,9 +178,9 @@ def go_on(
 
 def words(late: Sequence[Lateness], load: float, cores: int, robots: Sequence[str]) -> str:
     """Return how busy a machine is, and who was late by how much; ``robots`` are the ids in their order."""
-    said = [f"load {load:.1f} on {cores} core{'s' * (cores != 1)}"]
-    said += [f"{name(row, robots)} was late by {ns / _MS:.0f} ms" for row, ns in late[:_SAID]]
-    return ", ".join(said)
+    sentences = [f"load {load:.1f} on {cores} core{'s' * (cores != 1)}"]
+    sentences += [f"{name(row, robots)} was late by {ns / _MS:.0f} ms" for row, ns in late[:_SAID]]
+    return ", ".join(sentences)
 
 
 def name(process: int, robots: Sequence[str]) -> str:
@@ -193,7 +193,7 @@ def name(process: int, robots: Sequence[str]) -> str:
 
 def latest(late: Iterable[Lateness]) -> tuple[Lateness, ...]:
     """Return them in the order of their lateness, the latest first."""
-    return tuple(sorted(late, key=lambda its: -its.late_ns))
+    return tuple(sorted(late, key=lambda robot: -robot.late_ns))
 
 
 def _spoilt(memory: Memory, happening: Happening, now_ns: int) -> bool:

@@ -57,25 +57,25 @@ def patience(tick: float) -> tuple[int, int]:
 
 
 @kernel
-def watch(pose: Array, along: float, across: float, l: float, window: int, told: Array, mine: Instants) -> None:
+def watch(pose: Array, along: float, across: float, l: float, window: int, record: Array, mine: Instants) -> None:
     """Remember whether a robot stalls: over a window, it moves far less than it was commanded to (along, across); and
     for how long it was held near one place."""
     if mine[_WATCHED] == 0:
-        told[0], told[1], told[2], told[3], told[4] = pose[0], pose[1], pose[2], 0.0, 0.0
+        record[0], record[1], record[2], record[3], record[4] = pose[0], pose[1], pose[2], 0.0, 0.0
     elif mine[_WATCHED] >= window:
-        turned = l * ((pose[2] - told[2] + np.pi) % (2.0 * np.pi) - np.pi)
-        moved = np.hypot(np.hypot(pose[0] - told[0], pose[1] - told[1]), turned)
-        commanded = np.hypot(told[3], told[4])
+        turned = l * ((pose[2] - record[2] + np.pi) % (2.0 * np.pi) - np.pi)
+        moved = np.hypot(np.hypot(pose[0] - record[0], pose[1] - record[1]), turned)
+        commanded = np.hypot(record[3], record[4])
         if moved >= _STALL_MOVED * _STALL_M:
             mine[_STALLS] = 0
         if commanded >= _STALL_M and moved < _STALL_MOVED * commanded:
             mine[_STALLS] = 1
         mine[_WATCHED] = -1
-    if np.hypot(pose[0] - told[5], pose[1] - told[6]) > _STAYED_M:
-        told[5], told[6], mine[_STAYED] = pose[0], pose[1], 0
+    if np.hypot(pose[0] - record[5], pose[1] - record[6]) > _STAYED_M:
+        record[5], record[6], mine[_STAYED] = pose[0], pose[1], 0
     mine[_STAYED] = mine[_STAYED] + 1 if mine[_PRESSING] else max(0, mine[_STAYED] - 1)
-    told[3] += along
-    told[4] += across
+    record[3] += along
+    record[4] += across
     mine[_WATCHED] += 1
 
 

@@ -65,9 +65,9 @@ def room_m(wheel_radius: float) -> float:
     return wiggle.room_m(wheel_radius) + _MARGIN_M
 
 
-def apart_at_rest(keepout: Keepout, one: Body, other: Body) -> float:
+def apart_at_rest(keepout: Keepout, first: Body, other: Body) -> float:
     """Return the least distance of the points q of two robots that stand [m]."""
-    return one.radius + other.radius + keepout.gap + 2 * (keepout.ahead + keepout.pose_error)
+    return first.radius + other.radius + keepout.gap + 2 * (keepout.ahead + keepout.pose_error)
 
 
 def from_edge(keepout: Keepout, body: Body) -> float:
@@ -75,10 +75,10 @@ def from_edge(keepout: Keepout, body: Body) -> float:
     return body.radius + keepout.gap + keepout.ahead + keepout.pose_error
 
 
-def apart(keepout: Keepout, one: Body, other: Body) -> float:
+def apart(keepout: Keepout, first: Body, other: Body) -> float:
     """Return D: the least distance of two robots' points q, one of which has its top speed [m]."""
-    believed = max(b.drive.max_speed * believed_for(keepout, b) for b in (one, other))
-    return apart_at_rest(keepout, one, other) + believed
+    believed = max(b.drive.max_speed * believed_for(keepout, b) for b in (first, other))
+    return apart_at_rest(keepout, first, other) + believed
 
 
 def believed_for(keepout: Keepout, body: Body) -> float:

@@ -219,9 +219,9 @@ def _driver(
         yield Happening(Event.LEASE_LOST, row)
 
 
-def _over_the_network(told: Iterable[Happening], robot: RobotView) -> Iterator[Happening]:
+def _over_the_network(happenings: Iterable[Happening], robot: RobotView) -> Iterator[Happening]:
     """Take silence of a computer of its own for what it is: a radio comes back, and then the run goes on."""
-    for happening in told:
+    for happening in happenings:
         nobody = happening.event is Event.LEASE_LOST and robot.session == 0
         away = nobody or happening.event in (Event.DRIVER_SILENT, Event.DRIVER_RESTARTED)
         yield happening._replace(event=Event.LINK_LOST) if away else happening
@@ -320,10 +320,10 @@ def _neighbours(
     """Look at every two robots but two bystanders; one that is not seen now may still stand where it was last."""
     if pairs is None:
         pairs = combinations((row for row, robot in enumerate(view.robots) if robot.seen_ns != NEVER), 2)
-    for one, other in pairs:
-        if not view.robots[one].driven:
+    for first, other in pairs:
+        if not view.robots[first].driven:
             break  # it and all who follow are bystanders
-        (x, y, _), (other_x, other_y, _) = view.robots[one].pose, view.robots[other].pose
-        bodies = settings.body_radius[one] + settings.body_radius[other]
+        (x, y, _), (other_x, other_y, _) = view.robots[first].pose, view.robots[other].pose
+        bodies = settings.body_radius[first] + settings.body_radius[other]
         if hypot(x - other_x, y - other_y) - bodies < CLOSEST_M:
-            yield Happening(Event.TOO_CLOSE, one, other)
+            yield Happening(Event.TOO_CLOSE, first, other)

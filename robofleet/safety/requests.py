@@ -38,8 +38,8 @@ def refusal(
     if phase is None and status.phase not in _MET[event]:
         return WAY_OUT[status.phase]
     if event is Event.RESET:
-        there = [(robot, seen) for robot, seen in zip(robots, view.robots, strict=True) if not gone(seen, view)]
-        return next((why for robot, seen in there if (why := _unsettled(robot, seen, status.phase))), None)
+        present = [(robot, seen) for robot, seen in zip(robots, view.robots, strict=True) if not gone(seen, view)]
+        return next((why for robot, seen in present if (why := _unsettled(robot, seen, status.phase))), None)
     if phase is Phase.ARMED and (held := latched(view, robots)):
         return f"{', '.join(held)}: the gate is latched: look at the robot, then reset"
     if event is Event.START_REQUESTED and unready is not None:

@@ -94,5 +94,5 @@ def _is_well(row: int, standing: tuple[Happening, ...], view: FleetView) -> bool
         return False
     robot: RobotView = view.robots[row]
     seen = robot.seen_ns != NEVER and robot.unseen_ns < LATE_NS and not robot.lost
-    heard = robot.heard_ns != NEVER and view.now_ns - robot.heard_ns <= SILENT_NS
-    return seen and heard and not robot.faults and robot.latch == Latch.NONE and not robot.failed
+    recent = robot.heard_ns != NEVER and view.now_ns - robot.heard_ns <= SILENT_NS
+    return seen and recent and not robot.faults and robot.latch == Latch.NONE and not robot.failed

@@ -73,10 +73,10 @@ def gain_fault(leg: Leg) -> Diagnosis | None:
     counts = any(leg.counted)
     expected = leg.counted if counts else leg.asked
     along = sum(math.copysign(1.0, b) * a for a, b in zip(leg.rolled, expected, strict=True))  # each as it was told
-    mean, one = along / sum(map(abs, expected)), _furthest(leg.rolled, expected)
+    mean, furthest = along / sum(map(abs, expected)), _furthest(leg.rolled, expected)
     if abs(mean - 1.0) > (_MEAN_GAIN if counts else _UNCOUNTED_GAIN):
         return Event.WRONG_GAIN, mean
-    return (Event.WRONG_GAIN, one) if abs(one - 1.0) > (_WHEEL_GAIN if counts else _UNCOUNTED_GAIN) else None
+    return (Event.WRONG_GAIN, furthest) if abs(furthest - 1.0) > (_WHEEL_GAIN if counts else _UNCOUNTED_GAIN) else None
 
 
 def _furthest(wheels: Wheels, expected: Wheels) -> float:

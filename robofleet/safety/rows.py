@@ -64,10 +64,10 @@ class Rows(Sequence[RobotView]):
 def _robot(v: tuple[Any, ...]) -> RobotView:
     lost, filtered, blocked, failed, driven, camera_out = v[_LOST:]
     poses = v[_POSE : _POSE + 3], v[_POSE + 3 : _LOST]
-    said = bool(lost), filtered, bool(blocked), failed, bool(driven), camera_out
-    return RobotView._make([*v[:_POSE], *poses, *said])
+    flags = bool(lost), filtered, bool(blocked), failed, bool(driven), camera_out
+    return RobotView._make([*v[:_POSE], *poses, *flags])
 
 
 def _values(robot: RobotView) -> tuple[Any, ...]:
-    place = RobotView._fields.index("pose")
-    return (*robot[:place], *robot.pose, *robot.estimate, *robot[place + 2 :])
+    index = RobotView._fields.index("pose")
+    return (*robot[:index], *robot.pose, *robot.estimate, *robot[index + 2 :])

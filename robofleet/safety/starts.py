@@ -141,5 +141,5 @@ def reason(ways: Ways, poses: tuple[Pose, ...]) -> Reason | None:
     )  # fmt: skip
     if judge(exchanged, tuple(poses[i] for i in order)).jams:
         return Reason(*judgement.pair, None)
-    one, other = next((a, b) for a, b in pairwise(order) if a > b)
-    return Reason(one, other, order)
+    first, other = next((a, b) for a, b in pairwise(order) if a > b)
+    return Reason(first, other, order)

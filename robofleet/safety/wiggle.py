@@ -343,9 +343,12 @@ def _blamed(
 
 def _still(start: Start, robot: RobotView, pose: Array, radius: float, base: float) -> bool:
     """Return whether a robot's tag stood although its wheels were told to turn, whichever turned, and which way."""
-    told = max(map(abs, _asked(start, robot)))
+    commanded = max(map(abs, _asked(start, robot)))
     x, y, psi = pose.tolist()
-    return told * radius > _MOVED_M and max(map(abs, rolled(start.pose, (x, y, psi), radius, base))) < _STILL * told
+    return (
+        commanded * radius > _MOVED_M
+        and max(map(abs, rolled(start.pose, (x, y, psi), radius, base))) < _STILL * commanded
+    )
 
 
 def _before(state: Wiggle, row: int) -> frozenset[int]:

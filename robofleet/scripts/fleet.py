@@ -162,13 +162,13 @@ class Fleet:
     def _begin(self, link: Link, group: str) -> None:
         config = self._config = link.config
         self._link = link
-        names = [one.title for one in config.groups]
-        place = names.index(group)
-        self._rows = groups.rows(config.groups)[place]
-        self._team = groups.team(config, config.groups[place])
-        said = groups.descriptions(config)
-        before = described.size(said[:place])
-        columns = [figure.name for figure in said[place].figures]
+        names = [group_config.title for group_config in config.groups]
+        index = names.index(group)
+        self._rows = groups.rows(config.groups)[index]
+        self._team = groups.team(config, config.groups[index])
+        descriptions = groups.descriptions(config)
+        before = described.size(descriptions[:index])
+        columns = [figure.name for figure in descriptions[index].figures]
         self._followed = before + 2 + columns.index("wish_epoch")
         self._arrival = before + 2 + columns.index("arrived")
         self._items_at, self._count = TICK_RECORD.head_dtype.itemsize, len(config.members)
@@ -271,12 +271,12 @@ class Fleet:
         found = np.zeros(len(self.robots), UNIT_STATUS.item_dtype)
         rows = {robot: row for row, robot in enumerate(self.robots)}
         for unit, members in self._config.units.items():
-            mine = [(rows[robot], place) for place, robot in enumerate(members) if robot in rows]
+            mine = [(rows[robot], index) for index, robot in enumerate(members) if robot in rows]
             payload = self._running.unit_status(unit) if mine else None
-            if payload is None or (said := UNIT_STATUS.view(payload)) is None or len(said[1]) != len(members):
+            if payload is None or (status := UNIT_STATUS.view(payload)) is None or len(status[1]) != len(members):
                 continue
-            for row, place in mine:
-                found[row] = said[1][place]
+            for row, index in mine:
+                found[row] = status[1][index]
         return found
 
     @property
@@ -287,10 +287,10 @@ class Fleet:
         found: dict[str, SensorReading] = {}
         for unit in self.config.sensing:
             payload = self._running.unit_sensors(unit)
-            said = None if payload is None else sensors.decoded(payload)
-            if said is not None:
+            message = None if payload is None else sensors.decoded(payload)
+            if message is not None:
                 members = self._config.units[unit]
-                found |= {members[place]: reading for place, reading in said[1].items() if place < len(members)}
+                found |= {members[index]: reading for index, reading in message[1].items() if index < len(members)}
         return tuple(found.get(robot) for robot in self.robots)
 
     # What the robots do
@@ -459,9 +459,9 @@ class Fleet:
         items = np.frombuffer(record, "<f8", self._count * _COLUMNS, self._items_at)
         return items.reshape(self._count, _COLUMNS)[self._rows]
 
-    def _number(self, place: int) -> float:
+    def _number(self, index: int) -> float:
         """Return one of the numbers that groups tell, of this group's first robot."""
-        return float(_NUMBER.unpack_from(self._record, self._items_at + 8 * (self._count * _COLUMNS + place))[0])
+        return float(_NUMBER.unpack_from(self._record, self._items_at + 8 * (self._count * _COLUMNS + index))[0])
 
     def _read(self, record: bytes) -> None:
         """Take a tick's record."""
@@ -509,8 +509,8 @@ class Fleet:
             raise ValueError(f"{what}: the shape is {found.shape}, {self._wanted}")
         if not np.abs(found).max() < _BEYOND:  # not so of NaN
             row = int((~(np.abs(found) < _BEYOND)).any(axis=1).argmax())
-            said = f"{found[row].tolist()} of {self.robots[row]}"
-            raise ValueError(f"{what}: {said} is not finite, or beyond every limit")
+            shown = f"{found[row].tolist()} of {self.robots[row]}"
+            raise ValueError(f"{what}: {shown} is not finite, or beyond every limit")
         return found
 
     def _goals(self, poses: Mapping[str, Goal]) -> dict[str, tuple[float, float, float]]:
@@ -571,7 +571,7 @@ def _plain(name: str, value: Any, deep: int = 0) -> Any:
     if isinstance(value, list | tuple):
         if deep == _DEEPEST:
             raise ValueError(f"keep: {name} has lists in lists in more than {_DEEPEST} levels")
-        return [_plain(name, one, deep + 1) for one in value]
+        return [_plain(name, entry, deep + 1) for entry in value]
     if isinstance(value, int) and value.bit_length() > _INTEGER_BITS:
         raise ValueError(f"keep: {name} is an integer of {value.bit_length()} bits, must have at most {_INTEGER_BITS}")
     if value is None or isinstance(value, bool | int | float | str):

@@ -80,12 +80,12 @@ def first(config: Config, count: int | None) -> Config:
     """
     if count is None:
         return config
-    there = config.members
-    if not 0 < count <= len(there):
+    members = config.members
+    if not 0 < count <= len(members):
         raise FleetError(
-            f"robots: {count} are asked for, and {config.arena.name} has {len(there)}: ask for 1 to them all"
+            f"robots: {count} are asked for, and {config.arena.name} has {len(members)}: ask for 1 to them all"
         )
-    kept = {robot.id for robot in there[:count]}
+    kept = {robot.id for robot in members[:count]}
     every = [
         group.model_copy(update={"robots": tuple(r for r in group.robots if r in kept)}) for group in config.groups
     ]

@@ -144,13 +144,13 @@ class LiveLink:
         self._bus.close()
         return None
 
-    def _part(self, parting: bytes, heard: Callable[[], bool], within_s: float = _HEARD_WITHIN_S) -> bool:
+    def _part(self, parting: bytes, answered: Callable[[], bool], within_s: float = _HEARD_WITHIN_S) -> bool:
         """Say the last wish again and again, tick by tick, until it is heard; returns whether it was."""
         end_ns = self._clock.now_ns() + round(within_s * S)
-        while not heard() and self._clock.now_ns() < end_ns:
+        while not answered() and self._clock.now_ns() < end_ns:
             self._publish(parting)
             self._pause()
-        return heard()
+        return answered()
 
     def _check(self) -> None:
         """Raise where the run is gone."""
@@ -193,12 +193,12 @@ class OwnRun:
         self.folder = place / "run" if folder is None else folder
         file = place / f"{name}.yaml"
         file.write_text(resolved_yaml(config))
-        self._said = (place / "stderr").open("w+b")
+        self._stderr = (place / "stderr").open("w+b")
         theirs, self._lifeline = os.pipe()
         command = [sys.executable, "-P", "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
         self._process = subprocess.Popen(
             [*command, "--out", str(self.folder.absolute())], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=self._said, start_new_session=True, pass_fds=[theirs],
+            stderr=self._stderr, start_new_session=True, pass_fds=[theirs],
         )  # fmt: skip
         os.close(theirs)
 
@@ -211,9 +211,7 @@ class OwnRun:
         """Wait until its processes can be reached, and return where; FleetError where it ends before."""
         while True:
             self.check()
-            mine = [
-                there for there in running() if there.own and (there.arena, there.pid) == (arena, self._process.pid)
-            ]
+            mine = [run for run in running() if run.own and (run.arena, run.pid) == (arena, self._process.pid)]
             if mine and (self.folder / "config.yaml").is_file():
                 return mine[0]
             threading.Event().wait(_POLL_S)
@@ -225,8 +223,8 @@ class OwnRun:
 
     def why(self) -> str:
         """Return what it said last."""
-        self._said.seek(0)
-        lines = self._said.read().decode(errors="replace").strip().splitlines()[-5:]
+        self._stderr.seek(0)
+        lines = self._stderr.read().decode(errors="replace").strip().splitlines()[-5:]
         code = self._process.returncode
         return "\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"])
 
@@ -245,7 +243,7 @@ class OwnRun:
         file = self.folder / SUMMARY
         found = json.loads(file.read_text()) if file.is_file() else None
         os.close(self._lifeline)
-        self._said.close()
+        self._stderr.close()
         self._kept.cleanup()
         return found
 
@@ -259,9 +257,9 @@ class OwnRunLink(LiveLink):
         """Start it, and join; FleetError where it does not come to it."""
         self._run = OwnRun(config, name, folder)
         try:
-            there = self._run.joinable(config.arena.name)
+            run = self._run.joinable(config.arena.name)
             own = load_config(self._run.folder / "config.yaml")
-            super().__init__(own, group, there.endpoint, within_s=_READY_WITHIN_S)
+            super().__init__(own, group, run.endpoint, within_s=_READY_WITHIN_S)
         except BaseException:
             self._run.interrupt()
             self._run.summary()

@@ -94,26 +94,26 @@ class LockstepLink:
 
     def unit_status(self, unit: str) -> bytes | None:
         """Return the newest status of a unit."""
-        said = self._messages.get(key(self.config.arena.name, STATUS, unit))
-        return said[-1] if said else None
+        payloads = self._messages.get(key(self.config.arena.name, STATUS, unit))
+        return payloads[-1] if payloads else None
 
     def unit_sensors(self, unit: str) -> bytes | None:
         """Return what the sensors of a unit's robots said last."""
-        said = self._messages.get(key(self.config.arena.name, SENSORS, unit))
-        return said[-1] if said else None
+        payloads = self._messages.get(key(self.config.arena.name, SENSORS, unit))
+        return payloads[-1] if payloads else None
 
     def ask(self, what: bytes) -> None:
         """Ask the supervisor, and let the time pass in which it answers and the controller hears of it."""
-        answer, said = self.run.request(what), b""
+        answer, reply = self.run.request(what), b""
 
         def answered() -> bool:
-            nonlocal said
-            said = answer.take() or said
-            return bool(said)
+            nonlocal reply
+            reply = answer.take() or reply
+            return bool(reply)
 
         self.run.advance(_ANSWER_S, answered)
-        if not said.startswith(b"ok"):
-            refuse(said.decode() or "the supervisor does not answer", what)
+        if not reply.startswith(b"ok"):
+            refuse(reply.decode() or "the supervisor does not answer", what)
         self.run.advance(2 * self.config.controller.tick_s)
 
     def done(self, parting: bytes) -> dict[str, Any]:

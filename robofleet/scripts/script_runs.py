@@ -47,13 +47,13 @@ def _as_driven(config: Config, robots: int | None) -> Config:
 
 def group_of(config: Config, wanted: str | None) -> str:
     """Return which group the script drives; FleetError where that is not clear."""
-    there = groups.wishing(config, Script)
-    if wanted is None and len(there) == 1:
-        return there[0]
-    if wanted not in there:
-        known = ", ".join(there) or "none: give one the behaviour `script`"
-        asked = "several groups take wishes: name one in `group`" if wanted is None else f"no group {wanted!r} does"
-        raise FleetError(f"{asked}: {known}")
+    takers = groups.wishing(config, Script)
+    if wanted is None and len(takers) == 1:
+        return takers[0]
+    if wanted not in takers:
+        known = ", ".join(takers) or "none: give one the behaviour `script`"
+        complaint = "several groups take wishes: name one in `group`" if wanted is None else f"no group {wanted!r} does"
+        raise FleetError(f"{complaint}: {known}")
     return wanted
 
 
@@ -87,17 +87,17 @@ def _joined(arena: str, group: str | None, copy: str | Path | None) -> Link:
     from robofleet.operator.elsewhere import joined_arena  # noqa: PLC0415
     from robofleet.scripts.script_live import LiveLink  # noqa: PLC0415
 
-    there = joined_arena(arena)
-    if there is None:
+    access = joined_arena(arena)
+    if access is None:
         run = chosen(arena, own=True)
         config = load_config(Path(run.folder) / "config.yaml" if copy is None else Path(copy))
         return LiveLink(config, group_of(config, group), run.endpoint)
     if copy is None:
         raise FleetError(f"{arena} is another computer's: name a copy of its configuration in `config`")
-    if there.role != SCRIPT:
+    if access.role != SCRIPT:
         raise FleetError(
-            f"this computer has joined {arena} as {there.role}: join as a script: "
+            f"this computer has joined {arena} as {access.role}: join as a script: "
             f"`robofleet keys add {arena} NAME --kind {SCRIPT}` there, then bundle and `robofleet join`"
         )
     config = load_config(Path(copy))
-    return LiveLink(config, group_of(config, group), there.router, there.credentials)
+    return LiveLink(config, group_of(config, group), access.router, access.credentials)

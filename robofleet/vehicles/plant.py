@@ -107,7 +107,9 @@ class Plant:
         top = self._drive.max_wheel_speed * (1.0 - self._p.top_speed_sag * used)
         left, right = self._through_wires(*command)
         if runs != _OBEYING:
-            left, right = (told if own is None else own for told, own in zip((left, right), runs, strict=True))
+            left, right = (
+                commanded if own is None else own for commanded, own in zip((left, right), runs, strict=True)
+            )
         left = self._left.gain * self._left.turn(left, top, duration)
         right = self._right.gain * self._right.turn(right, top, duration)
         if left == 0.0 and right == 0.0:

@@ -81,13 +81,13 @@ class SimulatedSensors:
 
     def __init__(self, rows: Sequence[int], sensing: Sequence[Sensing]) -> None:
         """Take at least one robot; all have the same walls."""
-        kinds = [one.kind for one in sensing]
+        kinds = [sensing_kind.kind for sensing_kind in sensing]
         n, most = len(kinds), max(len(kind.places) for kind in kinds)
         self.rows = np.array(rows, np.intp)
         self.parts = np.array([kind.parts for kind in kinds], np.int64)
         self.counts = np.array([len(kind.places) for kind in kinds], np.int64)
         self.period_ns = round(min(kind.period for kind in kinds) * 1e9)
-        self._rngs = [one.rng for one in sensing]
+        self._rngs = [sensing_kind.rng for sensing_kind in sensing]
         self._noise, self._bias = np.zeros((n, _INERTIAL)), np.zeros((n, _INERTIAL))
         self.has = np.zeros((n, _INERTIAL + most), np.bool_)  # the numbers that are a robot's own
         self._at, self._distances = np.zeros((n, most, 3)), np.zeros((n, 4))
@@ -119,18 +119,18 @@ class SimulatedSensors:
         NaN is a distance sensor that sees nothing; what is not in ``has`` means nothing.
         """
         own = truths[self.rows]
-        said = np.empty(self.has.shape)
-        self._inertial(now_ns, own, said)
+        values = np.empty(self.has.shape)
+        self._inertial(now_ns, own, values)
         for row, rng in enumerate(self._rngs):
-            said[row, :_INERTIAL] += self._bias[row] + self._noise[row] * rng.standard_normal(_INERTIAL)
-        said[:, 9] = math.pi - np.remainder(math.pi - said[:, 9], math.tau)
-        if said.shape[1] > _INERTIAL:
-            self._see(self.true_distances(truths, radii), said[:, _INERTIAL:])
-        return said
+            values[row, :_INERTIAL] += self._bias[row] + self._noise[row] * rng.standard_normal(_INERTIAL)
+        values[:, 9] = math.pi - np.remainder(math.pi - values[:, 9], math.tau)
+        if values.shape[1] > _INERTIAL:
+            self._see(self.true_distances(truths, radii), values[:, _INERTIAL:])
+        return values
 
-    def readings(self, said: Array) -> list[SensorReading]:
+    def readings(self, values: Array) -> list[SensorReading]:
         """Return the rows of ``read`` as each robot's reading (n,)."""
-        own = (row[has].tolist() for row, has in zip(said, self.has, strict=True))
+        own = (row[has].tolist() for row, has in zip(values, self.has, strict=True))
         return [unpacked(int(p), int(c), n) for p, c, n in zip(self.parts, self.counts, own, strict=True)]
 
     def first(self, now_ns: int, truths: Sequence[TruePose], radii: Sequence[float]) -> SensorReading:
@@ -162,7 +162,7 @@ class SimulatedSensors:
             nearest = np.minimum(nearest, np.where(met, t, np.inf).min(axis=2))
         return np.asarray(nearest)
 
-    def _inertial(self, now_ns: int, own: Array, said: Array) -> None:
+    def _inertial(self, now_ns: int, own: Array, values: Array) -> None:
         """Fill in what ideal sensors of the motion, the field and the heading say."""
         psi, v, omega = own[:, 2], own[:, 3], own[:, 4]
         turning, faster, spinning_up = omega, np.zeros_like(v), np.zeros_like(v)
@@ -173,15 +173,15 @@ class SimulatedSensors:
             faster, spinning_up = (v - before[:, 3]) / passed, (omega - before[:, 4]) / passed
         self._before = now_ns, own
         x, y = self._lever.T
-        said[:, 0:2], said[:, 2] = 0.0, turning
-        said[:, 3] = faster - spinning_up * y - turning**2 * x
-        said[:, 4] = v * turning + spinning_up * x - turning**2 * y
-        said[:, 5] = _GRAVITY
+        values[:, 0:2], values[:, 2] = 0.0, turning
+        values[:, 3] = faster - spinning_up * y - turning**2 * x
+        values[:, 4] = v * turning + spinning_up * x - turning**2 * y
+        values[:, 5] = _GRAVITY
         c, s, (east, north, up) = np.cos(psi), np.sin(psi), self._field.T
-        said[:, 6], said[:, 7], said[:, 8] = c * east + s * north, c * north - s * east, up
-        said[:, 9] = psi
+        values[:, 6], values[:, 7], values[:, 8] = c * east + s * north, c * north - s * east, up
+        values[:, 9] = psi
 
-    def _see(self, distances: Array, said: Array) -> None:
+    def _see(self, distances: Array, seen: Array) -> None:
         """Fill in what the distance sensors say of true distances (n, most)."""
         count = distances.shape[1]
         normal = np.array([rng.standard_normal(count) for rng in self._rngs])
@@ -190,21 +190,21 @@ class SimulatedSensors:
         near = np.minimum(distances, reach)
         noisy = np.clip(near * (1.0 + noise * normal), 0.0, reach)
         noisy = np.where(wrong < outliers, reach * anything, noisy)
-        said[:] = np.where((distances > reach) | (lost < dropout), np.nan, noisy)
+        seen[:] = np.where((distances > reach) | (lost < dropout), np.nan, noisy)
 
 
 def packed(reading: SensorReading) -> tuple[int, int, list[float]]:
     """Return which sensors a reading is of, how many distances it has, and its numbers in their order."""
     four = reading[0], reading[1], reading[2], None if reading.heading is None else (reading.heading,)
-    parts = sum(part for (part, _), said in zip(_PARTS, four, strict=True) if said is not None)
-    said = [of for of in (*four, reading.distances) if of is not None]
+    parts = sum(part for (part, _), present in zip(_PARTS, four, strict=True) if present is not None)
+    present = [value for value in (*four, reading.distances) if value is not None]
     distances = 0 if reading.distances is None else len(reading.distances)
-    return parts, distances, [float(number) for of in said for number in of]
+    return parts, distances, [float(number) for value in present for number in value]
 
 
 def numbers(parts: int, distances: int) -> int:
     """Return how many numbers a packed reading has."""
-    return sum(place.stop - place.start for part, place in _PARTS if parts & part) + distances
+    return sum(part_slice.stop - part_slice.start for part, part_slice in _PARTS if parts & part) + distances
 
 
 def unpacked(parts: int, distances: int, numbers: Sequence[float]) -> SensorReading:
@@ -221,11 +221,11 @@ def unpacked(parts: int, distances: int, numbers: Sequence[float]) -> SensorRead
 
 def is_sound(reading: SensorReading) -> bool:
     """Return whether each axis has its number, finite but for a distance that is NaN, and the message has room."""
-    axes = [said for said in reading[:3] if said is not None]
-    finite = [number for said in axes for number in said] + [0.0 if reading.heading is None else reading.heading]
+    axes = [vector for vector in reading[:3] if vector is not None]
+    finite = [number for vector in axes for number in vector] + [0.0 if reading.heading is None else reading.heading]
     distances = () if reading.distances is None else reading.distances
     return (
-        all(len(said) == 3 for said in axes)
+        all(len(vector) == 3 for vector in axes)
         and math.isfinite(sum(finite))
         and len(distances) <= MOST_DISTANCES
         and not any(map(math.isinf, distances))

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from robofleet.core.clock import MS, S, WallClock
-from robofleet.nodes.unit.attached import Attached
+from robofleet.nodes.unit.attached import ReconnectingDriver
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, DriverError, DriverReading, RobotFault, WheelSpeeds
 from tests.processes.realrun import wait
@@ -53,7 +53,7 @@ class Cable:
             raise LostError
 
 
-def back(driver: Attached) -> bool:
+def back(driver: ReconnectingDriver) -> bool:
     try:
         driver.write(STOP)
     except DriverError:
@@ -68,12 +68,14 @@ def cable() -> Cable:
 
 @pytest.fixture
 def attached(cable: Cable) -> Any:
-    driver = Attached(cable, CLOCK.now_ns)
+    driver = ReconnectingDriver(cable, CLOCK.now_ns)
     yield driver
     driver.close()
 
 
-def test_a_driver_that_fails_is_closed_and_sought_ever_more_patiently(cable: Cable, attached: Attached) -> None:
+def test_a_driver_that_fails_is_closed_and_sought_ever_more_patiently(
+    cable: Cable, attached: ReconnectingDriver
+) -> None:
     cable.plugged = False
     with pytest.raises(LostError):
         attached.read()
@@ -95,7 +97,7 @@ def test_while_it_is_away_every_call_raises_at_once_and_says_why(cable: Cable) -
             hung.wait(10.0)
         return cable
 
-    attached = Attached(make, CLOCK.now_ns)
+    attached = ReconnectingDriver(make, CLOCK.now_ns)
     cable.plugged = False
     with pytest.raises(LostError):
         attached.write(FORWARD)
@@ -110,7 +112,7 @@ def test_while_it_is_away_every_call_raises_at_once_and_says_why(cable: Cable) -
     assert wait(lambda: cable.events[-2:] == ["closed", "closed"], 10.0)  # the second one came too late
 
 
-def test_nothing_that_was_on_its_way_moves_a_robot_that_is_back(cable: Cable, attached: Attached) -> None:
+def test_nothing_that_was_on_its_way_moves_a_robot_that_is_back(cable: Cable, attached: ReconnectingDriver) -> None:
     cable.plugged = False
     with pytest.raises(LostError):
         attached.write(FORWARD)
@@ -123,7 +125,7 @@ def test_nothing_that_was_on_its_way_moves_a_robot_that_is_back(cable: Cable, at
     assert cable.events[-2:] == [STOP, FORWARD]
 
 
-def test_angles_go_on_where_they_were_when_it_was_lost(cable: Cable, attached: Attached) -> None:
+def test_angles_go_on_where_they_were_when_it_was_lost(cable: Cable, attached: ReconnectingDriver) -> None:
     cable.angles = 5.0, -6.0
     attached.read()
     cable.plugged = False
@@ -136,7 +138,7 @@ def test_angles_go_on_where_they_were_when_it_was_lost(cable: Cable, attached: A
     assert attached.read()[:2] == (5.5, -5.75)
 
 
-def test_what_was_closed_is_told_nothing_more(cable: Cable, attached: Attached) -> None:
+def test_what_was_closed_is_told_nothing_more(cable: Cable, attached: ReconnectingDriver) -> None:
     attached.close()
     attached.close()
     with pytest.raises(DriverError):
@@ -144,7 +146,9 @@ def test_what_was_closed_is_told_nothing_more(cable: Cable, attached: Attached) 
     assert cable.events == ["made", "closed"]
 
 
-def test_a_driver_that_fails_as_its_process_ends_is_closed_all_the_same(cable: Cable, attached: Attached) -> None:
+def test_a_driver_that_fails_as_its_process_ends_is_closed_all_the_same(
+    cable: Cable, attached: ReconnectingDriver
+) -> None:
     cable.plugged, cable.closing_s = False, 0.1
     with pytest.raises(LostError):
         attached.write(STOP)

@@ -13,7 +13,7 @@ from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
 from robofleet.core.clock import MS
-from robofleet.nodes.deciding import Deciding, timed_by
+from robofleet.nodes.deciding import BehaviourRunner, timed_by
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
 from robofleet.runs.lockstep import Lockstep
@@ -110,7 +110,7 @@ def test_one_that_takes_longer_than_its_share_of_a_tick_is_named_and_its_group_s
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     read_ns = iter([0, 17 * MS, 17 * MS, 18 * MS])  # the failing group's decision, and the other's
-    deciding = Deciding(load_config(SWIRL, two_groups("never")), timed_by(read_ns.__next__, 16.5 * MS))
+    deciding = BehaviourRunner(load_config(SWIRL, two_groups("never")), timed_by(read_ns.__next__, 16.5 * MS))
     everybody = np.full(3, fill_value=True)
     deciding.tick(np.zeros((3, 3)), everybody, everybody, np.zeros((3, 2)), moving=True)
     assert deciding.failed.tolist() == [Event.BEHAVIOUR_LATE, Event.BEHAVIOUR_STANDS, Event.NOTHING]

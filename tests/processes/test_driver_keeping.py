@@ -19,7 +19,7 @@ from robofleet.bus.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.core.clock import MS, S
 from robofleet.core.log_lines import Unfailing
 from robofleet.nodes.unit.health import Health
-from robofleet.nodes.unit.keeping import FileKeeping, Kept, MemoryKeeping
+from robofleet.nodes.unit.keeping import FileKeeping, MemoryKeeping, StoredRobot
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
@@ -35,9 +35,9 @@ class Disk(MemoryKeeping):
     def __init__(self) -> None:
         super().__init__()
         self.full = False
-        self.tries: list[tuple[str, Kept]] = []
+        self.tries: list[tuple[str, StoredRobot]] = []
 
-    def save(self, robot: str, kept: Kept) -> None:
+    def save(self, robot: str, kept: StoredRobot) -> None:
         self.tries.append((robot, kept))
         if self.full:
             raise OSError(28, "No space left on device")
@@ -185,12 +185,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_what_is_kept_is_found_again(folder: Path) -> None:
     keeping = FileKeeping("lab")
-    assert keeping.load("r1") == Kept()
-    for kept in (Kept(3, Latch.WIRED_STOP, 2), Kept(4, Latch.NONE, 2)):
+    assert keeping.load("r1") == StoredRobot()
+    for kept in (StoredRobot(3, Latch.WIRED_STOP, 2), StoredRobot(4, Latch.NONE, 2)):
         keeping.save("r1", kept)
         assert FileKeeping("lab").load("r1") == kept
-    assert FileKeeping("lab").load("r2") == Kept()
-    assert FileKeeping("elsewhere").load("r1") == Kept()
+    assert FileKeeping("lab").load("r2") == StoredRobot()
+    assert FileKeeping("elsewhere").load("r1") == StoredRobot()
     assert [file.name for file in folder.iterdir()] == ["r1.json"]
 
 
@@ -256,11 +256,11 @@ def test_a_damaged_memory_is_cleared_by_a_reset_and_is_whole_again(folder: Path,
 
 def test_a_write_that_was_torn_loses_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At every byte, of the first write over each slot and of later ones."""
-    keeping, before = FileKeeping("lab"), Kept(3, Latch.NONE, 2)
+    keeping, before = FileKeeping("lab"), StoredRobot(3, Latch.NONE, 2)
     keeping.save("r1", before)
     write = os.pwrite
     for number in range(3):
-        after = Kept(4 + number, Latch.EMERGENCY_STOP, 3 + number)
+        after = StoredRobot(4 + number, Latch.EMERGENCY_STOP, 3 + number)
         for size in (*range(0, 140, 7), 4095):
 
             def torn(descriptor: int, data: bytes, at: int, size: int = size) -> int:
@@ -279,20 +279,20 @@ def test_a_write_that_was_torn_loses_nothing(folder: Path, monkeypatch: pytest.M
 
 def test_a_memory_is_replaced_whole_or_not_at_all(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keeping = FileKeeping("lab")
-    keeping.save("r1", Kept(3, Latch.NONE, 2))
+    keeping.save("r1", StoredRobot(3, Latch.NONE, 2))
 
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space left"):
-        keeping.save("r1", Kept(4, Latch.NONE, 2))
-    assert keeping.load("r1") == Kept(3, Latch.NONE, 2)
+        keeping.save("r1", StoredRobot(4, Latch.NONE, 2))
+    assert keeping.load("r1") == StoredRobot(3, Latch.NONE, 2)
 
 
 def test_either_half_alone_tells_what_is_kept(folder: Path) -> None:
-    keeping, kept = FileKeeping("lab"), Kept(3, Latch.EMERGENCY_STOP, 2)
-    keeping.save("r1", Kept())
+    keeping, kept = FileKeeping("lab"), StoredRobot(3, Latch.EMERGENCY_STOP, 2)
+    keeping.save("r1", StoredRobot())
     keeping.save("r1", kept)
     file = folder / "r1.json"
     content = file.read_bytes()
@@ -305,24 +305,24 @@ def test_either_half_alone_tells_what_is_kept(folder: Path) -> None:
 def test_the_newest_half_counts_however_often_it_is_written(folder: Path) -> None:
     keeping = FileKeeping("lab")
     for epoch in range(20):
-        keeping.save("r1", Kept(epoch, Latch.NONE, 2 * epoch))
-        assert FileKeeping("lab").load("r1") == Kept(epoch, Latch.NONE, 2 * epoch)
+        keeping.save("r1", StoredRobot(epoch, Latch.NONE, 2 * epoch))
+        assert FileKeeping("lab").load("r1") == StoredRobot(epoch, Latch.NONE, 2 * epoch)
     assert (folder / "r1.json").stat().st_size == 8192
 
 
 @pytest.mark.parametrize("most", [(1 << 31) - 1, 1 << 31, (1 << 32) - 1, 1 << 32, (1 << 63) - 1])
 def test_large_numbers_are_kept(folder: Path, most: int) -> None:
-    FileKeeping("lab").save("r1", Kept(most, Latch.RUNAWAY, most))
-    assert FileKeeping("lab").load("r1") == Kept(most, Latch.RUNAWAY, most)
+    FileKeeping("lab").save("r1", StoredRobot(most, Latch.RUNAWAY, most))
+    assert FileKeeping("lab").load("r1") == StoredRobot(most, Latch.RUNAWAY, most)
 
 
 def test_what_is_lost_latches_until_it_is_saved_again(folder: Path) -> None:
     keeping = FileKeeping("lab")
-    keeping.save("r1", Kept(3, Latch.NONE, 2))
+    keeping.save("r1", StoredRobot(3, Latch.NONE, 2))
     keeping.lose("r1")
     assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
-    keeping.save("r1", Kept(4, Latch.EMERGENCY_STOP, 3))
-    assert FileKeeping("lab").load("r1") == Kept(4, Latch.EMERGENCY_STOP, 3)
+    keeping.save("r1", StoredRobot(4, Latch.EMERGENCY_STOP, 3))
+    assert FileKeeping("lab").load("r1") == StoredRobot(4, Latch.EMERGENCY_STOP, 3)
 
 
 def test_a_place_that_cannot_be_written_is_named(folder: Path) -> None:
@@ -334,9 +334,12 @@ def test_a_place_that_cannot_be_written_is_named(folder: Path) -> None:
 
 
 def test_proving_makes_room_and_changes_nothing(folder: Path) -> None:
-    FileKeeping("lab").save("r1", Kept(7, Latch.WIRED_STOP, 3))
+    FileKeeping("lab").save("r1", StoredRobot(7, Latch.WIRED_STOP, 3))
     FileKeeping("lab").prove(("r1", "r2"))
-    assert [FileKeeping("lab").load(robot) for robot in ("r1", "r2")] == [Kept(7, Latch.WIRED_STOP, 3), Kept()]
+    assert [FileKeeping("lab").load(robot) for robot in ("r1", "r2")] == [
+        StoredRobot(7, Latch.WIRED_STOP, 3),
+        StoredRobot(),
+    ]
     assert {file.name: file.stat().st_size for file in folder.iterdir()} == {"r1.json": 8192, "r2.json": 8192}
 
 
@@ -368,8 +371,8 @@ def test_a_disk_that_is_really_full_takes_a_latch(small_disk: Path) -> None:
     with pytest.raises(OSError, match="No space left"):
         (small_disk / "more").write_text("x")
     for number in range(1, 6):
-        keeping.save("r1", Kept(3, Latch.EMERGENCY_STOP, number))
-        assert FileKeeping("lab").load("r1") == Kept(3, Latch.EMERGENCY_STOP, number)
+        keeping.save("r1", StoredRobot(3, Latch.EMERGENCY_STOP, number))
+        assert FileKeeping("lab").load("r1") == StoredRobot(3, Latch.EMERGENCY_STOP, number)
     with pytest.raises(OSError, match="No space left") as refused:
         keeping.prove(("r1", "r2"))
     assert "r2.json" in str(refused.value.filename)

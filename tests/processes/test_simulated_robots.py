@@ -29,7 +29,7 @@ def told(monkeypatch: pytest.MonkeyPatch, *changes: str, arrays: bool) -> tuple[
     if not arrays:
         monkeypatch.setattr(drivers, "in_arrays", lambda *_: False)
     witnessed: list[Any] = []
-    run = Lockstep(load_config(PLATOON, [*HEALTHY, *changes]), witness=lambda *what: witnessed.append(what))
+    run = Lockstep(load_config(PLATOON, [*HEALTHY, *changes]), probe=lambda *what: witnessed.append(what))
     made = {type(node._robots) for node in run.nodes.values() if isinstance(node, DriverProcess)}
     assert made == {SimulatedRobots if arrays else GatedRobots}
     phases = set()

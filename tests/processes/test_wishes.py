@@ -10,7 +10,7 @@ from robofleet.bus.keys import WISH
 from robofleet.bus.messages import SCRIPT_WISH, RobotWish, ScriptWish
 from robofleet.config.load import load_config
 from robofleet.core.clock import SimulatedClock
-from robofleet.nodes.wishes import Wishes
+from robofleet.nodes.wishes import SetpointInbox
 from robofleet.safety.supervisor import Phase
 
 CONFIG = load_config(Path(__file__).parents[2] / "configs" / "script.yaml")
@@ -23,7 +23,7 @@ class Taken:
 
     def __init__(self) -> None:
         bus = MemoryBus(CONFIG.arena.name, SimulatedClock(), 0)
-        self._wishes = Wishes(CONFIG, bus)
+        self._wishes = SetpointInbox(CONFIG, bus)
         self._say = {sender: bus.publisher(WISH, "script", sender) for sender in SENDERS}
 
     def send(

@@ -98,7 +98,7 @@ class _Walk:
             items = [self._value(item, name) for item in value]
             return value if all(a is b for a, b in zip(items, value, strict=True)) else _like(value, items)
         elif isinstance(value, type) and issubclass(value, enum.Enum):
-            self._say("enum class", _name(value), *(f"{one.name}={one.value!r}" for one in value))
+            self._say("enum class", _name(value), *(f"{member.name}={member.value!r}" for member in value))
         elif isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields"):
             self._say("named tuple", _name(value), repr(value._fields))
         else:
@@ -128,16 +128,16 @@ class _Walk:
     def _function(self, function: types.FunctionType, placed: Callable[[types.FunctionType], Any]) -> Any:
         """Take the digest of a function; return its copy as ``placed``."""
         if id(function) in self._met:
-            number, place = self._met[id(function)]
+            number, placed_at = self._met[id(function)]
             self._say("met", str(number))
-            return place
+            return placed_at
         self._alive.append(function)
-        code, copy, place = function.__code__, function, function
+        code, copy, placed_at = function.__code__, function, function
         if self._copies:
             copy = _empty_copy(function)
-            place = placed(copy)
+            placed_at = placed(copy)
             self.copies_made.append(copy)
-        self._met[id(function)] = len(self._met), place
+        self._met[id(function)] = len(self._met), placed_at
         shown = [] if _is_ours(function) else [f"{function.__qualname__} ({code.co_filename}:{code.co_firstlineno})"]
         self._path += shown
         self._code(code)
@@ -146,7 +146,7 @@ class _Walk:
         self._globals(function, copy)
         self._cells(function, copy)
         del self._path[len(self._path) - len(shown) :]
-        return place
+        return placed_at
 
     def _globals(self, function: types.FunctionType, copy: types.FunctionType) -> None:
         attributes = _attributes(function.__code__)
@@ -237,8 +237,8 @@ def _attributes(code: types.CodeType) -> frozenset[str]:
 
 @functools.lru_cache(maxsize=1024)
 def _globals_read(code: types.CodeType) -> frozenset[str]:
-    loads = (one for part in _codes(code) for one in dis.get_instructions(part))
-    return frozenset(one.argval for one in loads if one.opname in ("LOAD_GLOBAL", "LOAD_NAME"))
+    loads = (instruction for part in _codes(code) for instruction in dis.get_instructions(part))
+    return frozenset(instruction.argval for instruction in loads if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME"))
 
 
 def _like(value: Any, items: list[Any]) -> Any:

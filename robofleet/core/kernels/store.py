@@ -44,11 +44,11 @@ def folder() -> Path:
 def kept(compiled: Any, meaning: Callable[[], str]) -> Any:
     """Let what numba compiles be kept on disk, by the digest of its function."""
     if hasattr(compiled, "py_func"):  # else numba is switched off
-        compiled._cache = Kept(compiled.py_func.__name__, meaning)  # enable_caching() takes none but numba's own
+        compiled._cache = KernelCache(compiled.py_func.__name__, meaning)  # enable_caching() takes none but numba's own
     return compiled
 
 
-class Kept(_Cache):
+class KernelCache(_Cache):
     """The cache of one of numba's dispatchers, which asks it before it compiles and gives it what it compiled.
 
     A file that is missing, damaged or cannot be written costs a compilation, never an error. It is complete or not
@@ -68,9 +68,9 @@ class Kept(_Cache):
         """Return the compiled function of a signature, None where there is none."""
         target_context.refresh()
         content = b""
-        with _opened(folder()) as place, contextlib.suppress(OSError):
-            if place is not None:
-                content = _content(place / self._name_of(sig, target_context.codegen()))
+        with _opened(folder()) as directory, contextlib.suppress(OSError):
+            if directory is not None:
+                content = _content(directory / self._name_of(sig, target_context.codegen()))
         check, data = content[:_CHECK], content[_CHECK:]
         if check != _digest(data):  # cut, or changed: the linker would end the process
             return None
@@ -82,16 +82,16 @@ class Kept(_Cache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function."""
-        if data.library.has_dynamic_globals or any(not one.can_cache for one in data.lifted) or _calls_back(data):
+        if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted) or _calls_back(data):
             return  # addresses of this process are in it
         dumps: Callable[..., bytes] = serialize.dumps
         content = dumps(data._reduce())
         with contextlib.suppress(OSError):
             folder().mkdir(mode=0o700, parents=True, exist_ok=True)
-        with _opened(folder()) as place, contextlib.suppress(OSError):
-            if place is not None:
-                _write(place / self._name_of(sig, data.codegen), _digest(content) + content)
-                _make_room(place)
+        with _opened(folder()) as directory, contextlib.suppress(OSError):
+            if directory is not None:
+                _write(directory / self._name_of(sig, data.codegen), _digest(content) + content)
+                _make_room(directory)
 
     def enable(self) -> None:
         """It always is."""
@@ -103,13 +103,13 @@ class Kept(_Cache):
         """Nothing in it is ever stale."""
 
     def _name_of(self, sig: Any, codegen: Any) -> str:
-        fields = [getattr(one, "fields", ()) for one in getattr(sig, "args", sig)]
+        fields = [getattr(kind, "fields", ()) for kind in getattr(sig, "args", sig)]
         what = repr((self._meaning(), sig, fields, codegen.magic_tuple()))
         return f"{self._name}-{_digest(what.encode()).hex()}"
 
 
 @contextlib.contextmanager
-def _opened(place: Path) -> Iterator[Path | None]:
+def _opened(directory: Path) -> Iterator[Path | None]:
     """Yield a folder as it is now, whatever somebody puts in its place; None: it is not there, or not the user's alone.
 
     One that others may only read, as an older version made it, is closed.
@@ -117,18 +117,18 @@ def _opened(place: Path) -> Iterator[Path | None]:
     with contextlib.ExitStack() as held:
         opened = None
         try:
-            handle = os.open(place, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             held.callback(os.close, handle)
             if _is_own(found := os.fstat(handle)):
                 opened = Path(f"/proc/self/fd/{handle}")
                 if found.st_mode & 0o077:
                     os.fchmod(handle, 0o700)
             else:
-                _say_unused(f"{place} is not yours alone: remove it with `rm -r {place}`")
+                _say_unused(f"{directory} is not yours alone: remove it with `rm -r {directory}`")
         except FileNotFoundError:
             pass
         except OSError as error:
-            _say_unused(f"{place}: {error.strerror}")
+            _say_unused(f"{directory}: {error.strerror}")
         yield opened
 
 
@@ -156,7 +156,7 @@ def _content(file: Path) -> bytes:
 def _calls_back(compiled: Any) -> bool:
     """Whether it calls a function that calls it: numba links such in memory."""
     variables = compiled.library._final_module.global_variables
-    return any(one.name.startswith(RuntimeLinker.PREFIX) for one in variables)
+    return any(variable.name.startswith(RuntimeLinker.PREFIX) for variable in variables)
 
 
 def _digest(content: bytes) -> bytes:

@@ -25,7 +25,7 @@ def drive(
     ``out``: the robot of the group that is driven out while the run is held; by default the first one.
     """
     hand, state = Hand(bus, config, group), bus.newest(STATE)
-    out = out or next(its.robots[0] for its in config.groups if its.title == group)
+    out = out or next(own.robots[0] for own in config.groups if own.title == group)
     held, epoch = False, 0  # of the run; of its supervisor: another one is another run's
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
     stick = pad.read()
@@ -36,9 +36,9 @@ def drive(
             if readable:
                 stick = pad.read()
             ticks.update()
-            if (payload := state.take()) is not None and (said := RUN_STATE.view(payload)) is not None:
-                held, epoch = said[0].phase == Phase.HOLD, epoch or said[0].epoch
-                if said[0].epoch != epoch:
+            if (payload := state.take()) is not None and (record := RUN_STATE.view(payload)) is not None:
+                held, epoch = record[0].phase == Phase.HOLD, epoch or record[0].epoch
+                if record[0].epoch != epoch:
                     return
             if held:
                 hand.drive_out(out, stick, ticks.newest)

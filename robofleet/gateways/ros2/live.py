@@ -52,7 +52,7 @@ def _line(error: Exception) -> str:
     return " ".join(str(error).split()).partition(", at /")[0]
 
 
-def serve(config: Config, place: ArenaAccess, namespace: str) -> None:
+def serve(config: Config, access: ArenaAccess, namespace: str) -> None:
     """Serve a run until it ends, or a signal comes; TimeoutError if its bus does not answer, RefusedError as ``node``.
 
     The bus wakes the node, so it is left before the node is destroyed.
@@ -63,18 +63,18 @@ def serve(config: Config, place: ArenaAccess, namespace: str) -> None:
         made = held.enter_context(node(namespace))
         held.enter_context(suppress(ExternalShutdownException))
         bus = held.enter_context(
-            closing(joined(config.arena.name, place.endpoint, SCRIPT, clock, _JOINED_WITHIN_S,
-                           credentials=place.credentials))
+            closing(joined(config.arena.name, access.endpoint, SCRIPT, clock, _JOINED_WITHIN_S,
+                           credentials=access.credentials))
         )  # fmt: skip
-        asking = held.enter_context(closing(Asking(bus, clock, config, place.role)))
+        asking = held.enter_context(closing(Asking(bus, clock, config, access.role)))
         executor = SingleThreadedExecutor(context=made.context)
         executor.add_node(made)
-        served = Served(lambda: is_over(config, place), clock.now_ns())
+        served = Served(lambda: is_over(config, access), clock.now_ns())
         gateway = Gateway(made, config, bus, clock, epoch_ns, served)
         held.callback(gateway.velocities.stand)
         services.serve(made, asking)
         made.create_timer(_LOOK_S, gateway.step)
-        if groups.wishing(config, Ros2) and (why := joined_otherwise(config, place, SCRIPT)):
+        if groups.wishing(config, Ros2) and (why := joined_otherwise(config, access, SCRIPT)):
             print(why, file=sys.stderr)
         print(f"ROS 2 hears the run of {config.arena.name}: Ctrl-C ends this, and not the run", file=sys.stderr)
         while not interrupted.count and not served.is_over(clock.now_ns()):

@@ -69,11 +69,11 @@ class Robots:
             return
         exposure_ns = self._ticks.instant(image.echo_tick) + image.since_tick_ns
         self._behind_ns[camera] = exposure_ns - image.exposure_ns
-        for one in poses[poses["coasted_ns"] == 0]:
-            row = int(self._rows[one["tag"]])
+        for tag_pose in poses[poses["coasted_ns"] == 0]:
+            row = int(self._rows[tag_pose["tag"]])
             if row >= 0:
-                unit, place = self._owners[row]
-                unit.seen(place, exposure_ns + int(one["after_ns"]), one)
+                unit, index = self._owners[row]
+                unit.seen(index, exposure_ns + int(tag_pose["after_ns"]), tag_pose)
 
 
 class _Unit:
@@ -93,10 +93,10 @@ class _Unit:
 
     def step(self, now_ns: int) -> None:
         payload = self._statuses.take()
-        said = None if payload is None else UNIT_STATUS.view(payload)
-        if said is None or len(said[1]) != len(self.robots):
+        message = None if payload is None else UNIT_STATUS.view(payload)
+        if message is None or len(message[1]) != len(self.robots):
             return
-        status, items = said
+        status, items = message
         at_ns = self._statuses.arrival_ns or now_ns
         angles = np.column_stack([items["left_angle_rad"], items["right_angle_rad"]])
         speeds = np.column_stack([items["left_rad_s"], items["right_rad_s"]])
@@ -111,17 +111,19 @@ class _Unit:
             if tells:
                 robot.say_battery(stamp, float(items["battery"][row]))
             if self._transforms.wanted:
-                place = odometry.corrections[row].tolist() if odometry.corrected[row] else None
-                moved += robot.transforms(stamp, place, pose, angles[row].tolist())
+                correction = odometry.corrections[row].tolist() if odometry.corrected[row] else None
+                moved += robot.transforms(stamp, correction, pose, angles[row].tolist())
         if tells:
             self._battery_ns = now_ns
         self._transforms.say(moved)
 
-    def seen(self, row: int, at_ns: int, one: Any) -> None:
+    def seen(self, row: int, at_ns: int, tag_pose: Any) -> None:
         """Take where the tracker saw a robot, as TagPose."""
-        pose = np.array([one["x_m"], one["y_m"], one["psi_rad"]])
+        pose = np.array([tag_pose["x_m"], tag_pose["y_m"], tag_pose["psi_rad"]])
         self._odometry.seen(row, at_ns, pose)
-        self._robots[row].say_pose(self._graph.stamp(at_ns), pose.tolist(), [float(one[name]) for name in _COVARIANCE])
+        self._robots[row].say_pose(
+            self._graph.stamp(at_ns), pose.tolist(), [float(tag_pose[name]) for name in _COVARIANCE]
+        )
 
 
 class _Robot:

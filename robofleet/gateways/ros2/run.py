@@ -94,18 +94,18 @@ class Run:
             if now_ns - self._heard_ns.get(robot, 0) > _OLD_NS + _EVERY_NS:
                 found.append(say(level=_STALE, message="its driver says nothing"))
                 continue
-            one = statuses.robots[row]
-            gate, latch = named(GateStatus, int(one["gate"])), named(Latch, int(one["latch"]))
+            status = statuses.robots[row]
+            gate, latch = named(GateStatus, int(status["gate"])), named(Latch, int(status["latch"]))
             halted = "" if self._newest is None else halt_cause(self._newest, row)
-            latched, closed = int(one["latch"]) != Latch.NONE, int(one["gate"]) != GateStatus.OPEN
+            latched, closed = int(status["latch"]) != Latch.NONE, int(status["gate"]) != GateStatus.OPEN
             message = halted or (f"gate latched: {latch}" if latched else f"gate {gate}")
-            values = _values(gate=gate, latch=latch, faults=int(one["faults"]), rejected=int(one["rejected"]))
+            values = _values(gate=gate, latch=latch, faults=int(status["faults"]), rejected=int(status["rejected"]))
             found.append(say(level=_ERROR if latched else _WARN if closed else _OK, message=message, values=values))
         return found
 
 
-def _values(**told: Any) -> list[KeyValue]:
-    return [KeyValue(key=key, value=str(value)) for key, value in told.items()]
+def _values(**values: Any) -> list[KeyValue]:
+    return [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
 
 def markers(config: Config, names: dict[str, str], frames: Frames) -> MarkerArray:

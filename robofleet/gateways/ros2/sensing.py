@@ -32,8 +32,8 @@ class Sensing:
             (
                 bus.newest(SENSORS, unit, wake),
                 {
-                    place: _Sensors(graph, names[robot], config.robot(robot))
-                    for place, robot in enumerate(config.units[unit])
+                    index: _Sensors(graph, names[robot], config.robot(robot))
+                    for index, robot in enumerate(config.units[unit])
                     if config.robot(robot).sensors
                 },
             )
@@ -42,14 +42,14 @@ class Sensing:
 
     def step(self, now_ns: int) -> None:
         """Say what is new."""
-        for said, robots in self._units:
-            payload = said.take()
+        for inbox, robots in self._units:
+            payload = inbox.take()
             message = None if payload is None else sensors.decoded(payload)
             if message is not None:
-                stamp = self._graph.stamp(said.arrival_ns or now_ns)
-                for place, reading in message[1].items():
-                    if place in robots:
-                        robots[place].say(stamp, reading)
+                stamp = self._graph.stamp(inbox.arrival_ns or now_ns)
+                for index, reading in message[1].items():
+                    if index in robots:
+                        robots[index].say(stamp, reading)
 
 
 class _Sensors:
@@ -69,17 +69,17 @@ class _Sensors:
 
     def say(self, stamp: Any, reading: SensorReading) -> None:
         if self._imu is not None and not (reading.gyro is None and reading.accelerometer is None):
-            said = _imu(self._kind, reading)
-            said.header.stamp, said.header.frame_id = stamp, self._base
-            self._imu.publish(said)
+            imu = _imu(self._kind, reading)
+            imu.header.stamp, imu.header.frame_id = stamp, self._base
+            self._imu.publish(imu)
         if self._magnetic is not None and reading.magnetometer is not None:
             self._field.header.stamp, field = stamp, self._field.magnetic_field
             field.x, field.y, field.z = reading.magnetometer
             self._magnetic.publish(self._field)
-        for (publisher, said), distance in zip(self._ranges, reading.distances or (), strict=False):
-            said.header.stamp = stamp
-            said.range = math.inf if math.isnan(distance) else single(distance)  # REP 117: it sees nothing
-            publisher.publish(said)
+        for (publisher, imu), distance in zip(self._ranges, reading.distances or (), strict=False):
+            imu.header.stamp = stamp
+            imu.range = math.inf if math.isnan(distance) else single(distance)  # REP 117: it sees nothing
+            publisher.publish(imu)
 
 
 def _imu(kind: SensorSettings, reading: SensorReading) -> Imu:

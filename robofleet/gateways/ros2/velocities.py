@@ -74,8 +74,8 @@ class _Group:
         self._clock, self._ticks, self._wake = graph.clock, ticks, wake
         self._publish = bus.publisher(WISH, group)
         self._epoch, self._seq = 1 + secrets.randbits(_EPOCH_BITS - 1), 0
-        self._told = np.zeros(len(robots), SCRIPT_WISH.item_dtype)
-        self._values = SCRIPT_WISH.floats(self._told)  # of the same memory (N, 3)
+        self._velocities = np.zeros(len(robots), SCRIPT_WISH.item_dtype)
+        self._values = SCRIPT_WISH.floats(self._velocities)  # of the same memory (N, 3)
         self._since_ns = np.zeros(len(robots), np.int64)  # when each command was published, on our clock
         self._topics = [_Commands(graph, robot, partial(self._heard, row)) for row, robot in enumerate(robots)]
         self.changed = False
@@ -85,7 +85,7 @@ class _Group:
             topic.listen()
 
     def _heard(self, row: int, v: float, omega: float, age_ns: int) -> None:
-        self._told["told"][row] = 1
+        self._velocities["told"][row] = 1
         self._values[row, :2] = v, omega
         self._since_ns[row] = self._clock.now_ns() - age_ns
         self.changed = True
@@ -98,16 +98,16 @@ class _Group:
         tick = self._ticks.newest
         if tick:
             age_s = (self._ticks.instant(tick) - self._since_ns) / S
-            self._values[:, 2] = np.where(self._told["told"], np.minimum(age_s, _LONG_S), 0.0)
+            self._values[:, 2] = np.where(self._velocities["told"], np.minimum(age_s, _LONG_S), 0.0)
             self._seq += 1
-            self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, 0, tick), self._told))
+            self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, 0, tick), self._velocities))
 
 
 class _Commands:
     """The subscription to one robot's commands."""
 
-    def __init__(self, graph: Graph, robot: str, heard: Any) -> None:
-        self._graph, self._node, self._heard = graph, graph.node, heard
+    def __init__(self, graph: Graph, robot: str, take: Any) -> None:
+        self._graph, self._node, self._heard = graph, graph.node, take
         self._name = graph.node.resolve_topic_name(topics.COMMAND.name.format(robot))
         self._kinds = topics.COMMAND.type.split(" or ")
         self._ages, self._senders = Ages(), set[bytes]()
@@ -122,11 +122,11 @@ class _Commands:
         are expected, with clocks of their own.
         """
         senders = self._node.get_publishers_info_by_topic(self._name)
-        ids = {bytes(one.endpoint_gid) for one in senders}
+        ids = {bytes(sender.endpoint_gid) for sender in senders}
         if ids and self._senders.isdisjoint(ids):
             self._ages.expect_another()
         self._senders = self._senders & ids or ids or self._senders
-        kinds = {one.topic_type for one in senders}
+        kinds = {sender.topic_type for sender in senders}
         silent = self._graph.real_ns() - self._heard_ns > _SILENT_NS
         if (self._kind not in kinds or silent) and (wanted := kinds & set(self._kinds) - {self._kind}):
             self._node.destroy_subscription(self._subscription)
@@ -137,12 +137,12 @@ class _Commands:
         take = self._take_stamped if self._kind == self._kinds[0] else self._take
         return self._node.create_subscription(load(self._kind), self._name, take, profile(topics.COMMAND.quality))
 
-    def _take_stamped(self, message: Any, told: dict[str, int]) -> None:
+    def _take_stamped(self, message: Any, info: dict[str, int]) -> None:
         stamp = message.header.stamp
         stamped_ns = stamp.sec * S + stamp.nanosec
-        self._take(message.twist, told, self._graph.now_ns() - stamped_ns if stamped_ns else 0)
+        self._take(message.twist, info, self._graph.now_ns() - stamped_ns if stamped_ns else 0)
 
-    def _take(self, twist: Any, told: dict[str, int], age_ns: int = 0) -> None:
+    def _take(self, twist: Any, info: dict[str, int], age_ns: int = 0) -> None:
         v, omega = twist.linear.x, twist.angular.z
         if not abs(v) < _BEYOND or not abs(omega) < _BEYOND:  # not so of NaN
             self._node.get_logger().warning(
@@ -151,7 +151,7 @@ class _Commands:
             )
             v = omega = 0.0
         self._heard_ns = self._graph.real_ns()
-        age_ns = max(age_ns, self._ages.age_ns(told["source_timestamp"], self._heard_ns))
+        age_ns = max(age_ns, self._ages.age_ns(info["source_timestamp"], self._heard_ns))
         if age_ns >= UNKNOWN_NS:
             self._node.get_logger().warning(
                 f"{self._name}: of another node, or of one whose clock was set: the robot stands until one node alone "

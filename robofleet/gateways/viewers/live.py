@@ -62,7 +62,7 @@ class Opened(NamedTuple):
 def serve(
     viewer: str,
     config: Config,
-    place: ArenaAccess,
+    access: ArenaAccess,
     at: Address,
     folder: Path,
     lifeline: Lifeline,
@@ -79,8 +79,8 @@ def serve(
         if lifeline.cut:
             raise SystemExit
 
-    bus = joined(config.arena.name, place.endpoint, VIEWER, clock, within_s, look, place.credentials)
-    run = Run(config, place, folder, Asking(bus, clock, config, place.role))
+    bus = joined(config.arena.name, access.endpoint, VIEWER, clock, within_s, look, access.credentials)
+    run = Run(config, access, folder, Asking(bus, clock, config, access.role))
 
     def opened(channels: Sequence[Channel]) -> Opened:
         try:
@@ -88,7 +88,7 @@ def serve(
         except OSError as error:
             raise RefusedError(f"{at}: {error}: name another HOST:PORT") from error
 
-    served = Served(lambda: is_over(config, place), clock.now_ns())
+    served = Served(lambda: is_over(config, access), clock.now_ns())
     try:
         stream = bus.stream(*keys(config), capacity=_QUEUE)
         with closing(Viewers(config, stream, served, opened, epoch_ns())) as viewers:
@@ -135,14 +135,14 @@ class Viewers:
                 if self._served.is_over(at_ns):
                     return  # what comes now is another run's
             self._server.tell(full, at_ns + self._epoch_ns, payload)
-            for told in self._drawn.update(full, payload, at_ns):
-                self._server.tell(*told)
+            for message in self._drawn.update(full, payload, at_ns):
+                self._server.tell(*message)
         self._server.step(now_ns + self._epoch_ns)
 
     def rest(self, now_ns: int) -> None:
         """Tell what is left at the end of a run."""
-        for told in self._drawn.rest():
-            self._server.tell(*told)
+        for message in self._drawn.rest():
+            self._server.tell(*message)
         self._server.step(now_ns + self._epoch_ns)
 
     def close(self) -> None:

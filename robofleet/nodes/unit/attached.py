@@ -15,7 +15,7 @@ _PUT_DOWN_S = 0.3  # a driver that failed has so long to switch the motors off w
 _U32 = 1 << 32
 
 
-class Attached:
+class ReconnectingDriver:
     """A driver in its own driver's place. While that one is away every call raises at once.
 
     A robot that is back is taken up with the first zero that it is told, so nothing that was on its way when it was

@@ -24,9 +24,9 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock
 from robofleet.nodes.unit.drivers import Drivers, behind_gates
-from robofleet.nodes.unit.gated_robot import Witness
-from robofleet.nodes.unit.keeping import Keeping
-from robofleet.nodes.unit.telling import ByCable, ByRadio, Telling
+from robofleet.nodes.unit.gated_robot import Probe
+from robofleet.nodes.unit.keeping import StateStore
+from robofleet.nodes.unit.telling import ByCable, ByRadio, StatusScheduling
 from robofleet.safety.gate import LeaseAction
 
 LOOP_NS = 10 * MS
@@ -103,9 +103,9 @@ class DriverProcess:
         wake: Wake,
         boot_id: int,
         phase_ns: int,
-        keeping: Keeping,
+        keeping: StateStore,
         drivers: Drivers,
-        witness: Witness | None = None,
+        probe: Probe | None = None,
     ) -> None:
         """Open every robot; DriverError where one does not answer.
 
@@ -115,7 +115,7 @@ class DriverProcess:
         self._clock, self._build = clock, slices.build(config)
         self._newest_ns = clock.now_ns()
         self._sensing_ns = slices.sensing_period_ns(config, unit)
-        self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, witness, self._now)
+        self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, probe, self._now)
         try:
             self._join(unit, bus, wake)
         except BaseException:
@@ -124,7 +124,7 @@ class DriverProcess:
         self._refused = 0  # messages and requests that nobody could read
         self._seq = 0
         self._loop_ns = clock.now_ns() + phase_ns
-        self._telling: Telling = ByRadio() if unit in config.daemons else ByCable()
+        self._scheduling: StatusScheduling = ByRadio() if unit in config.daemons else ByCable()
         self._truth_is_due = False
         self._sense_ns, self._sensed = self._loop_ns, 0
 
@@ -143,11 +143,11 @@ class DriverProcess:
         if due:
             self._loop_ns += LOOP_NS * (1 + (now_ns - self._loop_ns) // LOOP_NS)
             self._truth_is_due = not self._truth_is_due
-        robots, telling = self._robots, self._telling
+        robots, scheduling = self._robots, self._scheduling
         command, enable = self._whole(self._commands.take()), self._whole(self._enables.take())
         robots.pass_on(self._now(), command, enable, due=due)
         if command is not None:
-            telling.heard(self._newest_ns)
+            scheduling.heard(self._newest_ns)
         if robots.latch_is_new:
             self._tell()  # before the disk, and before anything is said in the log
         if (request := self._requests()) is not None:
@@ -155,13 +155,13 @@ class DriverProcess:
         robots.keep(due=due)
         if due and self._truth_is_due:
             self._tell_truth()
-        if telling.due(now_ns, robots, loop=due):
+        if scheduling.due(now_ns, robots, loop=due):
             self._tell()
         if due:
             if self._publish_sensors is not None and self._sensing_ns is not None:
                 self._tell_sensors(now_ns, self._sensing_ns, self._publish_sensors)
             robots.say()
-        return min(self._loop_ns, robots.deadline_ns, telling.next_ns)
+        return min(self._loop_ns, robots.deadline_ns, scheduling.next_ns)
 
     @property
     def build(self) -> int:
@@ -185,19 +185,19 @@ class DriverProcess:
             self._robots.set_back(before_ns, now_ns)
         return now_ns
 
-    def _whole(self, said: Said | None) -> Said | None:
+    def _whole(self, command: Said | None) -> Said | None:
         """Return a message that says something to every robot of the unit, and to no other one."""
-        if said is None or len(said[1]) == len(self._robots):
-            return said
+        if command is None or len(command[1]) == len(self._robots):
+            return command
         self._refused += 1
         return None
 
     def _answer(self, request: Request) -> None:
-        asked = LEASE_REQUEST.decode(request.payload)
-        if asked is None or asked.action not in _ACTIONS:
+        lease_request = LEASE_REQUEST.decode(request.payload)
+        if lease_request is None or lease_request.action not in _ACTIONS:
             self._refused += 1
             return
-        answers = self._robots.lease(asked.session, LeaseAction(asked.action), self._now())
+        answers = self._robots.lease(lease_request.session, LeaseAction(lease_request.action), self._now())
         request.reply(UNIT_LEASES.encode(UnitLeases(answers)))
 
     def _tell_truth(self) -> None:
@@ -218,6 +218,6 @@ class DriverProcess:
         robots, now_ns = self._robots, self._now()
         self._seq += 1
         refused = self._refused + self._commands.rejected + self._enables.rejected
-        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, self._telling.hurry, ())
+        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, self._scheduling.hurry, ())
         self._publish_status(UNIT_STATUS.encode_view(head, robots.statuses(now_ns, refused)))
-        self._telling.told(now_ns)
+        self._scheduling.told(now_ns)

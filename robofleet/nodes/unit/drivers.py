@@ -9,9 +9,9 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.plugins import load
 from robofleet.nodes.unit import driver_settings
-from robofleet.nodes.unit.attached import Attached
-from robofleet.nodes.unit.gated_robot import GatedRobots, Witness
-from robofleet.nodes.unit.keeping import Keeping
+from robofleet.nodes.unit.attached import ReconnectingDriver
+from robofleet.nodes.unit.gated_robot import GatedRobots, Probe
+from robofleet.nodes.unit.keeping import StateStore
 from robofleet.vehicles.interface import Driver, DriverContext, DriverError, SimulatedDriver, is_concurrent
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class ConfiguredDrivers:
         make: Callable[[], Driver] = partial(kind, context)
         if not is_concurrent(kind):
             make = partial(self._alone, make)
-        return make() if issubclass(kind, SimulatedDriver) else Attached(make, context.now_ns)
+        return make() if issubclass(kind, SimulatedDriver) else ReconnectingDriver(make, context.now_ns)
 
     def _alone(self, make: Callable[[], Driver]) -> Driver:
         """Construct a driver while no other is: several that failed at once are made again one after the other."""
@@ -73,7 +73,7 @@ def in_arrays(config: Config, robots: Sequence[str]) -> bool:
 
 
 def behind_gates(
-    drivers: Drivers, config: Config, robots: Sequence[str], boot_id: int, keeping: Keeping, witness: Witness | None,
+    drivers: Drivers, config: Config, robots: Sequence[str], boot_id: int, keeping: StateStore, probe: Probe | None,
     now_ns: Callable[[], int],
 ) -> "Robots":  # fmt: skip
     """Return a unit's robots, which have answered and stand, behind their gates; DriverError where one does not."""
@@ -81,7 +81,7 @@ def behind_gates(
     if (bodies := drivers.bodies(contexts)) is not None:
         from robofleet.nodes.unit.simulated_robots import SimulatedRobots  # noqa: PLC0415 - it needs numba
 
-        return SimulatedRobots(contexts, bodies, boot_id, keeping, witness, now_ns())
+        return SimulatedRobots(contexts, bodies, boot_id, keeping, probe, now_ns())
     opened: list[Driver] = []
     try:
         for context in contexts:
@@ -89,7 +89,7 @@ def behind_gates(
                 opened.append(drivers.driver(context))
             except DriverError as error:
                 raise DriverError(f"{driver_settings.place(config, config.robot(context.robot))}: {error}") from error
-        return GatedRobots(contexts, opened, boot_id, keeping, witness, now_ns)
+        return GatedRobots(contexts, opened, boot_id, keeping, probe, now_ns)
     except BaseException:
         for driver in opened:
             driver.close()

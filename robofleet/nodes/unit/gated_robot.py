@@ -25,7 +25,7 @@ from robofleet.bus.messages import (
 from robofleet.bus.sensors import SensorsSaid
 from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.health import Health
-from robofleet.nodes.unit.keeping import Keeping, Memory, kept
+from robofleet.nodes.unit.keeping import RobotState, StateStore, kept
 from robofleet.safety import gate
 from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
 from robofleet.vehicles.interface import (
@@ -47,22 +47,22 @@ LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twi
 _NEVER_NS = (1 << 63) - 1
 _LATCHES = {int(latch): latch for latch in Latch}
 
-Witness = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate got and decided
+Probe = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate got and decided
 
 
 class GatedRobots:
     """The robots of a unit, each behind its gate; ``now_ns`` is asked again for each: the one before may block."""
 
     def __init__(
-        self, contexts: Sequence[DriverContext], drivers: Sequence[Driver], boot_id: int, keeping: Keeping,
-        witness: Witness | None, now_ns: Callable[[], int],
+        self, contexts: Sequence[DriverContext], drivers: Sequence[Driver], boot_id: int, keeping: StateStore,
+        probe: Probe | None, now_ns: Callable[[], int],
     ) -> None:  # fmt: skip
         self._now_ns = now_ns
         self._robots = [
-            GatedRobot(context, driver, boot_id, keeping, witness)
+            GatedRobot(context, driver, boot_id, keeping, probe)
             for context, driver in zip(contexts, drivers, strict=True)
         ]
-        self._simulated = [place for place, driver in enumerate(drivers) if isinstance(driver, SimulatedDriver)]
+        self._simulated = [index for index, driver in enumerate(drivers) if isinstance(driver, SimulatedDriver)]
 
     def __len__(self) -> int:
         """Return how many robots these are."""
@@ -130,13 +130,13 @@ class GatedRobots:
 
     def truths(self) -> NDArray[Any] | None:
         """Return the part of a truth of each that is simulated; None where all exist."""
-        truths = [self._robots[place].truth(place) for place in self._simulated]
+        truths = [self._robots[index].truth(index) for index in self._simulated]
         return np.array(truths, UNIT_TRUTH.item_dtype) if truths else None
 
     def sensors(self) -> SensorsSaid:
         """Return what is said of the sensors of each that tells of them, and answers."""
-        readings = ((place, robot.sensors) for place, robot in enumerate(self._robots))
-        return sensors.said((place, reading) for place, reading in readings if reading is not None)
+        readings = ((index, robot.sensors) for index, robot in enumerate(self._robots))
+        return sensors.said((index, reading) for index, reading in readings if reading is not None)
 
     def say(self) -> None:
         """Say in the log what there is to complain about."""
@@ -159,16 +159,16 @@ class GatedRobot:
     """One robot: what arrives passes the gate, what passes moves the wheels, what is measured is published."""
 
     def __init__(
-        self, context: DriverContext, driver: Driver, boot_id: int, keeping: Keeping, witness: Witness | None
+        self, context: DriverContext, driver: Driver, boot_id: int, keeping: StateStore, probe: Probe | None
     ) -> None:
         self._robot, self._driver, self._drive = context.robot, driver, context.drive
-        self._witness = witness
+        self._probe = probe
         self._health = Health(context.robot, context.now_ns())
-        self._memory = Memory(context.robot, keeping, self._health.complain)
+        self._memory = RobotState(context.robot, keeping, self._health.complain)
         self._gate = GateState(boot_id, *self._memory.kept)
         self._settled: GateState | None = None  # the newest one of which nothing is left to be kept
         self._written: WheelSpeeds | None = None
-        self._told, self._told_ns, self._telling = (0.0, 0.0), 0, STOP
+        self._last_command, self._told_ns, self._reported_wheels = (0.0, 0.0), 0, STOP
         self._status = GateStatus.NO_LEASE
         self._deadline_ns: int | None = 0
         self._accepted_exposure_ns: int | None = None  # of a command that has not reached the wheels yet
@@ -263,10 +263,10 @@ class GatedRobot:
             self._adopt(inputs, state, output, now_ns)
         return LeaseAnswer(int(granted), self._gate.epoch, self._gate.session)
 
-    def truth(self, place: int) -> Truth:
+    def truth(self, index: int) -> Truth:
         """Return where the robot really is, if it is simulated; ``place``: in its unit."""
         assert isinstance(self._driver, SimulatedDriver)
-        return Truth(place, *self._driver.truth())
+        return Truth(index, *self._driver.truth())
 
     @property
     def sensors(self) -> SensorReading | None:
@@ -302,10 +302,10 @@ class GatedRobot:
     def _adopt(self, inputs: Inputs, state: GateState, output: GateOutput, now_ns: int, *, again: bool = False) -> None:
         """Do what the gate decided; ``again`` tells the robot also what it was told before."""
         self._gate, self._status, self._deadline_ns = state, output.status, output.deadline_ns
-        if self._witness is not None:
-            self._witness(self._robot, now_ns, inputs, state, output)
+        if self._probe is not None:
+            self._probe(self._robot, now_ns, inputs, state, output)
         if again or output.output != self._written:
-            self._told, self._told_ns, self._telling = self._told_until(now_ns), now_ns, output.output
+            self._last_command, self._told_ns, self._reported_wheels = self._told_until(now_ns), now_ns, output.output
             self._write(output.output)
         if self._health.latch > state.latch:  # just now
             inputs = self._inputs()
@@ -313,7 +313,11 @@ class GatedRobot:
 
     def _told_until(self, now_ns: int) -> tuple[float, float]:
         """Return how far the wheels were told to turn [rad]."""
-        (left, right), (told_left, told_right), since_s = self._telling, self._told, (now_ns - self._told_ns) * 1e-9
+        (left, right), (told_left, told_right), since_s = (
+            self._reported_wheels,
+            self._last_command,
+            (now_ns - self._told_ns) * 1e-9,
+        )
         return told_left + left * since_s, told_right + right * since_s
 
     def _write(self, wheels: WheelSpeeds) -> None:
@@ -339,13 +343,13 @@ class GatedRobot:
 
 def _commands(head: NDArray[Any], items: NDArray[Any]) -> list[tuple[gate.Command | None, int]]:
     """Return what is said to each robot, and the exposure behind it."""
-    said = UnitCommand._make([*head[0].item()[1:-1], ()])
+    whole = UnitCommand._make([*head[0].item()[1:-1], ()])
     return [
         (
-            gate.Command(epoch, said.session, said.seq, said.boot_id, said.nonce, WheelSpeeds(left, right))
+            gate.Command(epoch, whole.session, whole.seq, whole.boot_id, whole.nonce, WheelSpeeds(left, right))
             if epoch
             else None,
-            said.exposure_ns,
+            whole.exposure_ns,
         )
         for epoch, left, right in items.tolist()
     ]
@@ -353,10 +357,10 @@ def _commands(head: NDArray[Any], items: NDArray[Any]) -> list[tuple[gate.Comman
 
 def _permissions(head: NDArray[Any], items: NDArray[Any]) -> list[gate.Permission]:
     """Return each robot's permission; a latch of another version is the emergency stop."""
-    said = UnitEnable._make([*head[0].item()[1:-1], ()])
+    whole = UnitEnable._make([*head[0].item()[1:-1], ()])
     return [
         gate.Permission(
-            epoch, said.seq, said.boot_id, said.nonce, _LATCHES.get(latch, Latch.EMERGENCY_STOP), clear, limit
+            epoch, whole.seq, whole.boot_id, whole.nonce, _LATCHES.get(latch, Latch.EMERGENCY_STOP), clear, limit
         )
         for epoch, latch, clear, limit in items.tolist()
     ]

@@ -69,8 +69,8 @@ class Health:
     def say(self) -> None:
         """Say it: a log may be slow, so the wheels and the bus go first."""
         if self._unsaid:
-            said, self._unsaid = self._unsaid, []
-            print("\n".join(said), file=sys.stderr)
+            lines, self._unsaid = self._unsaid, []
+            print("\n".join(lines), file=sys.stderr)
 
     def _reason(self) -> Latch:
         if self.failed:

@@ -17,7 +17,7 @@ _HALF = 4096  # bytes: the halves of a file share no block of a disk
 _SPARE = b'"spare": '
 
 
-class Kept(NamedTuple):
+class StoredRobot(NamedTuple):
     """One robot's memory."""
 
     epoch: int = 0
@@ -25,16 +25,16 @@ class Kept(NamedTuple):
     latch_id: int = 0
 
 
-_UNKNOWN = Kept(0, Latch.MEMORY_LOST, 1)
+_UNKNOWN = StoredRobot(0, Latch.MEMORY_LOST, 1)
 
 
-class Keeping(Protocol):
+class StateStore(Protocol):
     """Where it is kept."""
 
-    def load(self, robot: str) -> Kept:
+    def load(self, robot: str) -> StoredRobot:
         """Return what was kept, or what a new robot starts with; what cannot be read latches. Raises nothing."""
 
-    def save(self, robot: str, kept: Kept) -> None:
+    def save(self, robot: str, kept: StoredRobot) -> None:
         """Keep it; it is there, whatever happens next, when this returns. OSError where that cannot be."""
 
     def lose(self, robot: str) -> None:
@@ -45,13 +45,13 @@ class MemoryKeeping:
     """Lockstep's: nothing outlives the run."""
 
     def __init__(self) -> None:
-        self._kept: dict[str, Kept] = {}
+        self._kept: dict[str, StoredRobot] = {}
 
-    def load(self, robot: str) -> Kept:
+    def load(self, robot: str) -> StoredRobot:
         """Return what was kept."""
-        return self._kept.get(robot, Kept())
+        return self._kept.get(robot, StoredRobot())
 
-    def save(self, robot: str, kept: Kept) -> None:
+    def save(self, robot: str, kept: StoredRobot) -> None:
         """Keep it."""
         self._kept[robot] = kept
 
@@ -101,18 +101,18 @@ class FileKeeping:
             except OSError as error:
                 raise OSError(error.errno, error.strerror, str(file)) from error
 
-    def load(self, robot: str) -> Kept:
+    def load(self, robot: str) -> StoredRobot:
         """Return what was kept; a file that cannot be read latches the robot: nobody knows what was before."""
         file = self._file(robot)
         try:
             found = _found(file.read_bytes())
         except FileNotFoundError:
-            return Kept()
+            return StoredRobot()
         except OSError as error:
             return self._unreadable(robot, error)
         return max(found)[1] if found else self._unreadable(robot, "it is damaged, or of another version")
 
-    def save(self, robot: str, kept: Kept) -> None:
+    def save(self, robot: str, kept: StoredRobot) -> None:
         """Write it over what is there, which stays where that fails and the disk lets it."""
         file = self._file(robot)
         try:
@@ -138,7 +138,7 @@ class FileKeeping:
         with self._file(robot).open("wb", buffering=0) as stream:
             os.fsync(stream.fileno())
 
-    def _make(self, file: Path, kept: Kept) -> None:
+    def _make(self, file: Path, kept: StoredRobot) -> None:
         """Write both halves beside, then in their place."""
         file.parent.mkdir(parents=True, exist_ok=True)
         beside = file.with_suffix(".new")
@@ -151,7 +151,7 @@ class FileKeeping:
         finally:
             os.close(folder)
 
-    def _unreadable(self, robot: str, why: object) -> Kept:
+    def _unreadable(self, robot: str, why: object) -> StoredRobot:
         print(f"{robot}: {self._file(robot)}: cannot be read ({why}): look at the robot, then reset", file=sys.stderr)
         return _UNKNOWN
 
@@ -159,15 +159,15 @@ class FileKeeping:
         return self._folder / f"{robot}.json"
 
 
-def _halves(number: int, kept: Kept) -> tuple[bytes, bytes]:
+def _halves(number: int, kept: StoredRobot) -> tuple[bytes, bytes]:
     """Return the halves of a file; spaces fill them."""
-    said = {"number": number, **kept._asdict()}
-    whole = json.dumps(said | {"check": _check(said)}).encode()
+    fields = {"number": number, **kept._asdict()}
+    whole = json.dumps(fields | {"check": _check(fields)}).encode()
     return whole[:-1].ljust(_HALF - 2) + b",\n", (_SPARE + whole).ljust(_HALF - 2) + b"}\n"
 
 
-def _check(said: dict[str, int]) -> int:
-    return zlib.crc32(json.dumps(said).encode())
+def _check(fields: dict[str, int]) -> int:
+    return zlib.crc32(json.dumps(fields).encode())
 
 
 def _write(descriptor: int, at: int, data: bytes) -> None:
@@ -177,17 +177,17 @@ def _write(descriptor: int, at: int, data: bytes) -> None:
     os.fsync(descriptor)
 
 
-def _found(content: bytes) -> list[tuple[int, Kept]]:
+def _found(content: bytes) -> list[tuple[int, StoredRobot]]:
     """Return what the halves of a file say, with their numbers; one that nobody can have written says nothing."""
     main, spare = content[:_HALF], content[_HALF:]
     found = []
     for half in (main.rstrip().removesuffix(b",") + b"}", spare.removeprefix(_SPARE).rstrip().removesuffix(b"}")):
         try:
-            said = json.loads(half)
-            check = said.pop("check")
-            if check != _check(said):
+            fields = json.loads(half)
+            check = fields.pop("check")
+            if check != _check(fields):
                 raise ValueError("a half that was not written to its end")
-            found.append((_number(said["number"]), _checked(said)))
+            found.append((_number(fields["number"]), _checked(fields)))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             continue
     return found
@@ -200,24 +200,24 @@ def _number(value: object) -> int:
     return value
 
 
-def _checked(found: dict[str, int]) -> Kept:
+def _checked(found: dict[str, int]) -> StoredRobot:
     """Return what a half says; ValueError, KeyError or TypeError if nobody can have written that."""
-    kept = Kept(_number(found["epoch"]), Latch(found["latch"]), _number(found["latch_id"]))
+    kept = StoredRobot(_number(found["epoch"]), Latch(found["latch"]), _number(found["latch_id"]))
     if kept.latch and not kept.latch_id:
         raise ValueError("a latch without its number")
     return kept
 
 
-class Memory:
+class RobotState:
     """What one robot's gate must remember: in memory, and where it is kept."""
 
-    def __init__(self, robot: str, keeping: Keeping, complain: Callable[[str], None]) -> None:
+    def __init__(self, robot: str, keeping: StateStore, complain: Callable[[str], None]) -> None:
         self._robot, self._keeping, self._complain = robot, keeping, complain
         self.kept = keeping.load(robot)
-        self._unsaved: Kept | None = None
+        self._unsaved: StoredRobot | None = None
         self._lost = False  # what is kept was made to count as lost
 
-    def keep(self, memory: Kept, *, due: bool) -> None:
+    def keep(self, memory: StoredRobot, *, due: bool) -> None:
         """Keep it, if it is new; ``due``: try again what could not be kept before.
 
         A latch that cannot be kept must not be forgotten by a restart: nothing is known then.
@@ -231,7 +231,7 @@ class Memory:
             except OSError as error:
                 self._complain(f"after a restart its latch is lost: {error}")
 
-    def save(self, memory: Kept) -> bool:
+    def save(self, memory: StoredRobot) -> bool:
         """Return whether it could be kept."""
         try:
             self._keeping.save(self._robot, memory)
@@ -243,7 +243,7 @@ class Memory:
         return True
 
 
-def kept(state: GateState) -> Kept:
+def kept(state: GateState) -> StoredRobot:
     """Return what of a gate's state must be kept: a drill is forgotten."""
     latch = Latch.NONE if state.latch is Latch.DRILL else state.latch
-    return Kept(state.epoch, latch, state.latch_id)
+    return StoredRobot(state.epoch, latch, state.latch_id)

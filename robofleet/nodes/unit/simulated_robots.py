@@ -18,9 +18,9 @@ from robofleet.bus.messages import UNIT_COMMAND, UNIT_ENABLE, UNIT_SENSORS, UNIT
 from robofleet.bus.sensors import SensorsSaid
 from robofleet.core.compiling import Say, told
 from robofleet.core.kernels import kernel
-from robofleet.nodes.unit.gated_robot import BAD_LINK_NS, HURRY_NS, LOOK_NS, NO_LINK_NS, TURNING_RAD_S, Witness
+from robofleet.nodes.unit.gated_robot import BAD_LINK_NS, HURRY_NS, LOOK_NS, NO_LINK_NS, TURNING_RAD_S, Probe
 from robofleet.nodes.unit.health import said_of_a_runaway
-from robofleet.nodes.unit.keeping import Keeping, Memory, kept
+from robofleet.nodes.unit.keeping import RobotState, StateStore, kept
 from robofleet.safety import gates, runaway
 from robofleet.safety.gate import GateState, GateStatus, Latch, LeaseAction
 from robofleet.safety.gates import GATE, INPUT, NEVER_NS, NOT_ASKED
@@ -62,13 +62,13 @@ class SimulatedRobots:
     """Robots (N,) behind their gates."""
 
     def __init__(
-        self, contexts: Sequence[DriverContext], bodies: Bodies, boot_id: int, keeping: Keeping,
-        witness: Witness | None, now_ns: int,
+        self, contexts: Sequence[DriverContext], bodies: Bodies, boot_id: int, keeping: StateStore,
+        probe: Probe | None, now_ns: int,
     ) -> None:  # fmt: skip
         n = len(contexts)
-        self._robots, self._bodies, self._witness = [context.robot for context in contexts], bodies, witness
+        self._robots, self._bodies, self._probe = [context.robot for context in contexts], bodies, probe
         self._memories = [
-            Memory(context.robot, keeping, partial(self._complain, context.robot)) for context in contexts
+            RobotState(context.robot, keeping, partial(self._complain, context.robot)) for context in contexts
         ]
         self._gates, self._inputs, self._links = np.zeros(n, GATE), np.zeros(n, INPUT), np.zeros(n, LINK)
         self._limits = gates.limits([context.drive for context in contexts])
@@ -135,9 +135,9 @@ class SimulatedRobots:
             self._gates, self._inputs, self._links, self._limits, b.bodies, b.plants, b.coming, b.noise,
             *(command or _NO_COMMAND), *(enable or _NO_ENABLE), now_ns, b.prepare(), due,
         )  # fmt: skip
-        if self._witness is not None:
+        if self._probe is not None:
             for row in np.flatnonzero(self._links["stepped"]).tolist():
-                self._tell_witness(row, now_ns, NOT_ASKED)
+                self._tell_probe(row, now_ns, NOT_ASKED)
         if self._found & _RUNS:
             self._complain_of_runaways()
 
@@ -155,8 +155,8 @@ class SimulatedRobots:
             self._gates[row], granted = before, 0
         else:
             _adopt_row(self._gates, self._links, b.bodies, b.plants, b.coming, b.noise, row, now_ns, b.prepare())
-            if self._witness is not None:
-                self._tell_witness(row, now_ns, granted)
+            if self._probe is not None:
+                self._tell_probe(row, now_ns, granted)
         self.deadline_ns = min(self.deadline_ns, int(gate["deadline_ns"]))
         return LeaseAnswer(int(granted), int(gate["epoch"]), int(gate["session"]))
 
@@ -197,17 +197,17 @@ class SimulatedRobots:
 
     def sensors(self) -> SensorsSaid:
         """Return what the sensors say, of each robot whose sensors are read."""
-        its = self._bodies.sensing
-        assert its is not None
-        robots = np.zeros(len(its.rows), UNIT_SENSORS.item_dtype)
-        robots["place"], robots["parts"], robots["distances"] = its.rows, its.parts, its.counts
-        return robots, self._bodies.sense()[its.has]
+        sensing = self._bodies.sensing
+        assert sensing is not None
+        robots = np.zeros(len(sensing.rows), UNIT_SENSORS.item_dtype)
+        robots["place"], robots["parts"], robots["distances"] = sensing.rows, sensing.parts, sensing.counts
+        return robots, self._bodies.sense()[sensing.has]
 
     def say(self) -> None:
         """Say in the log what there is to complain about."""
         if self._unsaid:
-            said, self._unsaid = self._unsaid, []
-            print("\n".join(said), file=sys.stderr)
+            lines, self._unsaid = self._unsaid, []
+            print("\n".join(lines), file=sys.stderr)
 
     def close(self) -> None:
         """Motors off at once. Idempotent."""
@@ -228,10 +228,10 @@ class SimulatedRobots:
             fastest = max(abs(float(link["left_speed"])), abs(float(link["right_speed"])))
             self._complain(self._robots[row], said_of_a_runaway(fastest))
 
-    def _tell_witness(self, row: int, now_ns: int, granted: int) -> None:
-        assert self._witness is not None
+    def _tell_probe(self, row: int, now_ns: int, granted: int) -> None:
+        assert self._probe is not None
         gate = self._gates[row]
-        self._witness(
+        self._probe(
             self._robots[row], now_ns, gates.inputs_of(self._inputs[row]), gates.state_of(gate),
             gates.output_of(gate, granted),
         )  # fmt: skip
@@ -260,19 +260,19 @@ def _pass_on(  # type: ignore[no-untyped-def]
         g, l, i, b, p = gate[k], links[k], inputs[k], bodies[k], plants[k]
         if due:
             _look(g, l, b, p, coming[k], noise[k], now_ns, world_ns)
-        told = len(commands) > 0 and commands[k].epoch != _NOBODY
+        commanded = len(commands) > 0 and commands[k].epoch != _NOBODY
         enabled = len(enables) > 0
         l.stepped = 0
         timed = g.deadline_ns != NEVER_NS and now_ns >= min(g.deadline_ns, g.at_ns + LOOK_NS)
-        if told or enabled or timed or l.latch > g.latch or now_ns < g.at_ns:
+        if commanded or enabled or timed or l.latch > g.latch or now_ns < g.at_ns:
             l.stepped = 1
             l.opened = l.opened or g.status == _OPEN
             age_ns = now_ns - min(g.command_nonce, g.enabled_nonce)
             if l.opened and BAD_LINK_NS < age_ns < NO_LINK_NS:
                 l.hurry_until_ns = now_ns + HURRY_NS
             seq = g.seq
-            i.command, i.permission, i.lease = told, enabled, 0
-            if told:
+            i.command, i.permission, i.lease = commanded, enabled, 0
+            if commanded:
                 own = commands[k]
                 i.command_epoch, i.command_session, i.command_seq = own.epoch, c.session, c.seq
                 i.command_boot_id, i.command_nonce = c.boot_id, c.nonce
@@ -284,8 +284,8 @@ def _pass_on(  # type: ignore[no-untyped-def]
                 i.permission_latch = its.latch if its.latch <= _GRAVEST else _EMERGENCY_STOP
             _feel(l, i)
             _step(g, limits[k], i, now_ns)
-            _adopt(g, l, b, p, coming[k], noise[k], now_ns, world_ns, told)
-            if told and c.exposure_ns != l.applied_exposure_ns and g.seq != seq:
+            _adopt(g, l, b, p, coming[k], noise[k], now_ns, world_ns, commanded)
+            if commanded and c.exposure_ns != l.applied_exposure_ns and g.seq != seq:
                 l.accepted_exposure_ns = c.exposure_ns
             if l.accepted_exposure_ns != _UNTOLD and g.status == _OPEN:
                 l.applied_exposure_ns, l.applied_ns = l.accepted_exposure_ns, now_ns
@@ -419,8 +419,8 @@ def compile_kernels(say: Say) -> None:
     bodies = np.zeros(0, simulated.BODY), np.zeros(0, simulated.PLANT)
     arena = (*bodies, np.zeros((0, 1), simulated.COMING), np.zeros((0, 1)))
     statuses, truths = np.zeros(0, UNIT_STATUS.item_dtype), np.zeros(0, UNIT_TRUTH.item_dtype)
-    one = tuple(np.zeros(1, kind) for kind in (GATE, INPUT, LINK, gates.LIMITS))
-    place = (
+    row_arrays = tuple(np.zeros(1, kind) for kind in (GATE, INPUT, LINK, gates.LIMITS))
+    row_state = (
         np.zeros(1, simulated.BODY),
         np.ones(1, simulated.PLANT),
         np.zeros((1, 1), simulated.COMING),
@@ -433,6 +433,6 @@ def compile_kernels(say: Say) -> None:
         _fill_truths(*arena, truths, 0)
         _stop_all(*arena, 0)
         simulated.advance_all(*arena, 0)
-        gate, inputs, links, limits = one
+        gate, inputs, links, limits = row_arrays
         _ask(gate, inputs, links, limits, 0, np.uint64(0), int(LeaseAction.RELEASE), 0)
-        _adopt_row(gate, links, *place, 0, 0, 0)
+        _adopt_row(gate, links, *row_state, 0, 0, 0)

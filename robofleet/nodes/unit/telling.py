@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _NEVER_NS = (1 << 63) - 1
 
 
-class Telling(Protocol):
+class StatusScheduling(Protocol):
     """One way to tell."""
 
     hurry: Hurry  # what the status says

@@ -18,7 +18,7 @@ from robofleet.bus.requests import SAFE
 from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.page_address import Addresses
 from robofleet.operator.page.refused import LOGIN, TICKET, TOKEN, USED, Words
-from robofleet.operator.page.ticket import Taker, Ticket
+from robofleet.operator.page.ticket import OneTimeToken, Taker
 
 ROLES = OPERATOR, VIEWER
 OPEN = "/open"  # takes a ticket
@@ -60,7 +60,7 @@ class TokenAccess:
 
     def __init__(self, root: str, port: int) -> None:
         self._root, self._port = root, port
-        self._token, self._ticket = new_secret(), Ticket()
+        self._token, self._ticket = new_secret(), OneTimeToken()
 
     def addresses(self) -> Addresses:
         """Return the address with the token, and the one for a browser's command line."""
@@ -68,9 +68,9 @@ class TokenAccess:
 
     def role(self, scope: Scope) -> str | None:
         """Return the operator's role for the token: of a POST in its header, else in its address."""
-        asked = HTTPConnection(scope)
+        connection = HTTPConnection(scope)
         posted = scope["type"] == "http" and scope["method"] == "POST"
-        tokens = asked.headers.getlist("x-token") if posted else asked.query_params.getlist("token")
+        tokens = connection.headers.getlist("x-token") if posted else connection.query_params.getlist("token")
         fits = len(tokens) == 1 and secrets.compare_digest(tokens[0].encode(), self._token.encode())
         return OPERATOR if fits else None
 
@@ -90,9 +90,11 @@ class CookieAccess:
         self._root, self._port, self._keys = root, port, keys
         self._name = f"__Host-robofleet-{port}"  # cookies know no ports: two runs' pages must not share one
         self._printed = [
-            Ticket(OPERATOR, Taker.ANYBODY), Ticket(VIEWER, Taker.ANYBODY), Ticket(OPERATOR, Taker.USER_HERE),
-        ]  # fmt: skip
-        self._invited: deque[Ticket] = deque(maxlen=_MOST_INVITED)
+            OneTimeToken(OPERATOR, Taker.ANYBODY),
+            OneTimeToken(VIEWER, Taker.ANYBODY),
+            OneTimeToken(OPERATOR, Taker.USER_HERE),
+        ]
+        self._invited: deque[OneTimeToken] = deque(maxlen=_MOST_INVITED)
         self._sessions: dict[str, str] = {}  # roles by their cookies
 
     def addresses(self) -> Addresses:
@@ -102,7 +104,7 @@ class CookieAccess:
 
     def invite(self, role: str) -> str:
         """Return a new address, which opens the page in one browser in this role."""
-        self._invited.append(Ticket(role, Taker.ANYBODY))
+        self._invited.append(OneTimeToken(role, Taker.ANYBODY))
         return _with_ticket(self._root, self._invited[-1])
 
     def role(self, scope: Scope) -> str | None:
@@ -126,5 +128,5 @@ def new_secret() -> str:
     return secrets.token_hex(16)
 
 
-def _with_ticket(root: str, ticket: Ticket) -> str:
+def _with_ticket(root: str, ticket: OneTimeToken) -> str:
     return f"{root}{OPEN}?ticket={ticket.secret}"

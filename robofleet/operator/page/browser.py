@@ -43,13 +43,13 @@ def open_page(address: str) -> bool:
         return False
     environment = {name: value for name, value in os.environ.items() if name != "TERM"}  # then no text browser is tried
     try:
-        asked = subprocess.Popen(
+        process = subprocess.Popen(
             [*command, address], env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
     except OSError:
         return False
-    _asked.append(asked)
+    _asked.append(process)
     return True
 
 

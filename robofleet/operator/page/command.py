@@ -53,14 +53,14 @@ def there(named: str | None, running: Callable[[str | None], ArenaFile], load: C
 
 
 def serve(
-    there: There, listening: socket.socket, host: str, keys: "PageKeys | None", *, browser: bool
+    page_run: There, listening: socket.socket, host: str, keys: "PageKeys | None", *, browser: bool
 ) -> tuple[bool, str]:
     """Serve the page; returns whether it could be, and the last words. ``keys``: None on this computer."""
     from robofleet.bus.joining import joined  # noqa: PLC0415
     from robofleet.operator.page.process import by_hand  # noqa: PLC0415
 
-    config, folder, run = there
-    over = Over(there)
+    config, folder, run = page_run
+    over = Over(page_run)
 
     def still_there() -> None:
         if over():
@@ -93,8 +93,8 @@ def serve(
 class Over:
     """Whether a run's launcher is gone, or its router: that is the last process it ends."""
 
-    def __init__(self, there: There) -> None:
-        self._endpoint, self._run, self._clock = there.config.bus.endpoint, there.run, WallClock()
+    def __init__(self, page_run: There) -> None:
+        self._endpoint, self._run, self._clock = page_run.config.bus.endpoint, page_run.run, WallClock()
         self._met = self._over = False
         self._looked_ns = 0
 

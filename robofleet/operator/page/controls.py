@@ -54,10 +54,10 @@ class Controls:
 
     def _ask(self, what: str) -> Frame:
         try:
-            said = asked(self._bus, self._clock, "supervisor", what.encode()).decode(errors="replace")
+            reply = asked(self._bus, self._clock, "supervisor", what.encode()).decode(errors="replace")
         except TimeoutError as error:
             return answer(what, False, f"{error}: look at the robots; the emergency stop is the button, or the switch")
-        return answer(what, said.startswith("ok"), said.removeprefix("refused: "))
+        return answer(what, reply.startswith("ok"), reply.removeprefix("refused: "))
 
     def close(self) -> None:
         """Begin nothing more."""

@@ -42,8 +42,8 @@ class Diary:
         lines += [news_line(item, camera if several else "") for camera, item in news]
         lines += [said_line(group, note.line) for group, note in hearing.notes if note.line is not None]
         for level, name, words in lines:
-            told = words if name == "supervisor" else f"{name}: {words}"
-            self._lines.append(event(hearing.t_s, level.name.lower(), told))
+            line = words if name == "supervisor" else f"{name}: {words}"
+            self._lines.append(event(hearing.t_s, level.name.lower(), line))
         self.written += len(lines)
 
     def _gates(self, hearing: Hearing) -> Iterator[Line]:

@@ -35,9 +35,9 @@ Say = Callable[[str], Awaitable[None]]
 class Feed:
     """Hears the run, and wakes the pages when there is something to show."""
 
-    def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, said: Callable[[], str]) -> None:
+    def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, progress: Callable[[], str]) -> None:
         """``said``: what the launcher does, for as long as the supervisor has not spoken."""
-        self.config, self.bus, self._clock, self._said = config, bus, clock, said
+        self.config, self.bus, self._clock, self._progress = config, bus, clock, progress
         self.folder = folder
         self.ended: Frame | None = None  # how the run did, once it has
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
@@ -75,13 +75,13 @@ class Feed:
         """Return the newest tick, made once for all pages."""
         if self._tick[0] != self.seq:
             now_ns = self._clock.now_ns()
-            frame = frames.tick(self.hearing, self.config, self._groups, self.seq, now_ns, self._said())
+            frame = frames.tick(self.hearing, self.config, self._groups, self.seq, now_ns, self._progress())
             self._tick = self.seq, dumps(frame, compact=True)
         return self._tick[1]
 
     def picture(self, camera: str) -> tuple[int, str]:
         """Return a camera's newest picture's exposure [ns], 0 while there is none, and its frame."""
-        shown = next((heard.shown for heard in self.hearing.cameras if heard.name == camera), None)
+        shown = next((camera_state.shown for camera_state in self.hearing.cameras if camera_state.name == camera), None)
         before = self._pictures.get(camera, (0, ""))
         if shown is not None and shown.picture.exposure_ns != before[0]:
             frame = frames.picture(camera, shown, self.hearing.tags, self._outlines[camera])

@@ -85,11 +85,11 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
 def shapes(groups: Sequence[Group], marks: Sequence[Sequence[Shape]]) -> Frame:
     """Return what is drawn for each group, with its scripts' marks: it takes the place of what ``hello`` said."""
     both = zip(groups, marks, strict=True)
-    return {"type": "shapes", "groups": [[_shape(one) for one in (*group.shapes, *its)] for group, its in both]}
+    return {"type": "shapes", "groups": [[_shape(line) for line in (*group.shapes, *body)] for group, body in both]}
 
 
 def _places(places: Sequence[Pose | None]) -> list[list[float | None] | None]:
-    return [None if place is None else [_rounded(value, 4) for value in place] for place in places]
+    return [None if pose is None else [_rounded(value, 4) for value in pose] for pose in places]
 
 
 def _shape(shape: Shape) -> Frame:
@@ -103,7 +103,9 @@ def _shape(shape: Shape) -> Frame:
 def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -> Frame:
     """Return what a column of the table and a plot are named, whose they are, and the bounds of their figure."""
     unit, key = live_figures.unit(figure), figure.shown_key
-    robots = [group.robots for group in groups if key in (its.shown_key for its in group.figures if its.live)]
+    robots = [
+        group.robots for group in groups if key in (measure.shown_key for measure in group.figures if measure.live)
+    ]
     return {
         "key": key,
         "title": live_figures.title(figure),
@@ -111,7 +113,9 @@ def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -
         "meaning": figure.meaning,
         "digits": live_figures.digits(figure),
         "robots": [robot for own in robots for robot in own],
-        "bounds": {of: bounds.get(with_unit(f"{figure.name}_{of}", unit)) for of in ("mean", "max")},
+        "bounds": {
+            statistic: bounds.get(with_unit(f"{figure.name}_{statistic}", unit)) for statistic in ("mean", "max")
+        },
     }
 
 
@@ -194,7 +198,7 @@ def _health(hearing: Hearing) -> Frame:
     each = [(camera, *_tracker(list(camera.images), len(hearing.tags))) for camera in hearing.cameras]
     rate, seen = each[0][1:]
     if several:  # no camera sees all robots
-        rates = [its for _, its, _ in each if its is not None]
+        rates = [age for _, age, _ in each if age is not None]
         rate, seen = min(rates, default=None), _measured_pct(record)
     return {
         "compute_us": None if record is None else record.compute_ns // 1000,
@@ -203,7 +207,7 @@ def _health(hearing: Hearing) -> Frame:
         "latency_ms": _latency_ms(hearing),
         "tracker_hz": rate,
         "seen_pct": seen,
-        **({"cameras": [_camera(camera, its, now_ns) for camera, its, _ in each]} if several else {}),
+        **({"cameras": [_camera(camera, age, now_ns) for camera, age, _ in each]} if several else {}),
     }
 
 
@@ -242,27 +246,27 @@ def _rows(
     hearing: Hearing, groups: Sequence[Group], state: RunState | None, to_go_m: Sequence[float | None], now_ns: int
 ) -> list[list[Any]]:
     ticks = None if hearing.controller_silent() or hearing.record is None else hearing.record
-    told = live_figures.told(groups, ticks)
-    unknown = [None] * told.figures.shape[1]
+    texts = live_figures.told(groups, ticks)
+    unknown = [None] * texts.figures.shape[1]
     rows: list[list[Any]] = []
     for row, status in enumerate(hearing.statuses):
-        its = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
-        driven, placed = row < len(told.references), its is not None and hearing.placed[row]
+        record = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
+        driven, placed = row < len(texts.references), record is not None and hearing.placed[row]
         rows.append([
-            *(_place(its) if its is not None and placed else _standing(hearing, row)),
-            *([_known(value, 4) for value in told.references[row]] if driven else [None] * 2),
-            *(_drive(its) if its is not None else [None] * 2),
-            *_gate(status), own_state(state, row, its) or None, _battery(status),
+            *(_place(record) if record is not None and placed else _standing(hearing, row)),
+            *([_known(value, 4) for value in texts.references[row]] if driven else [None] * 2),
+            *(_drive(record) if record is not None else [None] * 2),
+            *_gate(status), own_state(state, row, record) or None, _battery(status),
             _age_ms(hearing.heard_ns[row], now_ns),
-            *((int(its.measured), int(its.lost), int(its.filtered)) if its is not None else [None] * 3),
+            *((int(record.measured), int(record.lost), int(record.filtered)) if record is not None else [None] * 3),
             _rounded(to_go_m[row], 3) if driven else None,
-            [_known(value, _DIGITS) for value in told.figures[row]] if driven else unknown,
+            [_known(value, _DIGITS) for value in texts.figures[row]] if driven else unknown,
         ])  # fmt: skip
     return rows
 
 
-def _place(its: RobotTick) -> list[float | None]:
-    pose = its.x_m, its.y_m, its.psi_rad, its.point_x_m, its.point_y_m
+def _place(record: RobotTick) -> list[float | None]:
+    pose = record.x_m, record.y_m, record.psi_rad, record.point_x_m, record.point_y_m
     return [_rounded(value, 4) for value in pose]
 
 
@@ -274,8 +278,8 @@ def _standing(hearing: Hearing, row: int) -> list[float | None]:
     return [_rounded(pose.x_m, 4), _rounded(pose.y_m, 4), _rounded(pose.psi_rad, 4), None, None]
 
 
-def _drive(its: RobotTick) -> list[float | None]:
-    return [_rounded(its.left_rad_s, 2), _rounded(its.right_rad_s, 2)]
+def _drive(record: RobotTick) -> list[float | None]:
+    return [_rounded(record.left_rad_s, 2), _rounded(record.right_rad_s, 2)]
 
 
 def _gate(status: RobotStatus | None) -> tuple[str | None, str | None]:

@@ -11,7 +11,7 @@ from weakref import WeakSet
 
 from uvicorn.protocols.utils import get_remote_addr
 
-from robofleet.operator.page.places import ASKED_WITHIN_S, Connection, Places, unread
+from robofleet.operator.page.places import ASKED_WITHIN_S, Connection, ConnectionLimiter, unread
 
 _LEFT_WITHIN_S = 1.0  # of our last word: who does not say good-bye is left
 
@@ -19,13 +19,13 @@ _LEFT_WITHIN_S = 1.0  # of our last word: who does not say good-bye is left
 class Greetings:
     """Makes the server's end of each connection, and closes what is left of them."""
 
-    def __init__(self, context: ssl.SSLContext, places: Places) -> None:
+    def __init__(self, context: ssl.SSLContext, places: ConnectionLimiter) -> None:
         self._context, self._places = context, places
         self._open: WeakSet[asyncio.Transport] = WeakSet()
 
-    def __call__(self, **of_uvicorn: Any) -> "Greeting":
+    def __call__(self, **of_uvicorn: Any) -> "TlsHandshake":
         """Return the beginning of a connection."""
-        return Greeting(self._context, self._places, self._open, of_uvicorn)
+        return TlsHandshake(self._context, self._places, self._open, of_uvicorn)
 
     def close(self) -> None:
         """Wait for no other end's good-bye any more."""
@@ -33,15 +33,19 @@ class Greetings:
             transport.abort()
 
 
-class Greeting(asyncio.Protocol):
+class TlsHandshake(asyncio.Protocol):
     """A connection until both ends have agreed on its keys; then it is a ``Connection``."""
 
     acts = False
 
     def __init__(
-        self, context: ssl.SSLContext, places: Places, its: WeakSet[asyncio.Transport], of_uvicorn: dict[str, Any]
+        self,
+        context: ssl.SSLContext,
+        places: ConnectionLimiter,
+        opened: WeakSet[asyncio.Transport],
+        of_uvicorn: dict[str, Any],
     ) -> None:
-        self._context, self._places, self._open, self._of_uvicorn = context, places, its, of_uvicorn
+        self._context, self._places, self._open, self._of_uvicorn = context, places, opened, of_uvicorn
         self._early = b""  # a request that came with the last word of the greeting
         self.host = "?"
 

@@ -132,8 +132,8 @@ class Hearing:
                 self.statuses[row] = RobotStatus._make(self._statuses.robots[row].item())
         news = []
         for camera in self.cameras:
-            images, told = camera.hear(now_ns)
-            news += [(camera.name, item) for item in told]
+            images, notices = camera.hear(now_ns)
+            news += [(camera.name, item) for item in notices]
             for image in images:
                 seen = (pose for pose in image.poses if pose.tag in self._parked and pose.coasted_ns == 0)
                 self.standing.update((self._parked[pose.tag], pose) for pose in seen)

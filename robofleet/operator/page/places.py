@@ -59,15 +59,15 @@ class Guest(Protocol):
 
 def unread(transport: asyncio.Transport) -> bool:
     """Return whether something has come that is not read yet."""
-    if (its := transport.get_extra_info("socket")) is None:  # it is closed
+    if (handle := transport.get_extra_info("socket")) is None:  # it is closed
         return False
     try:
-        return any(fcntl.ioctl(its.fileno(), termios.FIONREAD, bytes(4)))
+        return any(fcntl.ioctl(handle.fileno(), termios.FIONREAD, bytes(4)))
     except OSError:
         return False
 
 
-class Places:
+class ConnectionLimiter:
     """The connections that are no WebSockets, oldest first."""
 
     def __init__(self, complaints: Complaints) -> None:
@@ -82,8 +82,8 @@ class Places:
         if len(self._taken) <= MOST:
             return
         ((crowd, _),) = self._crowds.most_common(1)
-        its = [one for one in self._taken if one.host == crowd and not one.acts]
-        if (goes := next((one for one in its if one.is_idle()), next(iter(its), None))) is not None:
+        held = [one for one in self._taken if one.host == crowd and not one.acts]
+        if (goes := next((one for one in held if one.is_idle()), next(iter(held), None))) is not None:
             goes.drop("more connections than there are places")
 
     def leave(self, connection: Guest) -> None:
@@ -96,7 +96,7 @@ class Places:
 class Connection(H11Protocol):
     """A connection that has a place, and a deadline for what it does next."""
 
-    def __init__(self, places: Places, **of_uvicorn: Any) -> None:
+    def __init__(self, places: ConnectionLimiter, **of_uvicorn: Any) -> None:
         super().__init__(**of_uvicorn)
         self._places = places
         self._deadline: asyncio.TimerHandle | None = None

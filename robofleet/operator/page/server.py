@@ -35,7 +35,7 @@ from robofleet.operator.page.frames import answer
 from robofleet.operator.page.greeting import Greetings
 from robofleet.operator.page.guard import Guard, authorities
 from robofleet.operator.page.page_address import LOOPBACK, Addresses
-from robofleet.operator.page.places import Complaints, Connection, Places
+from robofleet.operator.page.places import Complaints, Connection, ConnectionLimiter
 from robofleet.operator.page.verdict import REPORT
 
 _PAGE = Path(__file__).parent / "static"
@@ -86,7 +86,7 @@ async def serve(
     controls = Controls(bus, clock, config.units)
     complaints = Complaints(clock)
     guard = Guard(application(feed, controls, access), authorities(names, port, scheme), access, complaints)
-    places = Places(complaints)
+    places = ConnectionLimiter(complaints)
     secured = None if keys is None else Greetings(keys.context, places)
     server = uvicorn.Server(_settings(guard, secured or partial(Connection, places)))
     ending = Ending(folder, clock, served.over, patient=served.by_hand)
@@ -180,14 +180,14 @@ async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) ->
     """Serve one page until it is closed, says what makes no sense, or the run ends."""
     page, hands = Page(feed), Hands(feed.bus, feed.config) if role == OPERATOR else None
     feed.pages.add(page)
-    telling = asyncio.create_task(page.follow(link.send_text))
+    sender = asyncio.create_task(page.follow(link.send_text))
     obeying = asyncio.create_task(_obey(link, page, controls, role, hands))
     try:
-        await asyncio.wait({telling, obeying}, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait({sender, obeying}, return_when=asyncio.FIRST_COMPLETED)
         if obeying.done() and not obeying.result():
             await link.close(_POLICY_VIOLATION)
-        elif telling.done():
-            telling.result()
+        elif sender.done():
+            sender.result()
             await link.close(_GOING_AWAY)
     except WebSocketDisconnect:
         pass
@@ -195,19 +195,19 @@ async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) ->
         feed.pages.discard(page)
         if hands is not None:
             hands.let_go()
-        for task in (telling, obeying):
+        for task in (sender, obeying):
             task.cancel()
-        await asyncio.gather(telling, obeying, return_exceptions=True)
+        await asyncio.gather(sender, obeying, return_exceptions=True)
 
 
 async def _obey(link: WebSocket, page: Page, controls: Controls, role: str, hands: Hands | None) -> bool:
     """Do what a page says, as it says it; returns whether it made sense until it was closed."""
     while (message := await link.receive())["type"] != "websocket.disconnect":
         try:
-            said = json.loads(message.get("text") or "")
+            request = json.loads(message.get("text") or "")
         except (ValueError, RecursionError):
             return False
-        match said:
+        match request:
             case {"do": str(what)} if what == ESTOP or what in ASKED:
                 if permits(role, what):
                     controls.begin(what, page.tell)
@@ -215,7 +215,7 @@ async def _obey(link: WebSocket, page: Page, controls: Controls, role: str, hand
                     page.tell(answer(what, False, _NOT_FOR_VIEWERS))
             case {"drive": str(group), "stick": [int() | float() as forward, int() | float() as turn, bool(held)],
                   "tick": int(tick)} if hands is not None:  # fmt: skip
-                out = said.get("out")  # the robot that is driven out of a held run
+                out = request.get("out")  # the robot that is driven out of a held run
                 if not (out is None or isinstance(out, str)) or not hands.drive(
                     group, Stick(forward, turn, held), tick, out
                 ):

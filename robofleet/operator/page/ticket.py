@@ -23,7 +23,7 @@ class Taker(Enum):
     ANYBODY = ()
 
 
-class Ticket:
+class OneTimeToken:
     """Is taken once, and gives a role."""
 
     def __init__(self, role: str = OPERATOR, taker: Taker = Taker.USER) -> None:
@@ -45,14 +45,14 @@ class Ticket:
 
 def owner(client: tuple[str, int], port: int) -> int | None:
     """Return the user whose connection from this computer to a port that is; None for one from elsewhere."""
-    there = {f"{address}:{client[1]:04X}" for address in _written(client[0])}
+    addresses = {f"{address}:{client[1]:04X}" for address in _written(client[0])}
     for table in _TABLES:
         try:
             lines = table.read_text().splitlines()[1:]
         except OSError:
             continue
         for columns in map(str.split, lines):
-            if columns[_LOCAL] in there and columns[_REMOTE].endswith(f":{port:04X}"):
+            if columns[_LOCAL] in addresses and columns[_REMOTE].endswith(f":{port:04X}"):
                 return int(columns[_UID])
     return None
 

@@ -30,6 +30,6 @@ def verdict_of(folder: Path) -> Verdict | None:
         if outcome != "completed":
             cause = f": {summary['cause']}" if summary["cause"] else ""
             return Verdict(f"{_ENDS.get(outcome, outcome)}{cause}", tuple(missed) if summary["ticks"] else (), False)
-        said = f", {len(missed)} of {len(bounds)} bounds not met" if missed else ", every bound met" if bounds else ""
-        return Verdict(f"Completed{said}", tuple(missed), not missed)
+        how = f", {len(missed)} of {len(bounds)} bounds not met" if missed else ", every bound met" if bounds else ""
+        return Verdict(f"Completed{how}", tuple(missed), not missed)
     return None

@@ -54,7 +54,7 @@ def what_next(
         return "Wait: the processes are starting."
     robots = config.ids
     if state.phase == Phase.ESTOP:
-        silent = [robot for robot, its in zip(robots, state.robots, strict=False) if not its.acknowledged]
+        silent = [robot for robot, row_state in zip(robots, state.robots, strict=False) if not row_state.acknowledged]
         if silent:
             return f"NOT acknowledged by {', '.join(silent)}: stop them by hand."
     latched = [robot for robot, status in zip(robots, statuses, strict=True) if status is not None and status.latch]

@@ -136,8 +136,8 @@ class LiveView:
         if self._phase != "running" or tick is None:
             return self._phase
         when = f"{self._time(tick):5.1f} s of {self._config.run.duration_s:g} s"
-        said = "; ".join([*live_robots.lines(recording.groups, tick), f"{self._overruns(tick)} overruns"])
-        return f"running {when}: {said}"
+        figures = "; ".join([*live_robots.lines(recording.groups, tick), f"{self._overruns(tick)} overruns"])
+        return f"running {when}: {figures}"
 
     def picture(self, recording: Recording, phase: str) -> Group:
         """Return what the terminal shows."""

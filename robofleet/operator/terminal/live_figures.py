@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _FINE, _COARSE = 10.0, 1000.0  # from here on a digit less is shown
 
 
-class Told(NamedTuple):
+class LiveFigures(NamedTuple):
     """What the groups told in a tick, a row a robot in the order of the members; NaN: not told."""
 
     references: Array  # (N, 2) [m; world]
@@ -37,11 +37,11 @@ def own(group: Group, every: Sequence[Figure]) -> list[int]:
     return [k for k, figure in enumerate(every) if figure.shown_key in keys]
 
 
-def told(groups: Sequence[Group], record: TickRecord | None) -> Told:
+def told(groups: Sequence[Group], record: TickRecord | None) -> LiveFigures:
     """Return what a tick says; nothing where its robots are not to move, or its numbers are of other groups."""
     keys = [figure.shown_key for figure in columns(groups)]
     n = sum(len(group.robots) for group in groups)
-    made = Told(np.full((n, 2), np.nan), np.full((n, len(keys)), np.nan))
+    made = LiveFigures(np.full((n, 2), np.nan), np.full((n, len(keys)), np.nan))
     if record is None or len(record.figures) < described.size(groups):
         return made
     running, first = record.run_tick >= 0, 0

@@ -34,8 +34,8 @@ def lines(groups: Sequence[Group], tick: TickRecord) -> Iterator[str]:
         rows = figures[first : (first := first + len(group.robots))]
         for k in live_figures.own(group, every)[:1]:
             words = " ".join(live_figures.words(every[k], value) or _UNKNOWN for value in rows[:, k])
-            of = f"{group.name}: " if len(groups) > 1 else ""
-            yield f"{of}{live_figures.title(every[k])} {words} {live_figures.unit(every[k])}".rstrip()
+            prefix = f"{group.name}: " if len(groups) > 1 else ""
+            yield f"{prefix}{live_figures.title(every[k])} {words} {live_figures.unit(every[k])}".rstrip()
 
 
 class Way(NamedTuple):
@@ -64,9 +64,9 @@ def tables(
         rows: list[tuple[str | Text, ...]] = []
         for robot in group.robots:
             item, status = tick.robots[row], statuses[row]
-            told = [live_figures.words(every[k], figures[row, k]) or _UNKNOWN for k in own]
-            told += [] if way is None else [_to_go(way, row)]
-            rows.append((robot.ljust(widest), *_common(item, status), *told, _state(item, status, state, row)))
+            texts = [live_figures.words(every[k], figures[row, k]) or _UNKNOWN for k in own]
+            texts += [] if way is None else [_to_go(way, row)]
+            rows.append((robot.ljust(widest), *_common(item, status), *texts, _state(item, status, state, row)))
             row += 1
         heads = {live_figures.title(every[k]): _head(every[k]) for k in own}
         yield _table(rows, heads | ({} if way is None else {_TO_GO: _TO_GO}))

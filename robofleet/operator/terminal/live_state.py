@@ -40,7 +40,7 @@ _GOES_ON = {
 def arming(state: RunState, robots: tuple[str, ...]) -> str:
     """Return what is checked now."""
     doing = next((words for stage, words in _STAGES.items() if stage == state.stage), "another check")
-    tried = [robot for robot, its in zip(robots, state.robots, strict=False) if its.stroke]
+    tried = [robot for robot, row_state in zip(robots, state.robots, strict=False) if row_state.stroke]
     if not tried:
         return doing
     more = f" and {len(tried) - _NAMED} more" if len(tried) > _NAMED else ""
@@ -68,11 +68,11 @@ def banner(
     if state.phase == Phase.HOLD:
         goes_on = "the run goes on" if way is None else _GOES_ON[way]
         how = f"press r and {goes_on}; q ends the run" if by_key else "`robofleet resume` goes on; Ctrl-C ends the run"
-        asked = state.cause == Event.HOLD_REQUESTED  # then there is nothing to mend
-        what = f"{how[0].upper()}{how[1:]}" if asked else f"Look, mend it, then {how}"
+        requested = state.cause == Event.HOLD_REQUESTED  # then there is nothing to mend
+        what = f"{how[0].upper()}{how[1:]}" if requested else f"Look, mend it, then {how}"
         return _panel("HOLD", cause, f"{who_stands(state, robots)} {what}.", "yellow")
     if state.phase == Phase.ESTOP:
-        silent = [robot for robot, its in zip(robots, state.robots, strict=False) if not its.acknowledged]
+        silent = [robot for robot, row_state in zip(robots, state.robots, strict=False) if not row_state.acknowledged]
         what = f"NOT acknowledged by {', '.join(silent)}" if silent else "Every robot has latched its gate."
         return _panel("EMERGENCY STOP", cause, what, "red")
     if state.phase == Phase.FAULT:

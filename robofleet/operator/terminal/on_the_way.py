@@ -40,7 +40,7 @@ class OnTheWay:
         """Return how far each robot is from its place in a straight line [m]; 0: it is there; None: nobody knows."""
         if self.phase is None or record is None or len(record.robots) != len(self._ids):
             return [None] * len(self._ids)
-        return [_to_go_m(its, place) for its, place in zip(record.robots, self.places[self.phase], strict=True)]
+        return [_to_go_m(its, goal) for its, goal in zip(record.robots, self.places[self.phase], strict=True)]
 
     def robot_words(self, to_go_m: float) -> str:
         """Return a robot's part of the way in words."""
@@ -52,18 +52,18 @@ class OnTheWay:
         if self.phase is None or None in to_go_m:
             return ""
         left = [m or 0.0 for m in to_go_m]
-        there = left.count(0.0)
-        if there == len(left):
+        arrived = left.count(0.0)
+        if arrived == len(left):
             return f"every robot is {_THERE[self.phase]}"
         last = max(range(len(left)), key=lambda row: left[row])
         seconds = math.ceil(max(m / speed for m, speed in zip(left, self._speeds, strict=True)))
         farthest = f"{self._ids[last]} has {left[last]:.2f} m to go, at least {seconds} s"
-        return f"{_ALL_THERE[self.phase]}: {there} of {len(left)} robots; {farthest}"
+        return f"{_ALL_THERE[self.phase]}: {arrived} of {len(left)} robots; {farthest}"
 
 
-def _to_go_m(its: RobotTick, place: Pose | None) -> float | None:
-    if place is None or its.lost:
+def _to_go_m(record: RobotTick, goal: Pose | None) -> float | None:
+    if goal is None or record.lost:
         return None
-    away = math.hypot(its.x_m - place[0], its.y_m - place[1])
-    turned = abs(math.remainder(its.psi_rad - place[2], math.tau))
+    away = math.hypot(record.x_m - goal[0], record.y_m - goal[1])
+    turned = abs(math.remainder(record.psi_rad - goal[2], math.tau))
     return 0.0 if away < _NEAR_M and turned < _NEAR_RAD else max(away, _NEAR_M)

@@ -29,11 +29,11 @@ class _Writer:
         self._changed = threading.Condition()
         threading.Thread(target=self._write, daemon=True).start()
 
-    def put(self, descriptor: int, said: bytes) -> None:
+    def put(self, descriptor: int, text: bytes) -> None:
         """Have it written; never blocks."""
         with self._changed:
-            self._waiting.append((descriptor, said))
-            self._bytes += len(said)
+            self._waiting.append((descriptor, text))
+            self._bytes += len(text)
             while self._bytes > _MOST_BYTES and len(self._waiting) > 1:
                 self._bytes -= len(self._waiting.popleft()[1])
             self._changed.notify_all()
@@ -53,22 +53,22 @@ class _Writer:
                 self._changed.notify_all()
                 while not self._waiting:
                     self._changed.wait()
-                descriptor, said = self._waiting.popleft()
-                self._bytes -= len(said)
+                descriptor, text = self._waiting.popleft()
+                self._bytes -= len(text)
                 self._busy = True
-            while said:
-                said = said[self._some(descriptor, said) :]
+            while text:
+                text = text[self._some(descriptor, text) :]
                 self._taken += 1
 
-    def _some(self, descriptor: int, said: bytes) -> int:
+    def _some(self, descriptor: int, text: bytes) -> int:
         """Write some of it; returns how much is done with: all, where nobody will ever read it."""
         try:
-            return os.write(descriptor, said[: select.PIPE_BUF])
+            return os.write(descriptor, text[: select.PIPE_BUF])
         except BlockingIOError:  # somebody has made it so
             select.select([], [descriptor], [])
             return 0
         except OSError:  # no reader, no terminal, no room: the run's folder has what matters
-            return len(said)
+            return len(text)
 
 
 class _Outlet(io.RawIOBase):
@@ -87,8 +87,8 @@ class _Outlet(io.RawIOBase):
     def isatty(self) -> bool:
         return os.isatty(self._descriptor)
 
-    def write(self, said: Any) -> int:
-        whole = bytes(said)
+    def write(self, text: Any) -> int:
+        whole = bytes(text)
         self._writer.put(self._descriptor, whole)
         return len(whole)
 

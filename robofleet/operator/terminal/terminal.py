@@ -48,7 +48,7 @@ class Terminal:
         self._before: list[Any] | None = None
         self._descriptor = -1
         self._keys = ""  # that nobody has taken
-        self._heard = threading.Condition()
+        self._pressed = threading.Condition()
         self._hearing: threading.Thread | None = None
         self._end: tuple[int, int] | None = None  # a pipe that ends the thread
 
@@ -91,8 +91,8 @@ class Terminal:
         if not self.present and not self._keys:
             clock.sleep_until(until_ns)
             return ""
-        with self._heard:
-            self._heard.wait_for(lambda: self._keys or self.lost, max(0, until_ns - clock.now_ns()) / S)
+        with self._pressed:
+            self._pressed.wait_for(lambda: self._keys or self.lost, max(0, until_ns - clock.now_ns()) / S)
             keys, self._keys = self._keys, ""
         return keys
 
@@ -136,10 +136,10 @@ class Terminal:
             except OSError:
                 pressed = b""
             keys = pressed.decode("ascii", "ignore")
-            with self._heard:
+            with self._pressed:
                 self._keys += keys
                 self.lost = not pressed
-                self._heard.notify_all()
+                self._pressed.notify_all()
             if EMERGENCY_KEYS.intersection(keys):
                 self.emergency()
 

@@ -37,12 +37,12 @@ class Drawn:
     """Told every message of the bus in order, it returns what viewers draw."""
 
     def __init__(
-        self, config: Config, said: tuple[described.Group, ...], *, epoch_ns: int = 0, batch: int = BATCH
+        self, config: Config, groups: tuple[described.Group, ...], *, epoch_ns: int = 0, batch: int = BATCH
     ) -> None:
         """``epoch_ns``: added to the caller's clock, it gives dates; ``batch``: ticks of a robot in one message."""
         self._epoch_ns = epoch_ns
-        self._scene = Scene(config, said, epoch_ns=epoch_ns)
-        self._ticks = RobotTicks(config, said, batch)
+        self._scene = Scene(config, groups, epoch_ns=epoch_ns)
+        self._ticks = RobotTicks(config, groups, batch)
         self.channels = tuple(self._described())
 
     def update(self, full: str, payload: bytes, at_ns: int) -> Told:

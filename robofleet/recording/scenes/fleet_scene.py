@@ -44,10 +44,10 @@ class FleetScene:
     where an image showed them.
     """
 
-    def __init__(self, config: Config, said: Sequence[described.Group]) -> None:
-        self._said = said
+    def __init__(self, config: Config, groups: Sequence[described.Group]) -> None:
+        self._groups = groups
         self._config, self._robots, self._driven = config, config.bodies, len(config.members)
-        self._sizes = self._driven, described.size(said, len(config.camera_names))  # of a tick
+        self._sizes = self._driven, described.size(groups, len(config.camera_names))  # of a tick
         self._parked = {robot.tag: self._driven + k for k, robot in enumerate(config.bystanders)}
         self._image: tuple[int, bytes] | None = None  # the newest one, where there are bystanders, and its date
         self.state: RunState | None = None  # as the supervisor said it last
@@ -76,26 +76,26 @@ class FleetScene:
 
     def draw(self, date_ns: int) -> Said:
         """Return what is new since the last call."""
-        said, frames = self._estimates()
+        messages, frames = self._estimates()
         frames += self._standing()
         frames += self._true_frames()
         if frames:
-            said.append(("/tf", FrameTransforms(transforms=frames)))
+            messages.append(("/tf", FrameTransforms(transforms=frames)))
         looks = {row: self._look(row) for row in self._seen}
         if looks != self._looks:
             self._looks, at = looks, stamp(date_ns)
             bodies = [shapes.robot(self._config, self._robots[row], look, at) for row, look in looks.items()]
-            said.append(("/fleet", SceneUpdate(entities=bodies)))
-        return said
+            messages.append(("/fleet", SceneUpdate(entities=bodies)))
+        return messages
 
     def _estimates(self) -> tuple[list[tuple[str, Message]], list[FrameTransform]]:
         """Where the newest tick says that the robots are, and are to be."""
-        said: list[tuple[str, Message]] = []
+        messages: list[tuple[str, Message]] = []
         frames: list[FrameTransform] = []
         (date_ns, payload), self._ticked = self._ticked or (0, b""), None
         tick = TICK_RECORD.decode(payload)
         if tick is None or (len(tick.robots), len(tick.figures)) != self._sizes:
-            return said, frames
+            return messages, frames
         self._items, at = tick.robots, stamp(date_ns)
         self._seen.update(row for row, item in enumerate(self._items) if not item.lost)
         driven = [row for row in sorted(self._seen) if row < self._driven]
@@ -103,9 +103,9 @@ class FleetScene:
             robot, item = self._robots[row].id, self._items[row]
             frames.append(_frame(robot, at, item.x_m, item.y_m, item.psi_rad))
             pose = Pose(position=Vector3(x=item.x_m, y=item.y_m), orientation=shapes.turned(item.psi_rad))
-            said.append((pose_topic(robot), PoseInFrame(timestamp=at, frame_id=WORLD, pose=pose)))
-        told = described.parts(self._said, np.array([tick.figures]))
-        there = np.concatenate([of[0, :, :2] for of in told])
+            messages.append((pose_topic(robot), PoseInFrame(timestamp=at, frame_id=WORLD, pose=pose)))
+        parts = described.parts(self._groups, np.array([tick.figures]))
+        there = np.concatenate([positions[0, :, :2] for positions in parts])
         known = np.isfinite(there).all(axis=1).tolist()
         referring = [
             row for row in (driven if tick.phase == Phase.RUNNING else ()) if known[row] and self._permitted(row)
@@ -113,9 +113,9 @@ class FleetScene:
         if referring or self._references:
             here = [(self._items[row].point_x_m, self._items[row].point_y_m) for row in referring]
             points = np.hstack([np.reshape(here, (-1, 2)), there[referring]])
-            said.append(("/references", SceneUpdate(entities=[shapes.references(referring, points, at)])))
+            messages.append(("/references", SceneUpdate(entities=[shapes.references(referring, points, at)])))
         self._references = referring
-        return said, frames
+        return messages, frames
 
     def _standing(self) -> list[FrameTransform]:
         (date_ns, payload), self._image = self._image or (0, b""), None

@@ -51,22 +51,24 @@ def _described(gauges: Sequence[Gauge], gauge: Gauge) -> Scalars:
 class RobotTicks:
     """Told every message of the bus in order, it returns each robot's ticks."""
 
-    def __init__(self, config: Config, said: tuple[described.Group, ...], batch: int = BATCH) -> None:
+    def __init__(self, config: Config, groups: tuple[described.Group, ...], batch: int = BATCH) -> None:
         """Take how many ticks are told at once."""
         self._batch = batch
         arena, robots = config.arena.name, config.members
         self._tick_key = key(arena, TICK)
-        self._size = TICK_RECORD.dtype(len(robots), described.size(said, len(config.camera_names))).itemsize
+        self._size = TICK_RECORD.dtype(len(robots), described.size(groups, len(config.camera_names))).itemsize
         self._status_keys = {key(arena, STATUS, unit) for unit in config.units}
         self._truth_keys = {key(arena, TRUTH, unit) for unit in config.units}
         self._statuses: dict[str, bytes] = {}  # the newest ones since the tick before
-        self._window = Recording(config, said=said)
+        self._window = Recording(config, said=groups)
         self._came: array[int] = array("Q")  # when each tick of the window did [ns]
         gauges = self._window.gauges  # and what they compute with is loaded by that
         self._messages = [_described(gauges, gauge) for gauge in gauges]
         self._own = [own_names([gauge]) for gauge in gauges]
         self.channels = [
-            (topic(robot), message) for of, message in zip(said, self._messages, strict=True) for robot in of.robots
+            (topic(robot), message)
+            for group, message in zip(groups, self._messages, strict=True)
+            for robot in group.robots
         ]
 
     def update(self, full: str, payload: bytes, log_ns: int) -> Sequence[tuple[str, int, bytes]]:
@@ -95,16 +97,16 @@ class RobotTicks:
         common = {name: ticks[name][:, None] for name in ("tick", "run_tick")}
         by_robot: list[list[bytes]] = []
         for part, message, names in zip(run.parts, self._messages, self._own, strict=True):
-            told = {column.name: values[:, part.rows, place] for place, column in enumerate(COLUMNS)}
+            told = {column.name: values[:, part.rows, index] for index, column in enumerate(COLUMNS)}
             own = own_table(part, names)[:count]
-            told |= {name: own[..., place] for place, name in enumerate(names)}
+            told |= {name: own[..., index] for index, name in enumerate(names)}
             n = len(part.said.robots)
             messages = message.messages((count, n), common | told)
             by_robot += [messages[k::n] for k in range(n)]
         places = [(topic, came) for came in self._came[:count] for topic, _ in self.channels]
         self._forget(count)
         in_order = (of for tick in zip(*by_robot, strict=True) for of in tick)
-        return [(*place, message) for place, message in zip(places, in_order, strict=True)]
+        return [(*index, message) for index, message in zip(places, in_order, strict=True)]
 
     def _forget(self, count: int) -> None:
         """Let go of what the ticks to come do not need."""

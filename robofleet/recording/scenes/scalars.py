@@ -74,10 +74,10 @@ def _described(package: str, name: str, fields: tuple[Scalar, ...]) -> bytes:
     files = FileDescriptorSet()
     file = files.file.add(name=f"{package}/{name}.proto", package=package, syntax="proto3")
     message = file.message_type.add(name=name)
-    for place, field in enumerate(fields):
+    for index, field in enumerate(fields):
         message.field.add(
-            name=field.name, number=place + 1, type=_KINDS[field.kind], label=FieldDescriptorProto.LABEL_OPTIONAL
+            name=field.name, number=index + 1, type=_KINDS[field.kind], label=FieldDescriptorProto.LABEL_OPTIONAL
         )
-        path = file.MESSAGE_TYPE_FIELD_NUMBER, 0, message.FIELD_FIELD_NUMBER, place
-        file.source_code_info.location.add(path=path, span=(place, 0, 0), leading_comments=f" {field.meaning}\n")
+        path = file.MESSAGE_TYPE_FIELD_NUMBER, 0, message.FIELD_FIELD_NUMBER, index
+        file.source_code_info.location.add(path=path, span=(index, 0, 0), leading_comments=f" {field.meaning}\n")
     return files.SerializeToString()

@@ -46,11 +46,11 @@ class Channel(NamedTuple):
 class Scene:
     """Told every message of the bus in order, it returns what viewers draw."""
 
-    def __init__(self, config: Config, said: Sequence[described.Group], *, epoch_ns: int = 0) -> None:
+    def __init__(self, config: Config, groups: Sequence[described.Group], *, epoch_ns: int = 0) -> None:
         """Take what makes instants of the caller's clock dates [ns since 1970]."""
-        self._config, self._said, self._epoch_ns = config, said, epoch_ns
+        self._config, self._groups, self._epoch_ns = config, groups, epoch_ns
         self._ids = config.ids
-        self._fleet = FleetScene(config, said)
+        self._fleet = FleetScene(config, groups)
         self._overlays = [Overlay(view) for view in config.views] if config.tracker.source == "camera" else []
         self.channels = tuple(Channel(*channel) for channel in self._described())
         self._takes = self._by_key()
@@ -67,10 +67,10 @@ class Scene:
         """
         date_ns = at_ns + self._epoch_ns
         take = self._takes.get(full)
-        said = () if take is None else take(payload, date_ns)
+        messages = () if take is None else take(payload, date_ns)
         if at_ns >= self._due_ns:
-            said = (*said, *self._draw(at_ns, date_ns))
-        return [(topic, message.SerializeToString()) for topic, message in said] if said else []
+            messages = (*messages, *self._draw(at_ns, date_ns))
+        return [(topic, message.SerializeToString()) for topic, message in messages] if messages else []
 
     def _draw(self, at_ns: int, date_ns: int) -> Said:
         first, self._due_ns = not self._due_ns, (at_ns // _PERIOD_NS + 1) * _PERIOD_NS
@@ -105,7 +105,7 @@ class Scene:
         for unit, robots in self._config.units.items():
             takes[key(arena, STATUS, unit)] = partial(self._status, [rows[robot] for robot in robots])
             takes[key(arena, TRUTH, unit)] = partial(self._fleet.truth, unit)
-        for group in self._said:
+        for group in self._groups:
             takes[key(arena, NOTE, group.name)] = partial(self._noted, group.name)
         return takes
 
@@ -122,14 +122,16 @@ class Scene:
 
     def _unchanging(self, date_ns: int) -> Said:
         at = stamp(date_ns)
-        said: list[tuple[str, Message]] = [("/arena", SceneUpdate(entities=shapes.arena(self._config, self._said, at)))]
+        messages: list[tuple[str, Message]] = [
+            ("/arena", SceneUpdate(entities=shapes.arena(self._config, self._groups, at)))
+        ]
         if self._overlays:
             places = [overlay.place(at) for overlay in self._overlays]
-            said.append(("/tf_static", FrameTransforms(transforms=places)))
+            messages.append(("/tf_static", FrameTransforms(transforms=places)))
         for overlay in self._overlays:
             if (lens := overlay.calibration(at)) is not None:
-                said.append((f"{overlay.topic}/calibration", lens))
-        return said
+                messages.append((f"{overlay.topic}/calibration", lens))
+        return messages
 
     def _state(self, payload: bytes, date_ns: int) -> Said:
         before, state = self._fleet.state, RUN_STATE.decode(payload)

@@ -56,15 +56,15 @@ def colour(code: str, opacity: float = 1.0) -> Color:
     return Color(r=r, g=g, b=b, a=opacity)
 
 
-def arena(config: Config, said: Sequence[described.Group], at: Timestamp) -> list[SceneEntity]:
+def arena(config: Config, groups: Sequence[described.Group], at: Timestamp) -> list[SceneEntity]:
     """Return the arena's edge, obstacles, and what the groups' behaviours have on the floor."""
     (length, width), robots = config.arena.size_m, [robot.id for robot in config.members]
     corners = [(x * length / 2, y * width / 2) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    edges = [_line(LinePrimitive.LINE_LOOP, its, INK) for its in (corners, config.arena.floor_m) if its]
+    edges = [_line(LinePrimitive.LINE_LOOP, outline, INK) for outline in (corners, config.arena.floor_m) if outline]
     return [
         SceneEntity(timestamp=at, frame_id=WORLD, id="arena", lines=edges),
         *_obstacles(config, at),
-        *(_shape(f"{group.name}/{shape.name}", shape, robots, at) for group in said for shape in group.shapes),
+        *(_shape(f"{group.name}/{shape.name}", shape, robots, at) for group in groups for shape in group.shapes),
     ]
 
 
