@@ -56,7 +56,7 @@ def shape_from_plain(plain: Mapping[str, Any]) -> Shape:
     return kind(**shape | {"points": np.array(shape["points"]).reshape(-1, 2)})
 
 
-class Told(NamedTuple):
+class GroupFigures(NamedTuple):
     """What a group told over K ticks."""
 
     references: Array  # (K, n, 2) [m]; NaN: none
@@ -74,11 +74,13 @@ def names(groups: Sequence[Group]) -> list[str]:
     return [f"{robot}: {name}" for g in groups for robot in g.robots for name in (*own, *(f.key for f in g.figures))]
 
 
-def told(groups: Sequence[Group], numbers: Array) -> list[Told]:
+def told(groups: Sequence[Group], numbers: Array) -> list[GroupFigures]:
     """Return what each group told, from the ticks' numbers (K, size)."""
     return [
-        Told(of[..., :2], {figure.name: of[..., 2 + k] for k, figure in enumerate(group.figures)})
-        for group, of in zip(groups, parts(groups, numbers), strict=True)
+        GroupFigures(
+            numbers_of[..., :2], {figure.name: numbers_of[..., 2 + k] for k, figure in enumerate(group.figures)}
+        )
+        for group, numbers_of in zip(groups, parts(groups, numbers), strict=True)
     ]
 
 

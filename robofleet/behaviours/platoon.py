@@ -215,7 +215,7 @@ class Platoon(Behaviour):
             if start is not None:
                 distances = np.hypot(lap.centre[:, 0] - start[0], lap.centre[:, 1] - start[1])
                 k = int(distances.argmin())
-                near = max(apart(self.team.keepout, one, body) for one in self.team.bodies)
+                near = max(apart(self.team.keepout, member, body) for member in self.team.bodies)
                 mend = f"the robots pass it at path parameter {lap.sigma[k]:.2f}, so park {robot} further away"
                 what = "the distance of a robot that is not in the group from the path"
                 yield Bound(f"{robot}.start", what, float(distances[k]), near, "m", mend, at_least=True)
@@ -226,7 +226,7 @@ class Platoon(Behaviour):
         if len(poses) < len(self.team) or (why := starts.reason(self.ways(), tuple(poses))) is None:
             return
         ids = self.team.robots
-        first, other = ids[why.one], ids[why.other]
+        first, other = ids[why.behind], ids[why.other]
         if why.order is not None:
             order = ", ".join(ids[i] for i in why.order)
             yield Refusal(

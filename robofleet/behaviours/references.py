@@ -15,7 +15,7 @@ from robofleet.control.trajectory import Trajectory, spline
 from robofleet.core.settings import MANY, Coordinate, Instant, Model, within
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-Place = Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]
+Waypoint = Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]
 Row = Annotated[tuple[Instant, Coordinate, Coordinate], Field(strict=False)]
 
 _KINDS = {
@@ -41,7 +41,7 @@ class Reference(Model):
     the start of the run. After its last row the reference stays there."""
     interpolation: Literal["cubic", "linear"] = "cubic"
     """Between two rows of the CSV file: ``cubic`` has no jump in the velocity, ``linear`` is straight."""
-    waypoints_m: Annotated[tuple[Place, ...], Field(min_length=2, max_length=500, strict=False)] | None = None
+    waypoints_m: Annotated[tuple[Waypoint, ...], Field(min_length=2, max_length=500, strict=False)] | None = None
     """Way points [world frame]. The way through them is a cubic spline."""
     speed_m_s: Annotated[float, within(1e-3, 10)] | None = None
     """Highest speed along the way points. In a bend it is lower if the wheels need that."""

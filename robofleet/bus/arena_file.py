@@ -90,8 +90,8 @@ def claimed(config: "Config", folder: Path) -> Iterator[None]:
         config.ids, config.units, uid,
     )  # fmt: skip
     with ExitStack() as held:
-        for place in (_register(), private_folder()):
-            held.enter_context(_held(place / f"{mine.arena}.{uid}.json", mine))
+        for directory in (_register(), private_folder()):
+            held.enter_context(_held(directory / f"{mine.arena}.{uid}.json", mine))
         for other in Search(mine.arena).others():  # two who begin in the same moment see each other
             raise ArenaBusyError(_whose(other.arena, other))
         yield
@@ -114,8 +114,8 @@ class Search:
 
     def own(self) -> Iterator[ArenaFile]:
         """Yield the runs of this user; no file of another user is opened."""
-        for place in (private_folder, _register):
-            for file in self._files(self._place(place), self._uid):
+        for directory in (private_folder, _register):
+            for file in self._files(self._place(directory), self._uid):
                 yield from self._running(file)
         for folder, uid in users_folders():  # of a session with another XDG_RUNTIME_DIR
             for file in self._files(folder, self._uid) if uid == self._uid else ():
@@ -141,9 +141,9 @@ class Search:
             for file in filter(None, turn):
                 yield from self._running(file)
 
-    def _place(self, place: Callable[[], Path]) -> Path | None:
+    def _place(self, directory: Callable[[], Path]) -> Path | None:
         try:
-            folder = place()
+            folder = directory()
         except OSError as error:
             self._trouble(str(error))
             return None

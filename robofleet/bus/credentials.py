@@ -72,15 +72,15 @@ class Passport:
             raise KeysError(f"{self.addresses!r}: these are no addresses")
 
     @classmethod
-    def of(cls, told: Any) -> Self:
+    def of(cls, source: Any) -> Self:
         """Return what JSON tells; ValueError where that is no passport."""
-        if isinstance(told, cls):
-            return told
+        if isinstance(source, cls):
+            return source
         names = [field.name for field in fields(cls)]
-        if not isinstance(told, dict) or told.keys() != {*names}:
+        if not isinstance(source, dict) or source.keys() != {*names}:
             raise ValueError("no passport")
-        texts = [told[name] for name in names[:-1]]
-        addresses = told["addresses"]
+        texts = [source[name] for name in names[:-1]]
+        addresses = source["addresses"]
         if not isinstance(addresses, list) or not all(isinstance(text, str) for text in (*texts, *addresses)):
             raise ValueError("no passport")
         starts, ends = map(datetime.fromisoformat, texts[-2:])

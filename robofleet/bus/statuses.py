@@ -14,7 +14,7 @@ from robofleet.core.clock import MS
 HURRY_NS = 5 * MS
 
 
-class Part(NamedTuple):
+class UnitPart(NamedTuple):
     """A unit among the robots that somebody looks after."""
 
     name: str
@@ -36,12 +36,12 @@ class Statuses:
         by_radio: Collection[str] = (), wake: Wake | None = None,
     ) -> None:  # fmt: skip
         rows = {robot: row for row, robot in enumerate(robots)}
-        self.units: list[Part] = []
+        self.units: list[UnitPart] = []
         for name, members in units.items():
             mine = [(rows[robot], index) for index, robot in enumerate(members) if robot in rows]
             if mine:
                 rows_of, places = (np.array(column, np.intp) for column in zip(*mine, strict=True))
-                self.units.append(Part(name, len(members), rows_of, _index(rows_of), _index(places)))
+                self.units.append(UnitPart(name, len(members), rows_of, _index(rows_of), _index(places)))
         self.by_radio = frozenset(number for number, unit in enumerate(self.units) if unit.name in by_radio)
         wakes = [wake if number in self.by_radio else None for number in range(len(self.units))]
         self._inboxes = [
@@ -52,21 +52,21 @@ class Statuses:
         self.robots: NDArray[Any] = np.zeros(len(robots), UNIT_STATUS.item_dtype)
         self._whole = np.dtype(f"V{self.robots.dtype.itemsize}")  # an item as its bytes: fields are copied one by one
         self._bytes = self.robots.view(self._whole)
-        self.heard = np.zeros(len(robots), np.bool_)  # whose status is known
+        self.known = np.zeros(len(robots), np.bool_)  # whose status is known
 
     def take(self) -> list[int]:
         """Take what came; returns the units, as numbers, of which there is a newer status."""
         newer = []
         for number, (inbox, unit) in enumerate(zip(self._inboxes, self.units, strict=True)):
-            said = inbox.take()
-            if said is None:
+            message = inbox.take()
+            if message is None:
                 continue
-            (status, items), known = said, self.newest[number]
+            (status, items), known = message, self.newest[number]
             if len(items) != unit.size or (known and known.boot_id == status.boot_id and status.nonce <= known.nonce):
                 continue
             self.newest[number] = status
             self._bytes[unit.rows] = items.view(self._whole)[unit.places]
-            self.heard[unit.rows] = True
+            self.known[unit.rows] = True
             newer.append(number)
         return newer
 

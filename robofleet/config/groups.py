@@ -122,7 +122,7 @@ def jam_of(config: Config) -> Callable[[Sequence[Pose]], Reason | None]:
             why = behaviour.start(poses[team_]).jam
             if why is not None:
                 order = None if why.order is None else tuple(team_.start + row for row in why.order)
-                return Reason(team_.start + why.one, team_.start + why.other, order)
+                return Reason(team_.start + why.behind, team_.start + why.other, order)
         return None
 
     return jam

@@ -55,7 +55,10 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
     began_ns = 0
 
     def spread() -> None:
-        elapsed_s, share = (stopwatch_ns() - began_ns) / S, sum(work[one] for one in done) / sum(work.values())
+        elapsed_s, share = (
+            (stopwatch_ns() - began_ns) / S,
+            sum(work[done_name] for done_name in done) / sum(work.values()),
+        )
         say(Progress(name, len(done), len(work), elapsed_s * (1 - share) / share if done else -1.0, share))
 
     class Listener(event.Listener):
@@ -65,8 +68,8 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
                 began_ns = stopwatch_ns()
                 spread()
 
-        def on_end(self, its: Any) -> None:
-            if (function := its.data["dispatcher"].py_func) in work and function not in done:
+        def on_end(self, compiled: Any) -> None:
+            if (function := compiled.data["dispatcher"].py_func) in work and function not in done:
                 done.add(function)
                 spread()
 

@@ -22,14 +22,14 @@ class BusyNews:
         self._due_ns = 0
         self._reported = False
 
-    def stopped(self, memory: busy.Memory, status: RunStatus, now_ns: int) -> None:
+    def stopped(self, memory: busy.BusyState, status: RunStatus, now_ns: int) -> None:
         """Take note of a change of the run's phase."""
         explained = status.phase in _STOPPED and busy.explains(memory, status.cause, status.robot, now_ns, busy.SPOILT)
         self._cause = status.cause if explained else Event.NOTHING
         self._late = dict(memory.recent) if explained else {}
         self._due_ns = 0
 
-    def due(self, memory: busy.Memory, view: FleetView) -> BusyMachine | None:
+    def due(self, memory: busy.BusyState, view: FleetView) -> BusyMachine | None:
         """Return the message that is due now; None before anybody was late."""
         if not memory.worst or view.machine is None or view.now_ns < self._due_ns:
             return None
@@ -42,7 +42,7 @@ class BusyNews:
             self._epoch, self._seq, self._cause, goes_on, memory.resumed, memory.attempts, cores, load, late
         )
 
-    def line(self, memory: busy.Memory, message: BusyMachine) -> list[str]:
+    def line(self, memory: busy.BusyState, message: BusyMachine) -> list[str]:
         """Return what the log says of the first message; of the others it says nothing."""
         already, self._reported = self._reported, True
         words = busy.words(memory.worst, message.load, message.cores, self._robots)

@@ -198,7 +198,7 @@ class CamerasHeard:
         if news.event in _NEWS:
             trouble, ends = _NEWS[TrackerEvent(news.event)]
             camera.troubles[ends] = trouble
-            if all(its.troubles for its in self._cameras):
+            if all(camera_state.troubles for camera_state in self._cameras):
                 return (Happening(trouble, NOBODY, news.value),)
         camera.troubles = {ends: trouble for ends, trouble in camera.troubles.items() if ends != news.event}
         return ()

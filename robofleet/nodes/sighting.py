@@ -86,7 +86,7 @@ class MeasurementUpdate:
         payload = self._images[camera].take()
         if payload is None or (message := FLEET_POSES.view(payload)) is None:
             return None
-        image, said = message
+        image, image_poses = message
         self.taken[camera] = image.epoch, image.seq
         if not 0 <= index - image.echo_tick <= _STALE_TICKS or not image.echo_tick:
             return None
@@ -95,7 +95,7 @@ class MeasurementUpdate:
             return None
         if poses is None or instants_ns is None:
             poses, instants_ns = np.empty((self._bodies, measured.COLUMNS)), np.empty(self._bodies, dtype=np.int64)
-        measured.placed(said, self._rows, exposure_ns, latest_ns, poses, instants_ns)
+        measured.placed(image_poses, self._rows, exposure_ns, latest_ns, poses, instants_ns)
         self.exposure_ns = max(self.exposure_ns, image.exposure_ns) if len(self._images) > 1 else image.exposure_ns
         return Seen(camera, poses, instants_ns)
 

@@ -25,7 +25,7 @@ from robofleet.safety import arming, busy, monitor, rescue, scan
 from robofleet.safety.advice import WAY_OUT
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
-from robofleet.safety.monitor import Memory, MonitorSettings
+from robofleet.safety.monitor import MonitorSettings, MonitorState
 from robofleet.safety.requests import acknowledged, latched, refusal
 from robofleet.safety.rescue import Rescue
 from robofleet.safety.scan import Scan
@@ -118,11 +118,11 @@ class Supervisor:
         self._safe_requests = bus.serve(SAFE_REQUEST, "supervisor", wake)
         self._status = RunStatus()
         self._view = FleetView(clock.now_ns(), tuple(RobotView(driven=row < driven) for row in range(len(robots))))
-        self._memory = Memory()
+        self._memory = MonitorState()
         self._instead = {Event.PROVED: Event.SET_OUT} if config.run.begin == "go_to_start" else {}
         self._instead |= {Event.ACCOMPLISHED: Event.OFF_TO_PARK} if config.run.end == "park" else {}
         self._simulated, self._phases = config.simulated, groups.phases(config)
-        self._busy = busy.Memory()
+        self._busy = busy.BusyState()
         self._busy_news = BusyNews(self._epoch, self._ids)
         self._publish_busy = bus.publisher(BUSY)
         self._standing: tuple[Happening, ...] = ()  # of the newest view

@@ -49,7 +49,7 @@ def hosts_elsewhere(access: Elsewhere) -> dict[str, Any]:
 def _asked(
     bus: ZenohBus, clock: WallClock, arena: str, units: Mapping[str, Sequence[str]], daemons: Sequence[str]
 ) -> list[dict[str, Any]]:
-    said: dict[str, list[UnitStatus]] = {unit: [] for unit in units}
+    by_unit: dict[str, list[UnitStatus]] = {unit: [] for unit in units}
     answers: dict[str, tuple[float, dict[str, Any]]] = {}
     keys = {key(arena, STATUS, unit): unit for unit in units}
     statuses = bus.stream(*keys, capacity=1024 * len(keys))
@@ -62,9 +62,9 @@ def _asked(
                 answers[unit] = (now_ns - asked_ns) / MS, _read(reply)
         for _, full, payload in statuses.drain():
             if (status := UNIT_STATUS.decode(payload)) is not None:
-                said[keys[full]].append(status)
+                by_unit[keys[full]].append(status)
         clock.sleep_until(now_ns + _POLL_NS)
-    return [_unit(unit, units[unit], said[unit], answers.get(unit), daemon=unit in daemons) for unit in units]
+    return [_unit(unit, units[unit], by_unit[unit], answers.get(unit), daemon=unit in daemons) for unit in units]
 
 
 def _read(reply: bytes) -> dict[str, Any]:

@@ -41,9 +41,9 @@ class LogBeside:
         self.dropped = 0  # that are not in the file; known when it is closed
         self.failed: str | None = None  # why the newest write did not succeed; known when it is closed
 
-    def add_all(self, said: Iterable[tuple[str, bytes]], at_ns: int) -> None:
+    def add_all(self, batch: Iterable[tuple[str, bytes]], at_ns: int) -> None:
         """Keep messages that came at one instant."""
-        messages = list(said)
+        messages = list(batch)
         self._batches.append((at_ns, messages))
         self._waiting += len(messages)
         if self._waiting >= _AT_ONCE:

@@ -117,8 +117,8 @@ def table(columns: Series) -> Array:
     running = columns.run.running[:, None]
     values = np.full((*shape, len(COLUMNS)), np.nan)
     for index, column in enumerate(COLUMNS):
-        if (told := column.of(columns)) is not None:
-            values[..., index] = np.where(running, told, np.nan) if column.running else told
+        if (column_values := column.of(columns)) is not None:
+            values[..., index] = np.where(running, column_values, np.nan) if column.running else column_values
     return values
 
 
@@ -153,5 +153,5 @@ def _write_rows(columns: Series, out: TextIO, *, headed: bool) -> None:
     whens = zip(columns.t.tolist(), ticks["tick"].tolist(), ticks["run_tick"].tolist(), strict=True)
     for (t, tick, run_tick), of_tick in zip(whens, values, strict=True):  # Python's own floats are quickly written
         when = f"{t:.3f},{tick},{run_tick},"
-        for robot, of in zip(robots, of_tick.tolist(), strict=True):
-            out.write(when + robot + (row % tuple(of)).replace("nan", "") + "\n")
+        for robot, robot_row in zip(robots, of_tick.tolist(), strict=True):
+            out.write(when + robot + (row % tuple(robot_row)).replace("nan", "") + "\n")

@@ -21,7 +21,7 @@ from robofleet.core.valid_json import dumps
 from robofleet.recording.channels import keys
 from robofleet.recording.container import Container
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.scenes.drawn import Channel, Drawn, Told, of_key
+from robofleet.recording.scenes.drawn import Channel, Drawn, DrawnMessages, of_key
 from robofleet.recording.scenes.robot_ticks import BATCH, LARGE_BATCH
 
 FILE = "run.mcap"
@@ -145,7 +145,7 @@ class RunLog:
         """End the file."""
         self.close()
 
-    def _add_drawn(self, messages: Told) -> None:
+    def _add_drawn(self, messages: DrawnMessages) -> None:
         for topic, log_ns, message in messages:
             self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, message)
 

@@ -105,11 +105,11 @@ class Recording:
         places = self._places.get(full, ())
         return self.messages.get(full, [])[bisect_left(places, first) : bisect_left(places, until)]
 
-    def since(self, place: int) -> "Recording":
+    def since(self, first_index: int) -> "Recording":
         """Return a recording that goes on from a place in the order of all messages."""
         later = self.emptied()
         for full, places in self._places.items():
-            first = bisect_left(places, place)
+            first = bisect_left(places, first_index)
             later.messages[full], later._places[full] = self.messages[full][first:], places[first:]
         return later
 

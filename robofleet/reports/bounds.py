@@ -16,7 +16,7 @@ class Judged(NamedTuple):
 
     label: str
     unit: str
-    of: Callable[[Figures], float | None]  # the summary's value; None: not measured
+    value_of: Callable[[Figures], float | None]  # the summary's value; None: not measured
     at_least: bool = False
     own: bool = False  # whether it is a group's own, which not every behaviour has
 
@@ -87,7 +87,7 @@ def judged(figures: Figures, bounds: Bounds) -> list[Figures]:
     verdicts = []
     for name, limit in bounds.model_dump(exclude_none=True).items():
         figure = JUDGED[name]
-        value = figure.of(figures)
+        value = figure.value_of(figures)
         met = value is not None and (value >= limit if figure.at_least else value <= limit)
         verdicts.append({"figure": name, "value": value, "limit": limit, "pass": met})
     return verdicts

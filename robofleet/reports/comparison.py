@@ -82,7 +82,7 @@ def _ended(summary: Summary) -> str:
 
 def _rows(first: Side, second: Side) -> Iterator[tuple[str, float | None, float | None, str, Marked]]:
     for figure in (*JUDGED.values(), *_ALSO, *_own(first.summary, second.summary), *_NOT_JUDGED):
-        first_value, other = figure.of(first.summary), figure.of(second.summary)
+        first_value, other = figure.value_of(first.summary), figure.value_of(second.summary)
         label = figure.title
         if figure.own and first_value is None and other is None:
             continue

@@ -124,7 +124,7 @@ def _tiles(summary: Summary) -> list[Tile]:
     verdicts = {bound["figure"]: bound for bound in summary["bounds"]}
     tiles = []
     for name, figure in JUDGED.items():
-        value, bound = figure.of(summary), verdicts.get(name)
+        value, bound = figure.value_of(summary), verdicts.get(name)
         if figure.own and value is None and bound is None:
             continue
         note = Marked("no bound", None)

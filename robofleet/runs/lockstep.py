@@ -46,7 +46,7 @@ class Lockstep:
     """
 
     def __init__(self, config: Config, probe: Probe | None = None, log: RunLog | LogBeside | None = None) -> None:
-        """Build every process; ``witness`` is told what each gate decides, ``log`` keeps what is said."""
+        """Build every process; ``probe`` is told what each gate decides, ``log`` keeps what is said."""
         self._config = config
         self.clock = SimulatedClock()
         self.clock.advance_to(S)  # 0 means "never" in many fields

@@ -224,8 +224,8 @@ def _jammed(settings: ArmingSettings, view: FleetView) -> Happening | None:
     if why is None:
         return None
     if why.order is None:
-        return Happening(Event.WAYS_CROSS, why.other, why.one)
-    return Happening(Event.WRONG_ORDER, why.one, why.other)
+        return Happening(Event.WAYS_CROSS, why.other, why.behind)
+    return Happening(Event.WRONG_ORDER, why.behind, why.other)
 
 
 def _drill(state: ArmingState, settings: ArmingSettings, view: FleetView) -> tuple[ArmingState, Happening | None]:

@@ -198,14 +198,14 @@ def _reach(
     bodies: Array, between: tuple[float, float], grown: Array, believed: Array, pushed: Array, rate: float, share: float
 ) -> float:
     """Return the distance beyond which no body's row can be broken, and no body slows another one [m]."""
-    disc, hurry, margin, fastest, slowing = 0.0, 0.0, 0.0, 0.0, 0.0
+    disc, fastest_push, margin, fastest, slowing = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(bodies)):
         disc, margin, fastest = max(disc, bodies[i, _DISC]), max(margin, grown[i]), max(fastest, bodies[i, _FASTEST])
-        hurry = max(hurry, np.hypot(pushed[i, 0], pushed[i, 1]))
+        fastest_push = max(fastest_push, np.hypot(pushed[i, 0], pushed[i, 1]))
         counts = bodies[i, _TOP] * bodies[i, _BELIEVED]  # so far from what is kept a robot has its top speed
         if counts > 0.0:
             slowing = max(slowing, counts / (1.0 - share) if share < 1.0 else np.inf)
-    pressed = believed.max() + 2.0 * (fastest + hurry) / rate
+    pressed = believed.max() + 2.0 * (fastest + fastest_push) / rate
     return float(2.0 * (disc + margin) + between[0] + between[1] + max(pressed, slowing))
 
 
@@ -262,8 +262,8 @@ def _pair(
     rows: Array, count: int, stop: Array, other: Array, pushed: Array, apart: float, rate: float, body: Array,
     back: float,
 ) -> int:  # fmt: skip
-    hurry = np.hypot(pushed[0], pushed[1])
-    x, y, reach = other[0] - stop[0], other[1] - stop[1], apart + 2.0 * (body[_FASTEST] + hurry) / rate
+    fastest_push = np.hypot(pushed[0], pushed[1])
+    x, y, reach = other[0] - stop[0], other[1] - stop[1], apart + 2.0 * (body[_FASTEST] + fastest_push) / rate
     squared = x * x + y * y
     if squared == 0.0 or squared > reach * reach:
         return count  # no direction is away from it; or nothing that the robot can do breaks the row

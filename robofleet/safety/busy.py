@@ -53,7 +53,7 @@ class Lateness(NamedTuple):
     late_ns: int
 
 
-class Memory(NamedTuple):
+class BusyState(NamedTuple):
     """What one view does not tell. Instants on the supervisor's clock [ns]."""
 
     heard: tuple[tuple[int, int], ...] = ()  # every process: when it was heard last, and the contention by then
@@ -75,7 +75,7 @@ class Memory(NamedTuple):
         return latest(Lateness(row, ns) for row, ns in enumerate(self.late_ns) if ns)
 
 
-def watch(memory: Memory, phase: Phase, view: FleetView) -> Memory:
+def watch(memory: BusyState, phase: Phase, view: FleetView) -> BusyState:
     """Return what the newest view adds: who is late, and whether load explains it.
 
     Before the checks begin and after the end of a run nobody is late: processes start and stop then.
@@ -122,7 +122,7 @@ def tries(then: Turns | None, now: Turns | None, lasts_ns: int) -> bool:
     return 2 * (now.waited_ns - then.waited_ns) >= lasts_ns or TURN_NS * (now.taken - then.taken) >= lasts_ns
 
 
-def explains(memory: Memory, event: int, robot: int, now_ns: int, causes: frozenset[Event] = CAUSED) -> bool:
+def explains(memory: BusyState, event: int, robot: int, now_ns: int, causes: frozenset[Event] = CAUSED) -> bool:
     """Return whether a cause is one that lateness can make, and somebody was late by load just now.
 
     Where it is one process's silence, that one must not be late by anything else.
@@ -132,8 +132,8 @@ def explains(memory: Memory, event: int, robot: int, now_ns: int, causes: frozen
 
 
 def step(
-    memory: Memory, status: RunStatus, happening: Happening, now_ns: int, *, simulated: bool
-) -> tuple[Memory, RunStatus]:
+    memory: BusyState, status: RunStatus, happening: Happening, now_ns: int, *, simulated: bool
+) -> tuple[BusyState, RunStatus]:
     """Return the run's status after an event; ``simulated``: nothing of the run exists outside this computer.
 
     An event that spoilt checks leaves the fleet ARMED, and ``attempts`` or ``checks_ns`` say that they begin anew.
@@ -161,8 +161,8 @@ def step(
 
 
 def go_on(
-    memory: Memory, status: RunStatus, view: FleetView, standing: Iterable[Happening]
-) -> tuple[Memory, Happening | None]:
+    memory: BusyState, status: RunStatus, view: FleetView, standing: Iterable[Happening]
+) -> tuple[BusyState, Happening | None]:
     """Return Event.CAUGHT_UP where a run that is held by load alone goes on; ``standing``: what the monitor tells."""
     if status.phase is not Phase.HOLD or memory.held_ns == NEVER:
         return memory, None
@@ -196,7 +196,7 @@ def latest(late: Iterable[Lateness]) -> tuple[Lateness, ...]:
     return tuple(sorted(late, key=lambda robot: -robot.late_ns))
 
 
-def _spoilt(memory: Memory, happening: Happening, now_ns: int) -> bool:
+def _spoilt(memory: BusyState, happening: Happening, now_ns: int) -> bool:
     """Return whether load explains why the checks failed: somebody was late by it since they began."""
     event, robot, detail = happening
     drill = event is not Event.GATE_LATCHED or detail <= Latch.DRILL  # a graver latch is no matter of time
@@ -220,7 +220,7 @@ def _process(event: int, robot: int) -> int | None:
     return DRIVERS + robot if event == Event.DRIVER_SILENT else _PROCESSES.get(event)
 
 
-def _gone(memory: Memory, happening: Happening, now_ns: int) -> bool:
+def _gone(memory: BusyState, happening: Happening, now_ns: int) -> bool:
     """Return whether the process that an event tells of was not heard for so long that nobody waits for it."""
     row = _process(happening.event, happening.robot)
     if row is None or row >= len(memory.heard):

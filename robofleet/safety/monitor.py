@@ -68,7 +68,7 @@ class MonitorSettings(NamedTuple):
     floors: tuple[Solid, ...] = ()  # what lies outside a floor that is a polygon
 
 
-class Memory(NamedTuple):
+class MonitorState(NamedTuple):
     """What one view does not tell."""
 
     view: FleetView | None = None  # the one before
@@ -91,9 +91,9 @@ class Suspects(NamedTuple):
 
 
 def watch(
-    memory: Memory, settings: MonitorSettings, phase: Phase, view: FleetView, *, proved: bool = False,
+    memory: MonitorState, settings: MonitorSettings, phase: Phase, view: FleetView, *, proved: bool = False,
     suspects: Suspects | None = None,
-) -> tuple[Memory, tuple[Happening, ...]]:  # fmt: skip
+) -> tuple[MonitorState, tuple[Happening, ...]]:  # fmt: skip
     """Return what happened since the last view and what still stands; processes first, then robot by robot.
 
     ``proved``: the checks of a fleet that is armed are passed, and it waits for its start. ``suspects``: where to look;
@@ -114,7 +114,7 @@ def watch(
         radii = settings.body_radius
         rolling = tuple(map(runaway.watch, memory.rolling or (Rolling(),) * count, view.robots, radii))
     since_ns = memory.since_ns if phase is memory.phase else now_ns
-    memory = Memory(view, phase, since_ns, sessions, infeasible_ns, stalled_ns, rolling)
+    memory = MonitorState(view, phase, since_ns, sessions, infeasible_ns, stalled_ns, rolling)
     happenings = [
         *_host(before, memory, settings, view, checking=checking),
         *_controller(before, settings, phase, view),
@@ -126,8 +126,8 @@ def watch(
         if not robot.driven:
             happenings += _bystander(row, before.robots[row], robot, settings, phase)
             continue
-        told = _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
-        happenings += _over_the_network(told, robot) if row in settings.elsewhere else told
+        driver_events = _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
+        happenings += _over_the_network(driver_events, robot) if row in settings.elsewhere else driver_events
         happenings += _body(row, robot, phase, runs=bool(rolling) and rolling[row].runs)
         happenings += _jump(row, before.robots[row], robot, settings)
         happenings += _place(row, robot, settings)
@@ -152,12 +152,12 @@ def _stalled(robot: RobotView) -> bool:
     """Return whether a wheel stands that is told to turn; of a robot that counts nothing nobody knows it."""
     counts = robot.left_angle or robot.right_angle or robot.left_speed or robot.right_speed
     wheels = (robot.left_output, robot.left_speed), (robot.right_output, robot.right_speed)
-    stands = any(abs(told) >= STALLED_RAD_S and abs(seen) <= runaway.TURNING_RAD_S for told, seen in wheels)
+    stands = any(abs(commanded) >= STALLED_RAD_S and abs(seen) <= runaway.TURNING_RAD_S for commanded, seen in wheels)
     return bool(counts) and stands
 
 
 def _host(
-    before: FleetView, memory: Memory, settings: MonitorSettings, view: FleetView, *, checking: bool
+    before: FleetView, memory: MonitorState, settings: MonitorSettings, view: FleetView, *, checking: bool
 ) -> Iterator[Happening]:
     """Look at this process itself, its disk and its operator."""
     if abs(view.now_ns - before.now_ns) > SILENT_NS:
@@ -282,9 +282,9 @@ def faults_told(faults: int) -> tuple[tuple[Event, float], ...]:
     """Return a robot's fault bits as events with their details; not its e-stop, which is no fault."""
     if not faults:
         return ()
-    told = tuple((event, 0.0) for fault, event in _FAULTS.items() if faults & fault)
+    fault_events = tuple((event, 0.0) for fault, event in _FAULTS.items() if faults & fault)
     own = faults & ~_NAMED
-    return (*told, (Event.ROBOT_FAULT, own)) if own else told
+    return (*fault_events, (Event.ROBOT_FAULT, own)) if own else fault_events
 
 
 def _jump(row: int, before: RobotView, robot: RobotView, settings: MonitorSettings) -> Iterator[Happening]:

@@ -27,7 +27,7 @@ _ENCODER_GAIN = 0.35  # what is counted over what was asked
 class Leg(NamedTuple):
     """One stroke: what each wheel was asked for, what it counted (0 without encoders), what it rolled [rad]."""
 
-    asked: Wheels
+    commanded: Wheels
     counted: Wheels
     rolled: Wheels
 
@@ -48,7 +48,7 @@ def mean_of(forth: Leg, back: Leg) -> Leg:
 
 def wiring_fault(leg: Leg) -> Diagnosis | None:
     """Return the fault between the driver and the floor that explains best what was rolled."""
-    l, r = leg.asked
+    l, r = leg.commanded
     explanations = (
         (Event.NOTHING, (l, r)),
         (Event.DID_NOT_MOVE, (0.0, r)),  # the nearest one too if neither wheel rolled
@@ -64,14 +64,14 @@ def wiring_fault(leg: Leg) -> Diagnosis | None:
     event, _ = min(explanations, key=lambda explanation: math.dist(explanation[1], leg.rolled))
     if event:
         return event, 0.0
-    ratio = _furthest(leg.counted, leg.asked)
+    ratio = _furthest(leg.counted, leg.commanded)
     return (Event.ENCODER_WRONG, ratio) if any(leg.counted) and abs(ratio - 1.0) > _ENCODER_GAIN else None
 
 
 def gain_fault(leg: Leg) -> Diagnosis | None:
     """Return that the robot, or one of its wheels, rolls another distance than believed."""
     counts = any(leg.counted)
-    expected = leg.counted if counts else leg.asked
+    expected = leg.counted if counts else leg.commanded
     along = sum(math.copysign(1.0, b) * a for a, b in zip(leg.rolled, expected, strict=True))  # each as it was told
     mean, furthest = along / sum(map(abs, expected)), _furthest(leg.rolled, expected)
     if abs(mean - 1.0) > (_MEAN_GAIN if counts else _UNCOUNTED_GAIN):

@@ -35,9 +35,9 @@ def rounds(robots: int, close: Iterable[tuple[int, int]]) -> tuple[tuple[int, in
     Who has the most neighbours chooses first: the earliest rounds that are left, and of these the shortest way out.
     """
     near: list[list[int]] = [[] for _ in range(robots)]
-    for one, other in close:
-        near[one].append(other)
-        near[other].append(one)
+    for first, other in close:
+        near[first].append(other)
+        near[other].append(first)
     given: dict[int, tuple[int, int]] = {}
     forth, back = np.empty((2, 0), dtype=np.int64)
     left = np.empty(0, dtype=np.bool_)

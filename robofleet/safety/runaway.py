@@ -35,10 +35,10 @@ class Turning(NamedTuple):
         return self.at_ns - self.since_ns >= RESTS_WITHIN_NS
 
 
-def look(before: Turning, told: bool, measured: float, now_ns: int) -> Turning:
+def look(before: Turning, commanded: bool, measured: float, now_ns: int) -> Turning:
     """Return what is known now; ``told`` to turn, and the faster wheel as measured [rad/s]."""
     continuous = before.at_ns <= now_ns <= before.at_ns + HEARD_WITHIN_NS
-    asleep = told or not abs(measured) > TURNING_RAD_S or not continuous
+    asleep = commanded or not abs(measured) > TURNING_RAD_S or not continuous
     return Turning(now_ns if asleep else before.since_ns, now_ns)
 
 

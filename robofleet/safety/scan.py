@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robofleet.core.kernels import kernel
 from robofleet.safety import monitor, runaway
 from robofleet.safety.distances import CLOSEST_M
-from robofleet.safety.monitor import Memory, MonitorSettings, Suspects
+from robofleet.safety.monitor import MonitorSettings, MonitorState, Suspects
 from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.view import NEVER, FleetView
@@ -38,7 +38,7 @@ class Scan:
         self._suspect = np.zeros(len(self._bodies), np.bool_)
         self._sessions: tuple[tuple[int, ...], NDArray[np.uint64]] = (), np.zeros(0, np.uint64)
 
-    def suspects(self, memory: Memory, phase: Phase, view: FleetView) -> Suspects:
+    def suspects(self, memory: MonitorState, phase: Phase, view: FleetView) -> Suspects:
         """Return what the monitor must look at, of the newest view."""
         rows, before = Rows.of(view.robots).array, Rows.of((memory.view or view).robots).array
         if phase in (Phase.HOLD, *MOVING) and memory.sessions:
@@ -107,19 +107,19 @@ def _close(rows, bodies):  # type: ignore[no-untyped-def]
     pairs = np.empty((4, 2), np.int64)
     count = 0
     for i in range(n):
-        one = order[i]
-        if math.isinf(x[one]):
+        left_robot = order[i]
+        if math.isinf(x[left_robot]):
             break
         j = i + 1
-        while j < n and x[order[j]] - x[one] < bodies[one].radius + largest + _CLOSEST_M + _MORE_M:
+        while j < n and x[order[j]] - x[left_robot] < bodies[left_robot].radius + largest + _CLOSEST_M + _MORE_M:
             other = order[j]
-            near = bodies[one].radius + bodies[other].radius + _CLOSEST_M + _MORE_M
-            if math.hypot(rows[one].x - rows[other].x, rows[one].y - rows[other].y) < near:
+            near = bodies[left_robot].radius + bodies[other].radius + _CLOSEST_M + _MORE_M
+            if math.hypot(rows[left_robot].x - rows[other].x, rows[left_robot].y - rows[other].y) < near:
                 if count == len(pairs):
                     longer = np.empty((2 * count, 2), np.int64)
                     longer[:count] = pairs
                     pairs = longer
-                pairs[count, 0], pairs[count, 1] = min(one, other), max(one, other)
+                pairs[count, 0], pairs[count, 1] = min(left_robot, other), max(left_robot, other)
                 count += 1
             j += 1
     pairs = pairs[:count]

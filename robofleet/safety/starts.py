@@ -64,13 +64,13 @@ def judge(ways: Ways, poses: tuple[Pose, ...]) -> Judgement:
     reach = radii[:, None] + radii[None, :] + _ROOM_M
     together, arrived = np.zeros((n, n)), np.zeros(n)
     first = _places(ways, at)
-    near, place = np.full(n, -1), np.full(n, -1)
+    near, waypoint = np.full(n, -1), np.full(n, -1)
     away, order = np.hypot(*(ways.points[first] - at).T), _order(ways, at, int(first[0]))
     for k in range(round(_LOOK_S / _STEP_S)):
         near = _nearest(ways, at, near)
         leads = (first[0] + round(ways.rate * (k * _STEP_S + ways.horizon) * count / ways.sides)) % count
-        place = _advanced(place, np.concatenate([[leads], ways.behind[near[:-1]]]), count)
-        towards = ways.points[place] - at
+        waypoint = _advanced(waypoint, np.concatenate([[leads], ways.behind[near[:-1]]]), count)
+        towards = ways.points[waypoint] - at
         distance = np.hypot(towards[:, 0], towards[:, 1])
         arrived[distance > speeds * ways.horizon + _ARRIVED_M] = (k + 1) * _STEP_S
         if k * _STEP_S > arrived.max() + _SETTLED_S:
@@ -80,9 +80,9 @@ def judge(ways: Ways, poses: tuple[Pose, ...]) -> Judgement:
         between = at[:, None] - at[None]
         together += np.hypot(between[..., 0], between[..., 1]) < reach
     through = np.triu(together * _STEP_S * np.minimum(speeds[:, None], speeds[None, :]) / reach, 1)
-    one, other = divmod(int(through.argmax()), n)
+    behind, other = divmod(int(through.argmax()), n)
     late = [float(t) if t < _LOOK_S else math.inf for t in arrived]
-    return Judgement(tuple(away.tolist()), tuple(late), float(through.sum()), (one, other), order)
+    return Judgement(tuple(away.tolist()), tuple(late), float(through.sum()), (behind, other), order)
 
 
 def _places(ways: Ways, at: Array) -> NDArray[np.int64]:
@@ -103,9 +103,9 @@ def _nearest(ways: Ways, at: Array, near: NDArray[np.int64]) -> NDArray[np.int64
     return np.asarray(np.where(beyond & (near[:, None] >= 0), np.inf, squared).argmin(axis=1))
 
 
-def _advanced(before: NDArray[np.int64], place: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def _advanced(before: NDArray[np.int64], waypoint: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """Return the places, none behind where it was before (-1: nowhere)."""
-    return np.where((before >= 0) & (_lap(place - before, count) < 0), before, place)
+    return np.where((before >= 0) & (_lap(waypoint - before, count) < 0), before, waypoint)
 
 
 def _order(ways: Ways, at: Array, leader: int) -> tuple[int, ...]:
@@ -123,7 +123,7 @@ def _lap(steps: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 class Reason(NamedTuple):
     """Why a start will jam: two robots by their numbers, and an order that does not jam, if there is one."""
 
-    one: int
+    behind: int
     other: int
     order: tuple[int, ...] | None  # then ``one`` stands ahead of ``other``, which it is to follow
 

@@ -98,7 +98,7 @@ class Start(NamedTuple):
 
     pose: Pose
     angles: Wheels  # as its encoders counted [rad]
-    told: Wheels  # how far the wheels had been told to turn [rad]
+    commanded: Wheels  # how far the wheels had been told to turn [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +305,7 @@ def _leg(start: Start, robot: RobotView, pose: Array, radius: float, base: float
 
 
 def _asked(start: Start, robot: RobotView) -> Wheels:
-    return robot.left_told - start.told[0], robot.right_told - start.told[1]
+    return robot.left_told - start.commanded[0], robot.right_told - start.commanded[1]
 
 
 def _counted(start: Start, robot: RobotView) -> Wheels:
@@ -354,7 +354,7 @@ def _still(start: Start, robot: RobotView, pose: Array, radius: float, base: flo
 def _before(state: Wiggle, row: int) -> frozenset[int]:
     """Return in which rounds before this one a robot was tried."""
     own = state.rounds[row] if row < len(state.rounds) else ()  # a bystander in none
-    return frozenset(one for one in own if one < state.round)
+    return frozenset(candidate for candidate in own if candidate < state.round)
 
 
 def _wrapped(angles: Array) -> Array:

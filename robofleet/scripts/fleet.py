@@ -176,8 +176,8 @@ class Fleet:
         self._epoch = slices.drawn_id(rng, _EPOCH_BITS) if self._lockstep else 1 + secrets.randbits(_EPOCH_BITS - 1)
         self._seq = self._notes = self._order = 0
         self._tick_s: float = config.controller.tick_s
-        self._told = np.zeros(len(self._team), SCRIPT_WISH.item_dtype)
-        self._values = SCRIPT_WISH.floats(self._told)  # of the same memory (N, 3)
+        self._setpoint = np.zeros(len(self._team), SCRIPT_WISH.item_dtype)
+        self._values = SCRIPT_WISH.floats(self._setpoint)  # of the same memory (N, 3)
         self._kind = WishKind.STAND
         self._wished = False
         self._strange = 0  # ticks in which another script's wishes were done
@@ -368,9 +368,9 @@ class Fleet:
         """
         goals = self._goals(poses)
         self._order += 1
-        self._told[:] = 0
+        self._setpoint[:] = 0
         for robot, pose in goals.items():
-            self._told[self.robots.index(robot)] = (1, *pose)
+            self._setpoint[self.robots.index(robot)] = (1, *pose)
         self._kind = WishKind.POSES
         first = self._run_tick
         try:
@@ -537,7 +537,7 @@ class Fleet:
 
     def _wish(self, kind: WishKind, values: Array) -> None:
         if self._kind is not kind:
-            self._told["told"], self._kind = 1, kind
+            self._setpoint["told"], self._kind = 1, kind
             self._values[:, 2] = 0.0
         self._values[:, :2] = values
         self._send()
@@ -548,7 +548,7 @@ class Fleet:
 
     def _encoded(self, kind: WishKind) -> bytes:
         self._seq += 1
-        return SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, self._order, self._tick), self._told)
+        return SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, self._order, self._tick), self._setpoint)
 
     def _stand(self) -> None:
         """Wish that the robots stand until something else is wished."""

@@ -189,11 +189,11 @@ class OwnRun:
     def __init__(self, config: Config, name: str, folder: Path | None) -> None:
         """Start it; without ``folder`` it leaves nothing."""
         self._kept = tempfile.TemporaryDirectory(prefix="robofleet-")
-        place = Path(self._kept.name)
-        self.folder = place / "run" if folder is None else folder
-        file = place / f"{name}.yaml"
+        directory = Path(self._kept.name)
+        self.folder = directory / "run" if folder is None else folder
+        file = directory / f"{name}.yaml"
         file.write_text(resolved_yaml(config))
-        self._stderr = (place / "stderr").open("w+b")
+        self._stderr = (directory / "stderr").open("w+b")
         theirs, self._lifeline = os.pipe()
         command = [sys.executable, "-P", "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
         self._process = subprocess.Popen(

@@ -116,8 +116,8 @@ class Bodies:
             if now_ns > self.bodies[row]["reached_ns"]:
                 self._apply(row, trouble())
         for row, sensors in self.sensors:
-            told = sensors()
-            self.bodies[row]["faults"], self.bodies[row]["low_charge"] = told
+            troubles = sensors()
+            self.bodies[row]["faults"], self.bodies[row]["low_charge"] = troubles
         if self._noisy:
             self._supply(now_ns)
         return now_ns
@@ -215,8 +215,8 @@ def tell(b, p, coming, noise, left, right, now_ns):  # type: ignore[no-untyped-d
 
 @kernel
 def _tell(b, p, coming, left, right):  # type: ignore[no-untyped-def]
-    place = coming[(b.first + b.coming) % len(coming)]
-    place.at_ns, place.left, place.right = b.reached_ns + p.delay_ns, left, right
+    pending = coming[(b.first + b.coming) % len(coming)]
+    pending.at_ns, pending.left, pending.right = b.reached_ns + p.delay_ns, left, right
     if b.coming < len(coming):
         b.coming += 1
 

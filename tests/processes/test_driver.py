@@ -180,12 +180,12 @@ def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Any, recordi
     assert (stand.made["r1"].closed, stand.made["r2"].closed) == (1, 1)
 
 
-def test_a_witness_sees_every_decision_and_none_is_made_where_nothing_can_change(
+def test_a_probe_sees_every_decision_and_none_is_made_where_nothing_can_change(
     bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
 ) -> None:
     seen: list[tuple[str, int, Any, Any, Any]] = []
     bench = bench_of(platoon_of(*recorded(0)))
-    node = driver_of(bench, "r1", witness=lambda *what: seen.append(what))
+    node = driver_of(bench, "r1", probe=lambda *what: seen.append(what))
     bench.run(node, S)
     assert len(seen) == 1  # disarmed: a hundred loops, and nobody asked
     robot = recording_driver.made["r1"]

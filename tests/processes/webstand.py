@@ -191,7 +191,7 @@ def web_stand(
     buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK, roles=has) for name, has in roles.items()]
     urls: list[Addresses] = []
     cut, over = threading.Event(), threading.Event()
-    served = Served(config, folder, buses[1], CLOCK, host, over.is_set, keys, said=said)
+    served = Served(config, folder, buses[1], CLOCK, host, over.is_set, keys, line=said)
     thread = threading.Thread(
         target=lambda: asyncio.run(serve(served, socket.create_server((host, 0)), urls.append, cut.is_set))
     )

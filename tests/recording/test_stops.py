@@ -62,7 +62,7 @@ def test_what_the_operator_asked_for_is_no_stop_by_itself(told: Make, phase: Pha
     (stop,) = told((phase, event))
     assert stop["by_operator"] is asked
     figures = {"stops": [stop], "ticks": 300}
-    assert JUDGED["stops"].of(figures) == (0 if asked else 1)
+    assert JUDGED["stops"].value_of(figures) == (0 if asked else 1)
 
 
 def test_a_robot_that_stands_alone_has_its_own_cause(told: Make) -> None:

@@ -73,7 +73,7 @@ class Lab:
         self.noise = (0.0003, 0.0003, 0.004)
         self.alter: Alter = lambda view: view
         self.outputs = [STOP] * robots
-        self.told: list[tuple[float, ...]] = [(0.0, 0.0)] * robots
+        self.commanded: list[tuple[float, ...]] = [(0.0, 0.0)] * robots
         self.commands = [STOP] * robots
         self.state = self.program.begin(self.now_ns)
         self.stages: list[tuple[Stage, tuple[int, ...]]] = []  # with the strokes, as they came
@@ -112,7 +112,9 @@ class Lab:
             permitted = self.state.stroke(row) or row in self.runaway
             command = self.commands[row] if permitted else STOP
             self.outputs[row] = WheelSpeeds(*(_ramp(a, b) for a, b in zip(self.outputs[row], command, strict=True)))
-            self.told[row] = tuple(a + 0.01 * b for a, b in zip(self.told[row], self.outputs[row], strict=True))
+            self.commanded[row] = tuple(
+                a + 0.01 * b for a, b in zip(self.commanded[row], self.outputs[row], strict=True)
+            )
             wheels = self.outputs[row]
             if (other := self.twins.get(body)) is not None and self.outputs[other] != STOP:
                 wheels = self.outputs[other]
@@ -129,7 +131,7 @@ class Lab:
             robots[-1] = robots[-1]._replace(
                 left_angle=moving[0], right_angle=moving[1], left_speed=moving[2], right_speed=moving[3],
                 left_output=self.outputs[row].left, right_output=self.outputs[row].right,
-                left_told=self.told[row][0], right_told=self.told[row][1],
+                left_told=self.commanded[row][0], right_told=self.commanded[row][1],
             )  # fmt: skip
         self.view = self.view._replace(robots=tuple(robots))
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robofleet.safety import busy, supervisor
-from robofleet.safety.busy import CONTROLLER, DRIVERS, SUPERVISOR, TRACKER, Lateness, Memory
+from robofleet.safety.busy import CONTROLLER, DRIVERS, SUPERVISOR, TRACKER, BusyState, Lateness
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import MOVING, Event, Happening, Phase, RunStatus
 from robofleet.safety.view import FleetView, Machine, RobotView
@@ -35,15 +35,15 @@ def seen(now_ns: int = NOW, contended_ns: int = 0, **robot: object) -> FleetView
     )  # fmt: skip
 
 
-def late(ago_ns: int = 0) -> Memory:
+def late(ago_ns: int = 0) -> BusyState:
     """Return the memory of a run in which the tracker was late by load some time ago."""
-    memory = Memory(recent=(Lateness(TRACKER, 310 * MS),), recent_ns=NOW - ago_ns, checks_ns=NOW - 5 * S)
+    memory = BusyState(recent=(Lateness(TRACKER, 310 * MS),), recent_ns=NOW - ago_ns, checks_ns=NOW - 5 * S)
     return memory._replace(heard=((NOW, 0),) * 5)
 
 
 def watched(after_ns: int, contended_ns: int, silent: str = "", phase: Phase = Phase.RUNNING) -> dict[int, int]:
     """Return who is late after looks every 40 ms, of which ``silent`` was not heard in the last ones."""
-    memory = busy.watch(Memory(), phase, seen())
+    memory = busy.watch(BusyState(), phase, seen())
     for at_ns in range(40 * MS, after_ns + 1, 40 * MS):
         view = seen(NOW + at_ns, contended_ns * at_ns // after_ns)
         if silent == "driver":
@@ -72,7 +72,7 @@ def test_nobody_is_late_while_processes_start_and_end(phase: Phase) -> None:
 
 
 def test_the_supervisors_own_lateness_is_nobody_elses() -> None:
-    memory = busy.watch(Memory(), Phase.RUNNING, seen())
+    memory = busy.watch(BusyState(), Phase.RUNNING, seen())
     stalled = seen(NOW + 700 * MS, 600 * MS)._replace(tracker_ns=NOW)  # what came in between is heard in this look
     memory = busy.watch(memory, Phase.RUNNING, stalled)
     assert memory.recent == (Lateness(SUPERVISOR, 660 * MS),)
@@ -81,14 +81,14 @@ def test_the_supervisors_own_lateness_is_nobody_elses() -> None:
 
 def test_without_a_measured_machine_and_before_the_first_word_nobody_is_late() -> None:
     blind = seen(NOW + S)._replace(machine=None)
-    assert busy.watch(Memory(), Phase.RUNNING, blind) == Memory()
-    memory = busy.watch(Memory(), Phase.RUNNING, seen()._replace(tracker_ns=0))
+    assert busy.watch(BusyState(), Phase.RUNNING, blind) == BusyState()
+    memory = busy.watch(BusyState(), Phase.RUNNING, seen()._replace(tracker_ns=0))
     memory = busy.watch(memory, Phase.RUNNING, seen(NOW + 40 * MS, S)._replace(tracker_ns=0))
     assert memory.recent == ()
 
 
 def test_the_most_of_each_stays_and_the_newest_is_told() -> None:
-    memory = busy.watch(Memory(), Phase.RUNNING, seen())
+    memory = busy.watch(BusyState(), Phase.RUNNING, seen())
     for at_ms, contended_ms in ((440, 400), (540, 500), (580, 500)):
         memory = busy.watch(memory, Phase.RUNNING, seen(NOW + at_ms * MS, contended_ms * MS))
     assert memory.recent == (Lateness(SUPERVISOR, 60 * MS),)
@@ -121,7 +121,7 @@ def test_every_cell(phase: Phase, event: Event) -> None:
 @pytest.mark.parametrize("event", sorted(LOAD_MAKES))
 def test_without_anybody_late_everything_stops_as_it_does(event: Event) -> None:
     happening = Happening(event, 0)
-    for memory in (Memory(), late(S + 1)):
+    for memory in (BusyState(), late(S + 1)):
         stopped, after = busy.step(memory, RUNNING, happening, NOW, simulated=True)
         assert after == supervisor.step(RUNNING, happening)
         assert settled(stopped, after, 100) == []
@@ -165,7 +165,7 @@ def test_checks_in_which_nobody_was_late_and_what_load_cannot_do_refuse_the_star
         assert busy.step(memory, armed, happening, NOW, simulated=True)[1].phase is Phase.FAULT
 
 
-def settled(memory: Memory, status: RunStatus, duration_s: int, **robot: object) -> list[float]:
+def settled(memory: BusyState, status: RunStatus, duration_s: int, **robot: object) -> list[float]:
     """Return when a run that is held goes on [s], with a view every 40 ms in which all is well, but ``robot``."""
     for k in range(1, duration_s * 25):
         view = seen(NOW + k * 40 * MS, **{"seen_ns": NOW + k * 40 * MS, "heard_ns": NOW + k * 40 * MS, **robot})
@@ -179,7 +179,7 @@ def settled(memory: Memory, status: RunStatus, duration_s: int, **robot: object)
 HELD = RunStatus(Phase.HOLD, Event.TRACKER_SILENT)
 
 
-def held(*goes_on_s: float) -> Memory:
+def held(*goes_on_s: float) -> BusyState:
     return late()._replace(held_ns=NOW, goes_on_ns=tuple(NOW - round(ago_s * S) for ago_s in goes_on_s))
 
 
@@ -238,7 +238,7 @@ def test_a_tag_that_is_still_lost_is_waited_for() -> None:
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=60))
 def test_it_goes_on_at_most_ten_times_a_minute_however_late_who_is(runs: list[int]) -> None:
-    memory, status, went_on, left = Memory(checks_ns=NOW), RUNNING, [], iter(runs * 50)
+    memory, status, went_on, left = BusyState(checks_ns=NOW), RUNNING, [], iter(runs * 50)
     drives = next(left)
     for k in range(25 * 180):
         now_ns = NOW + k * 40 * MS

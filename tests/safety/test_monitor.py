@@ -7,7 +7,7 @@ import pytest
 
 from robofleet.safety import monitor
 from robofleet.safety.gate import Latch
-from robofleet.safety.monitor import SILENT_NS, Memory, MonitorSettings
+from robofleet.safety.monitor import SILENT_NS, MonitorSettings, MonitorState
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView
 from robofleet.vehicles.interface import WIRED_STOP, RobotFault
@@ -56,13 +56,13 @@ def told(
     settings: MonitorSettings = SETTINGS,
 ) -> list[Happening]:
     """Return what is told of a view that was changed, 40 ms after a healthy one."""
-    memory, _ = monitor.watch(Memory(), settings, phase, before(healthy(NOW - 40 * MS)))
+    memory, _ = monitor.watch(MonitorState(), settings, phase, before(healthy(NOW - 40 * MS)))
     return list(monitor.watch(memory, settings, phase, change(healthy()))[1])
 
 
 def follow(views: list[FleetView], phase: Phase) -> list[list[Happening]]:
     """Return what is told of each view in turn."""
-    memory, all_told = Memory(), []
+    memory, all_told = MonitorState(), []
     for view in views:
         memory, happenings = monitor.watch(memory, SETTINGS, phase, view)
         all_told.append(list(happenings))
@@ -132,7 +132,7 @@ def test_a_robot_off_a_floor_that_is_a_polygon_is_outside(x_m: float, outside: b
     corners = ((-1.5, -1.0), (1.5, -1.0), (1.5, 0.3), (0.0, 0.3), (0.0, 1.0), (-1.5, 1.0))
     settings = SETTINGS._replace(floors=(Solid("floor", corners, floor=True),))
     view = robot(0, pose=(x_m, 0.6, 0.0))(healthy(NOW))
-    memory, _ = monitor.watch(Memory(), settings, Phase.RUNNING, view)
+    memory, _ = monitor.watch(MonitorState(), settings, Phase.RUNNING, view)
     _, happenings = monitor.watch(memory, settings, Phase.RUNNING, view)
     assert happenings == (Happening(Event.OUTSIDE_ARENA, 0),) * outside
 
@@ -277,7 +277,7 @@ def test_all_leases_taken_at_once_are_lost_too() -> None:
 
 
 def test_a_lease_that_changed_between_two_runs_counts_from_the_second() -> None:
-    memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, healthy(NOW))
+    memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, healthy(NOW))
     other = healthy(NOW + 40 * MS)
     for row in range(3):
         other = robot(row, session=9)(other)
@@ -392,7 +392,7 @@ def test_a_supervisor_that_stood_still_or_whose_clock_jumped_says_so_of_itself(j
     ],
 )
 def test_patience_ends(phase: Phase, limit_ns: int, event: Event) -> None:
-    memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, healthy(NOW - 400 * MS))
+    memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, healthy(NOW - 400 * MS))
     for ns in range(0, limit_ns + 1, 250 * MS):
         memory, happenings = monitor.watch(memory, SETTINGS, phase, healthy(NOW + ns))
         assert happenings == ()
@@ -403,7 +403,7 @@ def test_patience_ends(phase: Phase, limit_ns: int, event: Event) -> None:
 
 
 def test_a_fleet_that_waits_for_its_start_has_passed_its_checks_and_needs_images_again() -> None:
-    memory, silent_ns = Memory(), NOW + 600 * S
+    memory, silent_ns = MonitorState(), NOW + 600 * S
     for ns in range(0, 600 * S, 400 * MS):
         memory, happenings = monitor.watch(memory, SETTINGS, Phase.ARMED, healthy(NOW + ns), proved=True)
         assert happenings == ()
@@ -446,7 +446,7 @@ def test_a_runaways_latch_is_told_and_in_idle_only_while_the_wheel_turns() -> No
 
 def rolled_on(phase: Phase, images: int, **changes: Any) -> list[Happening]:
     """Return what is told when robot 1 has rolled 10 mm in each of so many windows of 240 ms and one view."""
-    memory, happenings = Memory(), []
+    memory, happenings = MonitorState(), []
     for k in range(images):
         now_ns = NOW + k * 250 * MS
         x = 0.01 * k
@@ -494,7 +494,7 @@ def test_a_bystander_says_what_it_likes_of_itself(phase: Phase) -> None:
     ):
         assert of_bystander(change, phase) == []
     outside = robot(2, pose=(1.6, 0.0, 0.0))
-    memory, _ = monitor.watch(Memory(), SETTINGS, phase, outside(PARKED(healthy(NOW - 40 * MS))))
+    memory, _ = monitor.watch(MonitorState(), SETTINGS, phase, outside(PARKED(healthy(NOW - 40 * MS))))
     assert monitor.watch(memory, SETTINGS, phase, outside(PARKED(healthy())))[1] == ()
 
 
@@ -527,7 +527,7 @@ def test_a_bystander_is_as_close_as_a_robot() -> None:
     bodies = 0.06 + 0.05
     for gap, events in ((0.005 - 1e-6, [Happening(Event.TOO_CLOSE, 1, 2)]), (0.005 + 1e-6, [])):
         beside = robot(2, pose=(bodies + gap, 0.0, 0.0))
-        memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, beside(PARKED(healthy(NOW - 40 * MS))))
+        memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, beside(PARKED(healthy(NOW - 40 * MS))))
         assert list(monitor.watch(memory, SETTINGS, Phase.RUNNING, beside(PARKED(healthy())))[1]) == events
 
 
@@ -537,7 +537,7 @@ def test_two_bystanders_may_stand_side_by_side_and_robots_beside_them_are_looked
         return robot(0, pose=(at, 0.0, 0.0))(seen)
 
     for at, events in ((-0.5, []), (0.4, [Happening(Event.TOO_CLOSE, 0, 1), Happening(Event.TOO_CLOSE, 0, 2)])):
-        memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS, at))
+        memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS, at))
         assert list(monitor.watch(memory, SETTINGS, Phase.RUNNING, view(NOW, at))[1]) == events
 
 
@@ -556,7 +556,7 @@ def test_every_bystander_is_looked_at() -> None:
     def view(now_ns: int) -> FleetView:
         return robot(2, unseen_ns=2 * S)(robot(1, driven=False)(PARKED(healthy(now_ns))))
 
-    memory, _ = monitor.watch(Memory(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS))
+    memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS))
     assert monitor.watch(memory, SETTINGS, Phase.RUNNING, view(NOW))[1] == (Happening(Event.BYSTANDER_LOST, 2),)
 
 

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from robofleet.safety import monitor
-from robofleet.safety.monitor import Memory, MonitorSettings
+from robofleet.safety.monitor import MonitorSettings, MonitorState
 from robofleet.safety.rows import Rows
 from robofleet.safety.scan import Scan
 from robofleet.safety.supervisor import Phase
@@ -46,7 +46,7 @@ def robot(rng: random.Random, row: int, now_ns: int) -> RobotView:
 def test_of_wheels_that_stand_the_same_is_told_with_the_scan_and_without(seed: int) -> None:
     """Each robot is told and turns the same way for a while, long enough to be named or not."""
     rng, told = random.Random(seed), 0
-    alone, guided, scan = Memory(), Memory(), Scan(SETTINGS)
+    alone, guided, scan = MonitorState(), MonitorState(), Scan(SETTINGS)
     now_ns, wheels, left = 1_000_000 * MS, [(0.0,) * 4] * N, [0] * N
     for _ in range(120):
         now_ns += 40 * MS
@@ -78,7 +78,7 @@ def test_of_wheels_that_stand_the_same_is_told_with_the_scan_and_without(seed: i
 @pytest.mark.parametrize("seed", range(40))
 def test_the_same_is_told_with_the_scan_and_without(seed: int) -> None:
     rng, told = random.Random(seed), 0
-    alone, guided, scan = Memory(), Memory(), Scan(SETTINGS)
+    alone, guided, scan = MonitorState(), MonitorState(), Scan(SETTINGS)
     phase, now_ns = Phase.IDLE, 1_000_000 * MS
     for step in range(30):
         now_ns += 40 * MS
@@ -109,7 +109,7 @@ def test_a_healthy_fleet_is_not_looked_at() -> None:
     )
     view = FleetView(now_ns, Rows.of(tuple(well)))
     suspects = Scan(SETTINGS._replace(body_radius=(0.05,) * 3, max_speed=(0.3,) * 3)).suspects(
-        Memory(), Phase.RUNNING, view
+        MonitorState(), Phase.RUNNING, view
     )
     assert suspects == ((), (), False, False, False)
 

@@ -68,7 +68,7 @@ def test_the_order_along_the_path_is_told(order: tuple[int, ...]) -> None:
 def test_a_reversed_group_jams_and_the_order_that_does_not_is_named() -> None:
     why = reason(circle(), IN_ORDER[::-1])
     assert why is not None
-    assert (why.one, why.other, why.order) == (3, 2, (3, 2, 1, 0))
+    assert (why.behind, why.other, why.order) == (3, 2, (3, 2, 1, 0))
 
 
 def test_a_leader_on_its_lap_begins_where_it_stands() -> None:

@@ -48,8 +48,8 @@ class Trial:
         return happening
 
     @property
-    def asked(self) -> tuple[float, float]:
-        robot, (left, right) = self.view.robots[0], self.state.tried[0].told
+    def commanded(self) -> tuple[float, float]:
+        robot, (left, right) = self.view.robots[0], self.state.tried[0].commanded
         return robot.left_told - left, robot.right_told - right
 
     @property
@@ -70,7 +70,7 @@ class Trial:
 
     def at_rest(self) -> "Trial":
         """Let the first robot come to rest where the stroke leads."""
-        rolled = [2.0 * asked for asked in self.asked]  # as long as it drove, so long it slows down
+        rolled = [2.0 * asked for asked in self.commanded]  # as long as it drove, so long it slows down
         pose = arc(0.0, 0.0, 0.0, *body_from_wheels(*rolled, RADIUS, BASE), 1.0)
         self.look(STROKE_NS, image=False, left_output=0.0, right_output=0.0, pose=pose)
         assert self.look(400 * MS, image=False) is None
@@ -178,7 +178,7 @@ def test_what_was_asked_in_the_first_stroke_does_not_count_in_the_second() -> No
         assert trial.look(30 * MS) is None
     assert trial.stroke == 2
     assert trial.look(STROKE_NS, image=False, left_output=-5.99, right_output=-3.6) is None
-    assert max(map(abs, trial.asked)) == pytest.approx(0.12 * (5.99 - 0.04))
+    assert max(map(abs, trial.commanded)) == pytest.approx(0.12 * (5.99 - 0.04))
     assert trial.stroke == 2
 
 

@@ -77,14 +77,14 @@ class _Group:
         self._velocities = np.zeros(len(robots), SCRIPT_WISH.item_dtype)
         self._values = SCRIPT_WISH.floats(self._velocities)  # of the same memory (N, 3)
         self._since_ns = np.zeros(len(robots), np.int64)  # when each command was published, on our clock
-        self._topics = [_Commands(graph, robot, partial(self._heard, row)) for row, robot in enumerate(robots)]
+        self._topics = [_Commands(graph, robot, partial(self._on_velocity, row)) for row, robot in enumerate(robots)]
         self.changed = False
 
     def listen(self) -> None:
         for topic in self._topics:
             topic.listen()
 
-    def _heard(self, row: int, v: float, omega: float, age_ns: int) -> None:
+    def _on_velocity(self, row: int, v: float, omega: float, age_ns: int) -> None:
         self._velocities["told"][row] = 1
         self._values[row, :2] = v, omega
         self._since_ns[row] = self._clock.now_ns() - age_ns
@@ -107,7 +107,7 @@ class _Commands:
     """The subscription to one robot's commands."""
 
     def __init__(self, graph: Graph, robot: str, take: Any) -> None:
-        self._graph, self._node, self._heard = graph, graph.node, take
+        self._graph, self._node, self._on_velocity = graph, graph.node, take
         self._name = graph.node.resolve_topic_name(topics.COMMAND.name.format(robot))
         self._kinds = topics.COMMAND.type.split(" or ")
         self._ages, self._senders = Ages(), set[bytes]()
@@ -158,4 +158,4 @@ class _Commands:
                 "has commanded it for a second",
                 throttle_duration_sec=1.0,
             )
-        self._heard(v, omega, age_ns)
+        self._on_velocity(v, omega, age_ns)

@@ -110,10 +110,10 @@ class GatedRobots:
         """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
         commands: Any = repeat((None, 0)) if command is None else _commands(*command)
         permissions: Any = repeat(None) if enable is None else _permissions(*enable)
-        for robot, (told, exposure_ns), permission in zip(self._robots, commands, permissions, strict=False):
+        for robot, (is_commanded, exposure_ns), permission in zip(self._robots, commands, permissions, strict=False):
             if due:
                 robot.look(self._now_ns())
-            robot.pass_on(self._now_ns(), told, exposure_ns, permission)
+            robot.pass_on(self._now_ns(), is_commanded, exposure_ns, permission)
 
     def lease(self, session: int, action: LeaseAction, _now_ns: int) -> tuple[LeaseAnswer, ...]:
         """Answer a request for the leases; an epoch that a restart would give out again is not given out."""

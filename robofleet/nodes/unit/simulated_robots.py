@@ -278,10 +278,14 @@ def _pass_on(  # type: ignore[no-untyped-def]
                 i.command_boot_id, i.command_nonce = c.boot_id, c.nonce
                 i.command_left, i.command_right = own.left_rad_s, own.right_rad_s
             if enabled:
-                its = enables[k]
-                i.permission_epoch, i.permission_seq, i.permission_boot_id = its.epoch, e.seq, e.boot_id
-                i.permission_nonce, i.permission_clear, i.permission_limit = e.nonce, its.clear, its.limit_rad_s
-                i.permission_latch = its.latch if its.latch <= _GRAVEST else _EMERGENCY_STOP
+                permission = enables[k]
+                i.permission_epoch, i.permission_seq, i.permission_boot_id = permission.epoch, e.seq, e.boot_id
+                i.permission_nonce, i.permission_clear, i.permission_limit = (
+                    e.nonce,
+                    permission.clear,
+                    permission.limit_rad_s,
+                )
+                i.permission_latch = permission.latch if permission.latch <= _GRAVEST else _EMERGENCY_STOP
             _feel(l, i)
             _step(g, limits[k], i, now_ns)
             _adopt(g, l, b, p, coming[k], noise[k], now_ns, world_ns, commanded)

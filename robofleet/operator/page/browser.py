@@ -49,11 +49,11 @@ def open_page(address: str) -> bool:
         )  # fmt: skip
     except OSError:
         return False
-    _asked.append(process)
+    _opened_by.append(process)
     return True
 
 
-_asked: list["subprocess.Popen[bytes]"] = []  # they end by themselves
+_opened_by: list["subprocess.Popen[bytes]"] = []  # they end by themselves
 
 
 def _in_windows() -> bool:

@@ -31,7 +31,7 @@ class _Wrong(NamedTuple):
     """What is wrong with a request: for the log, and for a person who opened an address; None: it was no person."""
 
     what: str
-    told: Words | None
+    words: Words | None
 
 
 class Guard:
@@ -54,10 +54,10 @@ class Guard:
             answer = entering or answer
         if wrong is not None:
             self._log(scope, wrong.what)
-            if wrong.told is None:
+            if wrong.words is None:
                 await _refuse(scope, receive, send, _FORBIDDEN)
             else:
-                await _explain(self._refusals[wrong.told], scope, receive, send)
+                await _explain(self._refusals[wrong.words], scope, receive, send)
         elif _body_size(headers) > _LARGEST_BODY:
             self._log(scope, "a body that is too large")
             await _refuse(scope, receive, send, _TOO_LARGE)

@@ -82,8 +82,8 @@ class ConnectionLimiter:
         if len(self._taken) <= MOST:
             return
         ((crowd, _),) = self._crowds.most_common(1)
-        held = [one for one in self._taken if one.host == crowd and not one.acts]
-        if (goes := next((one for one in held if one.is_idle()), next(iter(held), None))) is not None:
+        held = [candidate for candidate in self._taken if candidate.host == crowd and not candidate.acts]
+        if (goes := next((candidate for candidate in held if candidate.is_idle()), next(iter(held), None))) is not None:
             goes.drop("more connections than there are places")
 
     def leave(self, connection: Guest) -> None:

@@ -39,7 +39,7 @@ def of_run(
 
     bus = joined(config.arena.name, config.bus.endpoint, "web", clock, _JOIN_WITHIN_S, end_with_the_run)
     served = Served(
-        config, folder, bus, clock, name, over=lambda: lifeline.cut, keys=keys, said=lambda: lifeline.newest_line,
+        config, folder, bus, clock, name, over=lambda: lifeline.cut, keys=keys, line=lambda: lifeline.newest_line,
         stays=lambda: lifeline.say(STAYS),
     )  # fmt: skip
     try:

@@ -65,7 +65,7 @@ class Served(NamedTuple):
     over: Callable[[], bool]  # whether the run is
     keys: PageKeys | None = None  # None: this computer only
     by_hand: bool = False  # somebody waits for this server beside its run
-    said: Callable[[], str] = str  # what the launcher does while nobody else speaks
+    line: Callable[[], str] = str  # what the launcher does while nobody else speaks
     stays: Callable[[], object] = str  # called when the run is over and somebody looks
 
 
@@ -82,7 +82,7 @@ async def serve(
     scheme = "http" if keys is None else "https"
     root = f"{scheme}://{f'[{served.name}]' if ':' in served.name else served.name}:{port}"
     access = TokenAccess(root, port) if keys is None else CookieAccess(root, port, keys)
-    feed = Feed(config, folder, bus, clock, served.said)
+    feed = Feed(config, folder, bus, clock, served.line)
     controls = Controls(bus, clock, config.units)
     complaints = Complaints(clock)
     guard = Guard(application(feed, controls, access), authorities(names, port, scheme), access, complaints)

@@ -40,7 +40,10 @@ class OnTheWay:
         """Return how far each robot is from its place in a straight line [m]; 0: it is there; None: nobody knows."""
         if self.phase is None or record is None or len(record.robots) != len(self._ids):
             return [None] * len(self._ids)
-        return [_to_go_m(its, goal) for its, goal in zip(record.robots, self.places[self.phase], strict=True)]
+        return [
+            _to_go_m(robot_record, goal)
+            for robot_record, goal in zip(record.robots, self.places[self.phase], strict=True)
+        ]
 
     def robot_words(self, to_go_m: float) -> str:
         """Return a robot's part of the way in words."""

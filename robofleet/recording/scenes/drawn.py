@@ -14,7 +14,7 @@ from robofleet.recording.scenes.scene import Scene
 
 PROTOBUF = "protobuf"
 
-Told = Sequence[tuple[str, int, bytes]]  # topic, log time [ns], message
+DrawnMessages = Sequence[tuple[str, int, bytes]]  # topic, log time [ns], message
 
 
 class Channel(NamedTuple):
@@ -45,14 +45,14 @@ class Drawn:
         self._ticks = RobotTicks(config, groups, batch)
         self.channels = tuple(self._described())
 
-    def update(self, full: str, payload: bytes, at_ns: int) -> Told:
+    def update(self, full: str, payload: bytes, at_ns: int) -> DrawnMessages:
         """Return what a message that came at ``at_ns`` of the caller's clock brings."""
         log_ns = at_ns + self._epoch_ns
         shown = self._scene.update(full, payload, at_ns)
         ticks = self._ticks.update(full, payload, log_ns)
         return [*((topic, log_ns, drawn) for topic, drawn in shown), *ticks] if shown else ticks
 
-    def rest(self) -> Told:
+    def rest(self) -> DrawnMessages:
         """Return what is left at the end."""
         return self._ticks.rest()
 

@@ -105,14 +105,14 @@ class FleetScene:
             pose = Pose(position=Vector3(x=item.x_m, y=item.y_m), orientation=shapes.turned(item.psi_rad))
             messages.append((pose_topic(robot), PoseInFrame(timestamp=at, frame_id=WORLD, pose=pose)))
         parts = described.parts(self._groups, np.array([tick.figures]))
-        there = np.concatenate([positions[0, :, :2] for positions in parts])
-        known = np.isfinite(there).all(axis=1).tolist()
+        reference_points = np.concatenate([positions[0, :, :2] for positions in parts])
+        known = np.isfinite(reference_points).all(axis=1).tolist()
         referring = [
             row for row in (driven if tick.phase == Phase.RUNNING else ()) if known[row] and self._permitted(row)
         ]
         if referring or self._references:
             here = [(self._items[row].point_x_m, self._items[row].point_y_m) for row in referring]
-            points = np.hstack([np.reshape(here, (-1, 2)), there[referring]])
+            points = np.hstack([np.reshape(here, (-1, 2)), reference_points[referring]])
             messages.append(("/references", SceneUpdate(entities=[shapes.references(referring, points, at)])))
         self._references = referring
         return messages, frames
@@ -130,8 +130,8 @@ class FleetScene:
     def _true_frames(self) -> list[FrameTransform]:
         frames = []
         for unit, (date_ns, payload) in self._truths.items():
-            said, robots = UNIT_TRUTH.decode(payload), self._config.units[unit]
-            for truth in () if said is None else said.robots:
+            truth_message, robots = UNIT_TRUTH.decode(payload), self._config.units[unit]
+            for truth in () if truth_message is None else truth_message.robots:
                 if truth.place < len(robots):
                     child = f"{robots[truth.place]}/truth"
                     frames.append(_frame(child, stamp(date_ns), truth.x_m, truth.y_m, truth.psi_rad))

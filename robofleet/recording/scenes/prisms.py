@@ -11,7 +11,7 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from robofleet.vehicles.solids import area
 
 Point = Sequence[float]
-Place = tuple[float, float, float]
+Point3D = tuple[float, float, float]
 
 
 def prism(outline: Sequence[Point], height: float, color: Color) -> TriangleListPrimitive:
@@ -21,7 +21,7 @@ def prism(outline: Sequence[Point], height: float, color: Color) -> TriangleList
     return TriangleListPrimitive(pose=Pose(orientation=Quaternion(w=1.0)), points=at, color=color)
 
 
-def _sides(outline: Sequence[Point], height: float) -> Iterator[Place]:
+def _sides(outline: Sequence[Point], height: float) -> Iterator[Point3D]:
     for (x, y), (to_x, to_y) in zip(outline, (*outline[1:], outline[0]), strict=True):
         yield from ((x, y, 0.0), (to_x, to_y, 0.0), (to_x, to_y, height))
         yield from ((x, y, 0.0), (to_x, to_y, height), (x, y, height))

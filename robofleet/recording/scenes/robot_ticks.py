@@ -97,15 +97,15 @@ class RobotTicks:
         common = {name: ticks[name][:, None] for name in ("tick", "run_tick")}
         by_robot: list[list[bytes]] = []
         for part, message, names in zip(run.parts, self._messages, self._own, strict=True):
-            told = {column.name: values[:, part.rows, index] for index, column in enumerate(COLUMNS)}
+            robot_values = {column.name: values[:, part.rows, index] for index, column in enumerate(COLUMNS)}
             own = own_table(part, names)[:count]
-            told |= {name: own[..., index] for index, name in enumerate(names)}
+            robot_values |= {name: own[..., index] for index, name in enumerate(names)}
             n = len(part.said.robots)
-            messages = message.messages((count, n), common | told)
+            messages = message.messages((count, n), common | robot_values)
             by_robot += [messages[k::n] for k in range(n)]
         places = [(topic, came) for came in self._came[:count] for topic, _ in self.channels]
         self._forget(count)
-        in_order = (of for tick in zip(*by_robot, strict=True) for of in tick)
+        in_order = (robot_message for tick in zip(*by_robot, strict=True) for robot_message in tick)
         return [(*index, message) for index, message in zip(places, in_order, strict=True)]
 
     def _forget(self, count: int) -> None:

@@ -144,7 +144,11 @@ class Scene:
         latches, before = UNIT_STATUS.column(payload, "latch"), self._fleet.latches
         if latches is None or len(latches) != len(rows):
             return ()
-        new = [(row, its) for row, its in zip(rows, latches.tolist(), strict=True) if its != before[row]]
+        new = [
+            (row, newest_latch)
+            for row, newest_latch in zip(rows, latches.tolist(), strict=True)
+            if newest_latch != before[row]
+        ]
         for row, latch in new:
             before[row] = latch
         return _log([latch_line(self._ids[row], latch) for row, latch in new], date_ns)

@@ -79,7 +79,7 @@ class _Player:
     def __init__(self, config: Config, storm: Plan) -> None:
         self._config, self._plan = config, storm
         self._ledger = Ledger()
-        self._lockstep = Lockstep(config, self._ledger.witness)
+        self._lockstep = Lockstep(config, self._ledger.probe)
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
         tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.robots}
         self._senders = Senders(config, self._lockstep.bus)

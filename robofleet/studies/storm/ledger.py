@@ -50,7 +50,7 @@ class Ledger:
         self.decisions.clear()
         self.said_ns.clear()
 
-    def witness(self, robot: str, now_ns: int, inputs: Inputs, state: GateState, output: GateOutput) -> None:
+    def probe(self, robot: str, now_ns: int, inputs: Inputs, state: GateState, output: GateOutput) -> None:
         """Keep what a gate decided."""
         self.decisions[robot].append(GateDecision(self._now_ns(), now_ns, inputs, state, output))
 

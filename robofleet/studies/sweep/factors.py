@@ -96,7 +96,7 @@ def _judged(summaries: Sequence[dict[str, Any] | None]) -> Iterator[Measure]:
     """Yield the figures that bounds can judge."""
     for name, figure in JUDGED.items():
         limits = {bound["limit"] for s in summaries if s for bound in s["bounds"] if bound["figure"] == name}
-        values = [None if s is None else figure.of(s) for s in summaries]
+        values = [None if s is None else figure.value_of(s) for s in summaries]
         limit = limits.pop() if len(limits) == 1 else None
         yield Measure(figure.label, figure.unit, _array(values), limit, figure.at_least)
 

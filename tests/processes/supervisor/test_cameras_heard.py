@@ -57,7 +57,7 @@ class Hall:
         """Return what the monitor makes of the robots' rows: whom it takes for lost."""
         self.robots["driven"] = np.arange(len(self.robots)) < self.driven
         view = self.view._replace(now_ns=self.clock.now_ns(), robots=Rows(self.robots.copy()))
-        _, told = monitor.watch(monitor.Memory(), _settings(self), Phase.RUNNING, view)
+        _, told = monitor.watch(monitor.MonitorState(), _settings(self), Phase.RUNNING, view)
         return [one for one in told if one.event in _LOST]
 
     def tell(self, camera: str, event: TrackerEvent) -> None:
