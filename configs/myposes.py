@@ -8,8 +8,7 @@ import math
 import socket
 import threading
 
-from robofleet.bus.messages import TagPose
-from robofleet.tracking.sources import CameraError, Observation, PoseContext
+from robofleet import CameraError, Observation, PoseContext, TagPose
 
 PORT = 5601
 

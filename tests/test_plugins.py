@@ -1,5 +1,7 @@
 """Folders that are handed to a process for its modules: what is no list of them is refused in a line."""
 
+from pathlib import Path
+
 import pytest
 
 from robofleet.core.plugins import PluginError, load
@@ -10,3 +12,12 @@ def test_folders_that_are_no_list_are_refused_in_a_line(folders: str, monkeypatc
     monkeypatch.setenv("ROBOFLEET_MODULES", folders)
     with pytest.raises(PluginError, match=r"^ROBOFLEET_MODULES of the environment is no list of folders, .*unset it$"):
         load("robofleet.drivers", "nothing_here:Driver")
+
+
+def test_a_module_that_imports_what_has_moved_is_told_where_to_import_it_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "of_yesterday.py").write_text("\nfrom robofleet.comms.messages import TagPose\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PluginError, match=r"mend line 2 of .*of_yesterday\.py: import it from `robofleet` itself"):
+        load("robofleet.poses", "of_yesterday:Poses")

@@ -45,6 +45,8 @@ def load(group: str, name: str) -> Any:
         mend = "mend its name, or install its package"
         if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
             mend += f", or put {error.name}.py beside the configuration"
+        elif isinstance(error, ImportError) and (error.name or "").startswith("robofleet."):
+            mend = f"mend {_raised_in(error)}: import it from `robofleet` itself, whose modules move (UPGRADING.md)"
         elif (where := _raised_in(error)) is not None:
             mend = f"mend {where}"
         raise PluginError(f"{name!r} cannot be loaded: {error}: {mend}") from error
