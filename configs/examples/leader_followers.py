@@ -30,8 +30,8 @@ with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
     fleet.mark("the leader's way", [oval(t)[0] for t in np.linspace(0, PERIOD, 100)], closed=True)
     for t in fleet.ticks(30):
         x, v = fleet.points, np.zeros((n, 2))
-        place, speed = oval(t)
-        v[0] = speed + K * (place - x[0])
+        position, speed = oval(t)
+        v[0] = speed + K * (position - x[0])
         for i in range(1, n):
             gap = np.linalg.norm(x[i - 1] - x[i])
             towards = (x[i - 1] - x[i]) / gap

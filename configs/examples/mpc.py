@@ -44,13 +44,13 @@ with Fleet.from_arguments(Path(__file__).parents[1] / "script.yaml") as fleet:
     angle = np.linspace(0, 2 * np.pi, 50, endpoint=False)
     fleet.mark("obstacle", OBSTACLE + RADIUS * np.column_stack([np.cos(angle), np.sin(angle)]), closed=True)
     clearance = np.inf
-    wishes = np.zeros((len(fleet.robots), 2))
+    setpoints = np.zeros((len(fleet.robots), 2))
     for _ in fleet.ticks(30):
         opti.set_value(now, fleet.poses[0])
         plan = opti.solve()
         opti.set_initial(plan.value_variables())  # the next plan is much the same
-        wishes[0] = plan.value(u[:, 0])
-        fleet.drive(wishes)
+        setpoints[0] = plan.value(u[:, 0])
+        fleet.drive(setpoints)
         fleet.mark("plan", np.transpose(plan.value(z[:2, :])), line=True)
         clearance = min(clearance, float(np.linalg.norm(fleet.poses[0, :2] - OBSTACLE)) - RADIUS)
         off = fleet.poses[0] - GOAL

@@ -23,7 +23,7 @@ ROBOT = np.dtype(
         *((name, "<i8") for name in ("lost", "filtered", "blocked", "failed", "driven", "camera_out")),
     ]
 )  # fmt: skip
-_PLACES = {name: place for place, name in enumerate(ROBOT.names or ())}
+_PLACES = {name: index for index, name in enumerate(ROBOT.names or ())}
 _POSE, _LOST = _PLACES["x"], _PLACES["lost"]
 
 
