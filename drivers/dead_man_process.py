@@ -32,9 +32,9 @@ def main(line: int, signs: int, stop: bytes, silent_s: float) -> None:
                 break
             patience = silent_s
         else:
-            _write(line, stop)
             if patience != AGAIN_S:
-                _write(signs, STOPPED)
+                _write(signs, STOPPED)  # first: a driver that goes on behind the stop must know of it
+            _write(line, stop)
             patience = AGAIN_S
     for _ in range(STOPS):
         _write(line, stop)
