@@ -20,6 +20,8 @@ from xdist.scheduler import LoadFileScheduling
 
 from tests.compiled_once import compiled_once
 
+pytest_plugins = ["tests.process_fixtures", "tests.recording_fixtures"]
+
 # Else every process that a test starts compiles all sources anew, and every worker rewrites all assertions.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False

@@ -1,8 +1,8 @@
-"""A few seeds of ``tests.behaviours.obstacles``, whose command drives 200."""
+"""A few seeds of ``tools.measure.behaviours.obstacle_trials``, whose command drives 200."""
 
 import pytest
 
-from tests.behaviours import obstacles
+from tools.measure.behaviours import obstacle_trials as obstacles
 
 
 @pytest.mark.parametrize(("behaviour", "seed"), [("go_to", 2), ("cyclic_pursuit", 1), ("cyclic_pursuit", 14)])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.config.mutated import attack
+from tools.measure.runs.mutated import attack
 
 
 def _hold(folder: Path, files: int, patch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from robofleet.recording.reading import read
 from robofleet.safety.gate import Latch
 from tests.hosts.fleet import ALONE, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network, unavailable
-from tests.processes.realrun import wait, was_busy
+from tests.runs.realrun import wait, was_busy
 
 
 @pytest.fixture

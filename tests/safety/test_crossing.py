@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.safety.crossing import SCENARIOS, Crossing, configuration, cross
+from tools.measure.behaviours.crossing import SCENARIOS, Crossing, configuration, cross
 
 
 def crossed(name: str, seed: int) -> Crossing:

@@ -21,8 +21,8 @@ from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
 from robofleet.tracking.events import TrackerEvent
-from tests.comms.alone import ROBOT_STATUS, WHEEL_COMMAND, Alone, WheelCommand
-from tests.comms.alone import TRUTH as TRUTH_LAYOUT
+from tests.bus.alone import ROBOT_STATUS, WHEEL_COMMAND, Alone, WheelCommand
+from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 WHEN = "at_s: 0.5, duration_s: 1.0"

@@ -1,9 +1,9 @@
-"""The tracker's accuracy on a few ray-cast frames; ``python -m tests.tracking.accuracy`` has the whole table."""
+"""The tracker's accuracy on a few ray-cast frames; the whole table: ``python -m tools.measure.tracking.accuracy``."""
 
 import pytest
 
-from tests.tracking.accuracy import SCENES, evaluate
 from tests.tracking.peers import OURS, UNTIMED
+from tools.measure.tracking.accuracy import SCENES, evaluate
 
 
 @pytest.mark.parametrize(

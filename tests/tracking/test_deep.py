@@ -1,4 +1,4 @@
-"""Tags that one threshold misses; ``python -m tests.tracking.acquisition`` has the whole table."""
+"""Tags that one threshold misses; ``python -m tools.measure.tracking.acquisition`` has the whole table."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,6 @@ from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.families import Squares
 from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.targets import Target
-from tests.tracking.acquisition import SCENES, evaluate, trials
 from tests.tracking.peers import OURS
 from tests.tracking.test_tracker import (
     GEOMETRY,
@@ -24,6 +23,7 @@ from tests.tracking.test_tracker import (
     measured,
     scene,
 )
+from tools.measure.tracking.acquisition import SCENES, evaluate, trials
 
 
 @pytest.mark.parametrize(("title", "least"), [("contrast 30", 0.99), ("contrast 20", 0.93)])

@@ -13,9 +13,6 @@ from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.families import pattern
 from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import TagTracker
-from tests.tracking.acquisition import SCENES, evaluate
-from tests.tracking.certainty import Scene as Certainty
-from tests.tracking.certainty import certainty
 from tests.tracking.library import drawn
 from tests.tracking.peers import OURS, Setting, apriltag
 from tests.tracking.test_tracker import (
@@ -31,6 +28,9 @@ from tests.tracking.test_tracker import (
     error,
     measured,
 )
+from tools.measure.tracking.acquisition import SCENES, evaluate
+from tools.measure.tracking.certainty import Scene as Certainty
+from tools.measure.tracking.certainty import certainty
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 

@@ -10,7 +10,7 @@ from robofleet.config.load import load_config
 from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sight import FleetSight
-from tests.tracking.vibration import configuration, evaluate
+from tools.measure.tracking.vibration import configuration, evaluate
 
 ROOT = Path(__file__).parents[2]
 PERIOD_S = 0.033

@@ -9,9 +9,9 @@ from robofleet.core.clock import S
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import TagSighting, TagTracker
-from tests.tracking.accuracy import HEIGHT, SIDE
-from tests.tracking.certainty import Scene, camera
 from tests.tracking.raycast import Cable, Print, RayCaster, along, clutter
+from tools.measure.tracking.accuracy import HEIGHT, SIDE
+from tools.measure.tracking.certainty import Scene, camera
 
 TAGS = (7, 30, 211, 400)
 STARTS = ((-1.2, -0.5, 0.3), (1.1, 0.5, 2.0), (-0.9, 0.5, -2.5), (1.0, -0.6, -0.8))  # seen under slopes of 0.4 to 0.6

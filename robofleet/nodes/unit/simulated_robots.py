@@ -1,7 +1,7 @@
 """The simulated robots of a unit: gates, wheels and words of all of them at once, in arrays.
 
 It does what ``gated_robot.py`` does for a robot that exists, to the last bit:
-``tests/processes/test_simulated_robots.py`` runs both beside each other. The lines that decide are in
+``tests/nodes/test_simulated_robots.py`` runs both beside each other. The lines that decide are in
 ``safety/gates.py``; those of the bodies in ``simulation/bodies.py``.
 """
 

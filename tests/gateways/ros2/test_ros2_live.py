@@ -22,7 +22,7 @@ from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.ros2 import topics
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
-from tests.processes.realrun import CLOCK, RealRun, wait, was_busy
+from tests.runs.realrun import CLOCK, RealRun, wait, was_busy
 
 pytestmark = pytest.mark.skipif(
     find_spec("rclpy") is None, reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own"

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from tests.processes.realrun import own_folders
+from tests.runs.realrun import own_folders
 
 CONFIG = Path(__file__).parents[3] / "configs" / "ros2.yaml"
 WITHIN_S = 120.0
