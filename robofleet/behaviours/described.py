@@ -77,10 +77,8 @@ def names(groups: Sequence[Group]) -> list[str]:
 def told(groups: Sequence[Group], numbers: Array) -> list[GroupFigures]:
     """Return what each group told, from the ticks' numbers (K, size)."""
     return [
-        GroupFigures(
-            numbers_of[..., :2], {figure.name: numbers_of[..., 2 + k] for k, figure in enumerate(group.figures)}
-        )
-        for group, numbers_of in zip(groups, parts(groups, numbers), strict=True)
+        GroupFigures(values[..., :2], {figure.name: numbers_of[..., 2 + k] for k, figure in enumerate(group.figures)})
+        for group, values in zip(groups, parts(groups, numbers), strict=True)
     ]
 
 

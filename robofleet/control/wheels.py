@@ -22,7 +22,7 @@ def limits(drives: tuple[DifferentialDrive, ...]) -> Array:
 
 @kernel
 def commanded(
-    velocities: Array, of_body: NDArray[np.bool_], poses: Array, l: float, wheels_of: Array, driving: NDArray[np.bool_],
+    velocities: Array, of_body: NDArray[np.bool_], poses: Array, l: float, geometry: Array, driving: NDArray[np.bool_],
     u: Array, wheels: Array, saturated: Array, points: Array,
 ) -> None:  # fmt: skip
     """Write what each robot is asked for: ``u`` (N, 2), ``wheels`` (N, 2) [rad/s], and whether they were limited (N,).
@@ -45,8 +45,8 @@ def commanded(
             u_x, u_y = c * v - s * l * omega, s * v + c * l * omega
         else:
             v, omega = _body_from_point(u_x, u_y, psi, l)
-        left, right = _wheels_from_body(v, omega, wheels_of[i, 0], wheels_of[i, 1])
-        ratio = _feasible_ratio(left, right, wheels_of[i, 0], wheels_of[i, 2], wheels_of[i, 3])
+        left, right = _wheels_from_body(v, omega, geometry[i, 0], geometry[i, 1])
+        ratio = _feasible_ratio(left, right, geometry[i, 0], geometry[i, 2], geometry[i, 3])
         wheels[i, 0], wheels[i, 1] = ratio * left, ratio * right
         u[i, 0], u[i, 1] = ratio * u_x, ratio * u_y
         saturated[i] = 1.0 if ratio < 1.0 else 0.0

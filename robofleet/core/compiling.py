@@ -57,7 +57,7 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
     def spread() -> None:
         elapsed_s, share = (
             (stopwatch_ns() - began_ns) / S,
-            sum(work[done_name] for done_name in done) / sum(work.values()),
+            sum(work[name] for name in done) / sum(work.values()),
         )
         say(Progress(name, len(done), len(work), elapsed_s * (1 - share) / share if done else -1.0, share))
 

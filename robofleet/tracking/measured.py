@@ -26,7 +26,7 @@ def rows_of(tags: dict[int, int]) -> Instants:
 def placed(
     tag_poses: NDArray[Any], rows: Instants, exposure_ns: int, latest_ns: int, poses: Array, instants_ns: Instants
 ) -> None:
-    """Write what an image measured, ``said``: TagPose (K,), into poses (M, 9), NaN where nothing was, and the robots'
+    """Write what an image measured, ``tag_poses`` (K,), into poses (M, 9), NaN where nothing was, and the robots'
     own mid-exposures (M,). What is predicted, or later than ``latest_ns``, is no measurement.
 
     Columns: x, y [m], psi [rad], and their covariance in the message's order; zeros where nobody knows it.
