@@ -77,7 +77,7 @@ def names(groups: Sequence[Group]) -> list[str]:
 def told(groups: Sequence[Group], numbers: Array) -> list[GroupFigures]:
     """Return what each group told, from the ticks' numbers (K, size)."""
     return [
-        GroupFigures(values[..., :2], {figure.name: numbers_of[..., 2 + k] for k, figure in enumerate(group.figures)})
+        GroupFigures(values[..., :2], {figure.name: values[..., 2 + k] for k, figure in enumerate(group.figures)})
         for group, values in zip(groups, parts(groups, numbers), strict=True)
     ]
 
