@@ -63,6 +63,19 @@ def _has_fleet(scope: str) -> bool:
     return file.is_file() and bool(_FLEET.search(file.read_text()))
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the cases of ``slow_after_first`` as slow, but the first of each test."""
+    fast = set()
+    for item in items:
+        if item.get_closest_marker("slow_after_first") is None or item.get_closest_marker("long") is not None:
+            continue
+        test = item.nodeid.partition("[")[0]
+        if test in fast:
+            item.add_marker("slow")
+        fast.add(test)
+
+
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:
     return _Scheduling(config, log)
 

@@ -295,6 +295,7 @@ def test_a_ci_that_asks_for_nothing_is_told_so(refused: Callable[..., str], fold
     assert refused(PLATOON, *TRUTH, "--junit", "there", "--out", "new").startswith("--junit: there is a folder")
 
 
+@pytest.mark.slow
 def test_a_terminal_of_the_c_locale_gets_ascii_alone(folder: Path) -> None:
     command = [sys.executable, "-m", "robofleet", "check", str(PLATOON)]
     for place, plain in (({"LC_ALL": "C"}, True), ({"LANG": "C.UTF-8"}, False)):
@@ -320,6 +321,7 @@ def test_check_refuses_with_exit_code_2(folder: Path) -> None:
     assert robofleet("check", file).exit_code == 0, place
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("arguments", [["run", str(PLATOON), "--lockstep"], ["replay", "runs"], ["report", "runs"]])
 def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(arguments: list[str]) -> None:
     hidden = "import sys; sys.modules.update(numba=None, mcap=None)"

@@ -119,6 +119,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("guide", GUIDES, ids=lambda guide: str(guide.relative_to(ROOT)))
 @pytest.mark.usefixtures("desk")
 def test_every_command_of_a_guide_works(guide: Path, monkeypatch: pytest.MonkeyPatch) -> None:

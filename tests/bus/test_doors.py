@@ -266,6 +266,7 @@ def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allow
     subscriber.undeclare()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("size", [REQUEST.largest + 1, 40_000_000])
 def test_a_request_that_is_too_large_keeps_nobody_from_the_supervisor(bounding: Bus, size: int) -> None:
     bus = bounding

@@ -198,6 +198,7 @@ def test_a_certificate_that_has_ended_is_refused(lab: Lab, monkeypatch: pytest.M
     assert lab.hears_the_robot()
 
 
+@pytest.mark.slow_after_first
 def test_the_link_of_a_certificate_that_ends_is_ended(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """A day's certificate that was made a day ago, but for some seconds."""
     monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=1) + timedelta(seconds=4))

@@ -19,6 +19,8 @@ from typer.testing import CliRunner
 from robofleet import cli
 from robofleet.calibration import sheets
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 SVG = "{http://www.w3.org/2000/svg}"
 MM_PER_PT = 25.4 / 72.0

@@ -91,6 +91,7 @@ def changed(file: Path) -> None:
     file.write_bytes(content)
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_compiled_anew(folder: Path) -> None:
     for file, damage in zip(sorted(folder.iterdir()), (cut, emptied, changed), strict=True):
         damage(file)
@@ -143,11 +144,13 @@ def evil(folder: Path) -> Path:
     return mark
 
 
+@pytest.mark.slow
 def test_a_file_of_ones_own_is_unpickled(folder: Path, evil: Path) -> None:
     said(started(MODELS, folder, 2.0))
     assert evil.exists(), "else the next tests prove nothing"
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("spoil", [pytest.param(of_nobody, marks=as_root), writable_for_a_group, a_link])
 def test_a_folder_that_is_not_the_users_alone_is_not_used_and_that_is_said_once(
     folder: Path, evil: Path, spoil: Callable[[Path], None]
@@ -164,6 +167,7 @@ def test_a_folder_that_is_not_the_users_alone_is_not_used_and_that_is_said_once(
     assert sorted((file.name, file.read_bytes()) for file in folder.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_a_file_that_may_be_anothers_is_compiled_anew(folder: Path, evil: Path) -> None:
     spoils = (of_nobody if os.geteuid() == 0 else writable_for_all, a_link, a_second_name)
     for file, spoil in zip(sorted(folder.iterdir()), spoils, strict=True):
@@ -173,6 +177,7 @@ def test_a_file_that_may_be_anothers_is_compiled_anew(folder: Path, evil: Path) 
     assert said(started(MODELS, folder, 2.0, 3.0, 4.0)) == [(3.0, True), (4.0, True), (5.0, True)]
 
 
+@pytest.mark.slow
 def test_a_folder_is_made_and_kept_closed(folder: Path) -> None:
     assert folder.stat().st_mode & 0o7777 == 0o700
     folder.chmod(0o755)  # as an older version made it
@@ -203,13 +208,14 @@ def test_what_nobody_has_read_for_longest_makes_room(tmp_path: Path, monkeypatch
     assert sorted(file.name for file in tmp_path.iterdir()) == ["b", "c"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_second_process_loads_a_users_flow() -> None:
     ((predicted, _),) = said(started(FLOW))
     assert predicted == 3.0
     assert said(started(FLOW)) == [(3.0, True)]
 
 
+@pytest.mark.slow
 def test_importing_changes_nothing() -> None:
     source = "import numba; before = numba.config.CACHE_DIR; import robofleet.control.flow, sys; "
     subprocess.run([sys.executable, "-c", f"{source}sys.exit(numba.config.CACHE_DIR != before)"], check=True)

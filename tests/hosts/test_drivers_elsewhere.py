@@ -20,7 +20,7 @@ def test_an_endpoint_that_the_drivers_cannot_know_is_refused(changes: list[str])
         load_config(PLATOON, [SYSTEMD, *changes])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_driver_that_waits_for_the_bus_serves_one_run_after_the_other(
     tmp_path: Path, real_run: Callable[..., RealRun]
 ) -> None:

@@ -70,6 +70,7 @@ def test_a_revocation_is_not_missed_where_the_keys_could_not_be_read_at_first(au
     assert not keys.changed(permitted), "once"
 
 
+@pytest.mark.slow
 def test_who_is_revoked_in_a_run_hears_and_says_nothing_more_and_the_others_come_back(
     real_run: Callable[..., RealRun], authority: Authority, stack: ExitStack
 ) -> None:

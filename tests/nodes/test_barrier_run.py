@@ -27,6 +27,7 @@ def started(platoon_of: Callable[..., Config]) -> Lockstep:
     return run
 
 
+@pytest.mark.slow
 def test_a_platoon_that_has_found_its_spacing_is_left_alone(started: Lockstep) -> None:
     run = Run(started.recording)
     filtered = run.items["filtered"]

@@ -41,6 +41,7 @@ def options(how: str) -> list[str]:
     return [word for key in two_groups(how) for word in ("--set", key)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "event", "robot"),
     [
@@ -120,7 +121,7 @@ def test_one_that_takes_longer_than_its_share_of_a_tick_is_named_and_its_group_s
     assert capsys.readouterr().err.startswith(late)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_that_is_late_is_named_and_everybody_stands(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*options("sleeps"), config=SWIRL)
     cause = "r1: the behaviour of its group failing took longer than its share of a tick"

@@ -56,12 +56,13 @@ def hand(config: Config, speed: float, at_s: float, duration_s: float) -> str:
     return f"faults=[{{kind: pushed, robot: p1, velocity_m_s: {velocity}, at_s: {at_s}, duration_s: {duration_s}}}]"
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("left_m", "how"),
     [
         *[(left_m, (TRUTH,)) for left_m in (0.0, -0.06, -0.15)],
-        *[pytest.param(left_m, (), marks=pytest.mark.slow) for left_m in (0.0, -0.06, -0.15)],
-        *[pytest.param(left_m, ("reality",), marks=pytest.mark.slow) for left_m in (0.0, -0.06, -0.15)],
+        *[pytest.param(left_m, (), marks=pytest.mark.long) for left_m in (0.0, -0.06, -0.15)],
+        *[pytest.param(left_m, ("reality",), marks=pytest.mark.long) for left_m in (0.0, -0.06, -0.15)],
     ],
 )
 def test_nobody_hits_a_robot_that_is_parked_on_the_path(platoon_of: Make, how: tuple[str, ...], left_m: float) -> None:
@@ -75,7 +76,8 @@ def test_nobody_hits_a_robot_that_is_parked_on_the_path(platoon_of: Make, how: t
     assert s["min_centre_distance_mm"] < 210, "and it is counted"
 
 
-@pytest.mark.parametrize("source", [TRUTH, pytest.param("tracker.source=camera", marks=pytest.mark.slow)])
+@pytest.mark.slow_after_first
+@pytest.mark.parametrize("source", [TRUTH, pytest.param("tracker.source=camera", marks=pytest.mark.long)])
 @pytest.mark.parametrize(("speed", "duration_s"), [(0.03, 10.0), (0.1, 3.0)])
 def test_nobody_hits_a_robot_that_a_hand_pushes_onto_the_path(
     platoon_of: Make, speed: float, duration_s: float, source: str
@@ -87,12 +89,14 @@ def test_nobody_hits_a_robot_that_a_hand_pushes_onto_the_path(
     assert s["filtered_fraction"] > 0.05, "they did come near"
 
 
+@pytest.mark.slow
 def test_who_is_carried_holds_the_run(platoon_of: Make) -> None:
     config = platoon_of()
     s = driven(platoon_of(parked(1.0, 0.0), "run.duration_s=6", TRUTH, hand(config, 8.0, 2.0, 0.05)))
     assert s["cause"] == "p1: it is a bystander, and somebody moved it"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("hidden_s", "held"), [(1.9, False), (2.3, True)])
 def test_who_is_not_seen_for_two_seconds_holds_the_run(platoon_of: Make, hidden_s: float, held: bool) -> None:
     hide = f"faults=[{{kind: pose_dropout, robot: p1, at_s: 2, duration_s: {hidden_s}}}]"
@@ -109,6 +113,7 @@ def test_who_is_not_seen_for_two_seconds_holds_the_run(platoon_of: Make, hidden_
     run.close()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("place", "fault", "cause"),
     [
@@ -124,6 +129,7 @@ def test_a_fleet_beside_it_is_not_started(platoon_of: Make, place: tuple[float, 
     assert s["cause"].startswith(cause)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("place", [(1.57, 0.0), (1.0, 0.0)])
 @pytest.mark.parametrize("fault", ["", "{kind: low_battery, robot: p1}", "{kind: killed, process: driver-p1, at_s: 1}"])
 def test_what_concerns_only_itself_stops_nobody(platoon_of: Make, place: tuple[float, float], fault: str) -> None:
@@ -204,6 +210,7 @@ def test_check_names_its_place_in_the_file(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_nobody_hits_a_cart_that_is_pushed_into_a_platoon_s_way(platoon_of: Make) -> None:
     cart = "arena.moving=[{name: cart, tag: 40, radius_m: 0.12, start: {x_m: 0.0, y_m: 0.3, heading_deg: 0}}]"
     push = "faults=[{kind: pushed, robot: cart, velocity_m_s: [0.0, 0.05], at_s: 2.0, duration_s: 10.0}]"

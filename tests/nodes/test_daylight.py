@@ -13,7 +13,7 @@ AUTO = "camera.exposure_control=auto"
 LEAD_NS, READOUT_NS = 18_000_000, 4_000_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_white_stays_below_saturation_while_daylight_falls_to_a_fifth_and_rises_threefold() -> None:
     held, fixed = (Day(f"camera.simulated.daylight={MINUTE}", *more).run(60.0)[30:] for more in ([AUTO], []))
     assert max(one.white for one in held) < 250
@@ -36,6 +36,7 @@ def test_daylight_that_rises_does_not_saturate_white_and_every_image_is_exposed_
     assert 6 <= changes <= len(shown) / 6
 
 
+@pytest.mark.slow
 def test_a_dark_laboratory_is_news_and_so_is_a_lamp() -> None:
     day = Day(
         AUTO, "camera.exposure.gain=[0, 0]", "camera.exposure.blur_px=0.3",
@@ -54,6 +55,7 @@ def test_fixed_is_what_a_simulated_camera_does_by_itself() -> None:
     assert {one.exposure for one in day.run(1.5)} == {(0.004, 0.0)}
 
 
+@pytest.mark.slow
 def test_gain_makes_noise_and_a_longer_exposure_does_not() -> None:
     def noise(exposure_s: float, gain: float) -> float:
         """Standard deviation from image to image where the floor is, over its grey."""

@@ -21,7 +21,7 @@ from robofleet.runs.lockstep import Lockstep
 from tests.bus.alone import Truth
 from tests.robots import stalls
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 Make = Callable[..., Any]
 MIXED = Path(__file__).parents[2] / "configs" / "mixed.yaml"

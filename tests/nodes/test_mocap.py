@@ -81,7 +81,7 @@ def test_a_capture_that_is_silent_for_a_moment_is_named_and_the_run_is_held() ->
     judged(in_lockstep(SILENT)[1])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_capture_that_is_silent_for_a_moment_is_named_in_a_real_run(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*(word for keys in (*SHORT, SILENT) for word in ("--set", keys)), config=MOCAP)
     run.wait_for(lambda: "the source of the poses went silent" in run.said)

@@ -21,8 +21,9 @@ class Nowhere(SimulatedRobot):
         return pose if self.read().left_angle < 20.0 else pose._replace(y=math.nan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "how", ["tracker.source=truth", pytest.param("robots.1.reality=simulated", marks=pytest.mark.slow)]
+    "how", ["tracker.source=truth", pytest.param("robots.1.reality=simulated", marks=pytest.mark.long)]
 )
 def test_a_robot_that_says_it_is_nowhere_ends_the_run_and_is_named(lockstep: Make, how: str) -> None:
     s = lockstep(how, "run.duration_s=20", f"robots.1.driver='{__name__}:Nowhere'")

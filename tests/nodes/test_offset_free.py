@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from robofleet.config.load import load_config
 from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
@@ -25,6 +27,7 @@ def leader_timed_error_mm(disturbance: str) -> float:
     return mean
 
 
+@pytest.mark.slow
 def test_the_offset_vanishes() -> None:
     without, with_estimate = leader_timed_error_mm("none"), leader_timed_error_mm("estimated")
     assert without > 4.0  # T w: 0.6 s times 8 % of about 0.1 m/s

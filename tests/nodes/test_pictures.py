@@ -117,7 +117,7 @@ def matches(stand: Stand, picture: Any) -> bool:
     return bool(np.hypot(*off.T).max() < 0.5 * SPEED * TICK_NS / S * PX_PER_M)
 
 
-@pytest.mark.parametrize(("zoom", "parts"), [(1.0, 1), pytest.param(1.5, 2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("zoom", "parts"), [(1.0, 1), pytest.param(1.5, 2, marks=pytest.mark.long)])
 def test_a_picture_is_the_image_of_its_exposure(stand_of: Make, zoom: float, parts: int) -> None:
     stand = stand_of(*larger(zoom))
     picture = stand.run(3 * S // 2)[-1]
@@ -144,6 +144,7 @@ def test_the_poses_of_its_image_go_before_a_picture(stand_of: Make) -> None:
         assert poses[before - 1] == picture.exposure_ns
 
 
+@pytest.mark.slow
 def test_pictures_change_nothing_of_the_poses(stand_of: Make) -> None:
     without, with_pictures = (stand_of(f"camera.picture_rate_hz={rate}") for rate in (0, 30))
     assert without.run(S) == []
@@ -165,6 +166,7 @@ def test_five_a_second_are_shown_for_two_seconds_after_a_request(stand_of: Make)
     assert sum(2 * S + TICK_NS <= at < 5 * S for at in after) in (2, 3, 4)
 
 
+@pytest.mark.slow
 def test_who_asks_again_and_again_goes_on_looking(stand_of: Make) -> None:
     stand = stand_of()
     for _ in range(4):

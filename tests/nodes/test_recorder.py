@@ -163,7 +163,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_disk_that_is_really_full_holds_the_run_until_there_is_room(
     real_run: Callable[..., RealRun], small_disk: Path
 ) -> None:
@@ -196,7 +196,7 @@ def test_a_disk_that_is_really_full_holds_the_run_until_there_is_room(
     assert recording.dropped > 100, "what was said while the disk was full"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_disk_that_is_said_to_be_full_holds_a_run_too(real_run: Callable[..., RealRun]) -> None:
     fault = "faults=[{kind: disk_full, at_s: 0.5, duration_s: 1.5}]"
     run = real_run(*TWO_TOGETHER, "--duration", "3", "--set", fault)

@@ -233,6 +233,7 @@ def test_whoever_lets_go_or_falls_silent_lets_it_stand(end: Stick | None) -> Non
     assert not held.broken
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("fault", "ends"),
     [
@@ -262,6 +263,7 @@ def test_whatever_fails_lets_it_stand(fault: str, ends: Phase, tmp_path: Path) -
     assert not held.broken
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", range(6))
 def test_in_any_sequence_of_inputs_one_robot_at_most_may_crawl_and_none_without_the_button(seed: int) -> None:
     draw, held = Random(seed), Held()

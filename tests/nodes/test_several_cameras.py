@@ -13,7 +13,7 @@ from tools.measure.tracking.cameras import KNOCK_S, driven, errors, news, overla
 KNOCK = f"cameras.1.simulated.knocks=[{{at_s: {KNOCK_S}, rotation_deg: [0.3, 0, 0]}}]"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_of_two_cameras_is_repeated_and_replayed(tmp_path: Path) -> None:
     config = load_checked(overlapping(tmp_path), ["run.duration_s=1"], lockstep=True)
     runs = [Lockstep(config) for _ in range(2)]
@@ -25,7 +25,7 @@ def test_a_run_of_two_cameras_is_repeated_and_replayed(tmp_path: Path) -> None:
     assert verdict.equal, verdict.lines()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_knocked_camera_is_named_and_costs_no_accuracy(tmp_path: Path) -> None:
     recording = driven(overlapping(tmp_path), f"run.duration_s={KNOCK_S + 2}", KNOCK)
     assert recording.outcome == "completed"

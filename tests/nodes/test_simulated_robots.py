@@ -66,6 +66,7 @@ FAULTS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", FAULTS)
 def test_the_same_bytes_and_the_same_decisions(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     changes = [
@@ -80,6 +81,7 @@ def test_the_same_bytes_and_the_same_decisions(monkeypatch: pytest.MonkeyPatch, 
     assert Phase.ESTOP in arrays[2]
 
 
+@pytest.mark.slow
 def test_the_same_with_wheels_that_are_wired_wrongly(monkeypatch: pytest.MonkeyPatch) -> None:
     changes = [f"robots.{row}.vehicle.simulated.wiring={how}" for row, how in ((0, "swapped"), (3, "left_reversed"))]
     assert told(monkeypatch, *changes, arrays=True) == told(monkeypatch, *changes, arrays=False)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 Summary = dict[str, Any]
 RunOf = Callable[..., Summary]
@@ -17,7 +17,7 @@ ACROSS = [f"{{points_px: [[{u}, 0], [{u + 40}, 719]], width_px: 2, gray: 30, at_
 CABLES = f"camera.simulated.cables=[{', '.join(ACROSS)}]"
 
 
-SLOW = pytest.mark.slow
+SLOW = pytest.mark.long
 
 
 def events(summary: Summary) -> list[str]:

@@ -46,6 +46,7 @@ def there_and_back() -> Lockstep:
     return run
 
 
+@pytest.mark.slow
 def test_a_run_goes_to_its_start_drives_and_parks(there_and_back: Lockstep) -> None:
     order = [Phase.IDLE, Phase.ARMED, Phase.POSITIONING, Phase.RUNNING, Phase.PARKING, Phase.IDLE]
     assert phases(there_and_back) == order

@@ -50,6 +50,7 @@ def test_a_request_is_out_before_any_library_is_loaded_or_file_of_another_user_o
     assert len(files) == 1, "the own run's"
 
 
+@pytest.mark.slow
 @as_root
 def test_root_stops_a_run_of_another_user_whose_file_the_registers_owner_removed() -> None:
     """As seen: who makes /tmp/robofleet first can remove what others write there, or give it a mode of his own."""

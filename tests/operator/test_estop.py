@@ -67,13 +67,14 @@ def flood(lockstep: Lockstep) -> None:
             lockstep.bus.ask(topic, "supervisor", b"status")
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("kind", "duration_s"),
     [
         (None, 0.0),
         ("stopped", 0.4),
         ("killed", 2.0),
-        *[pytest.param("stopped", duration_s, marks=pytest.mark.slow) for duration_s in (0.2, 2.0)],
+        *[pytest.param("stopped", duration_s, marks=pytest.mark.long) for duration_s in (0.2, 2.0)],
     ],
 )
 def test_every_gate_latches_and_nothing_goes_on_until_a_reset(
@@ -138,6 +139,7 @@ def poll(stopping: EmergencyStop, stand: Stand, within_ns: int) -> Stopped | Non
     return stopped
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("when", ["before", "after", "both"])
 def test_a_permission_with_the_same_nonce_neither_forestalls_nor_undoes_it(stand: Stand, when: str) -> None:
     """Of a supervisor that is alive and has not heard, or that wakes: its words and the stop's meet at the gate."""

@@ -204,6 +204,7 @@ def _closed(receive: Callable[[float], object]) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(stand: WebStand) -> None:
     wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
     config, bus = stand.config, stand._bus
@@ -300,6 +301,7 @@ def test_without_the_button_nothing_is_driven() -> None:
     assert not driven(lambda _: LET_GO)[:, 1:].any()
 
 
+@pytest.mark.slow
 def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand: WebStand) -> None:
     wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
 

@@ -84,7 +84,7 @@ def test_a_run_is_reset_armed_started_held_and_resumed_and_stops_also_when_its_s
     assert run.summary["cause"].startswith("emergency stop (at the gates; the supervisor went silent")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_key_stops_a_run(real_run: Start) -> None:
     run = real_run(*ALONE, terminal=True)
     run.wait_until_running()
@@ -100,7 +100,7 @@ def test_one_key_stops_a_run(real_run: Start) -> None:
     assert stop["output_ms"] <= 230 or run.summary["busy_machine"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_q_ends_a_run_and_what_it_leaves_is_replayed(real_run: Start) -> None:
     run = real_run(*ALONE, terminal=True)
     run.wait_until_running()
@@ -117,7 +117,7 @@ def test_q_ends_a_run_and_what_it_leaves_is_replayed(real_run: Start) -> None:
     assert verdict.ticks == len(recording.messages[key("platoon", TICK)]) > 60
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_again(
     real_run: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,7 +140,7 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("frozen_s", [0.3, 1.2])
 def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, frozen_s: float) -> None:
     run = real_run(*ALONE)
@@ -160,7 +160,7 @@ def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, fr
     assert run.summary["cause"].startswith(tuple(f"emergency stop ({cause}" for cause in (*causes, first)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()

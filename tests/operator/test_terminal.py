@@ -20,7 +20,7 @@ ATTENDED = (*ALONE, "--set", "run.attended=true")
 Start = Callable[..., RealRun]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(real_run: Start) -> None:
     run = real_run(*of_robots("r1", "r2"), "--set", "drivers.robots_per_process=1", terminal=True)
     run.wait_until_running()
@@ -36,7 +36,7 @@ def test_ctrl_c_twice_is_the_emergency_stop_and_who_does_not_answer_is_named(rea
     assert run.nothing_is_left()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_attended_run_stops_at_once_when_its_terminal_is_closed(real_run: Start) -> None:
     run = real_run(*ATTENDED, terminal=True)
     run.wait_until_running()
@@ -46,7 +46,7 @@ def test_an_attended_run_stops_at_once_when_its_terminal_is_closed(real_run: Sta
     assert run.latched() == {"r1": 2}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_attended_run_whose_launcher_wakes_says_why_it_stopped(real_run: Start) -> None:
     run = real_run(*ATTENDED, terminal=True)
     run.wait_until_running()
@@ -57,6 +57,7 @@ def test_an_attended_run_whose_launcher_wakes_says_why_it_stopped(real_run: Star
     assert run.summary["cause"].startswith("emergency stop (the operator's terminal is gone); every robot")
 
 
+@pytest.mark.slow
 def test_an_attended_run_stops_when_its_launcher_is_frozen_and_nothing_is_left_when_it_is_killed(
     real_run: Start,
 ) -> None:
@@ -70,6 +71,7 @@ def test_an_attended_run_stops_when_its_launcher_is_frozen_and_nothing_is_left_w
     assert run.ended(1) == -signal.SIGKILL
 
 
+@pytest.mark.slow
 def test_an_attended_run_without_a_terminal_is_refused(real_run: Start) -> None:
     run = real_run(*ATTENDED)
     assert run.ended() == 2
@@ -191,7 +193,7 @@ def test_the_emergency_key_is_heard_whatever_keeps_the_main_thread() -> None:
         assert process.wait(10) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_emergency_key_stops_the_robots_whatever_keeps_the_run_itself(alone: None, tmp_path: Path) -> None:
     environment, folder = own_folders(tmp_path), tmp_path / "run"
     folder.mkdir()

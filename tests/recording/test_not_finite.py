@@ -22,7 +22,7 @@ from tests.bus.alone import ROBOT_STATUS
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.recording_fixtures import Story
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 Make = Callable[..., Any]
 VALUES = (math.nan, math.inf, -math.inf, 1e308, -1e308)

@@ -85,7 +85,7 @@ def test_without_bounds_nothing_is_judged(story: Make, figures: Make) -> None:
     assert judged({}, Bounds()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_lap_of_the_shipped_platoon_meets_its_bounds(seed: int) -> None:
     run = Lockstep(load_config(PLATOON, [f"run.seed={seed}"]))

@@ -114,7 +114,7 @@ def test_plotjuggler_finds_the_file_and_every_curve(run_file: Path, tmp_path: Pa
         assert len(splitter) == int(splitter.get("count", "")) == len(splitter.get("sizes", "").split(";"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rerun_reads_the_blueprint_and_has_what_it_names(run_file: Path, tmp_path: Path) -> None:
     from rerun.chunk import McapReader, RrdReader
 

@@ -77,7 +77,7 @@ def test_of_a_sampled_run_what_is_largest_and_what_is_counted_is_of_every_tick(m
             assert told[name] == pytest.approx(value, rel=0.25), name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_that_is_kept_in_a_file_keeps_nothing_of_it_in_memory() -> None:
     run = Lockstep(load_config(PLATOON, ["tracker.source=truth"]))
     run.request(b"start")

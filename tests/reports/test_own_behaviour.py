@@ -180,6 +180,7 @@ def looked_at(run: Path) -> list[list[str]]:
     return [["report", str(run)], ["report", str(run), str(run)], *(["layout", viewer, str(run)] for viewer in VIEWERS)]
 
 
+@pytest.mark.slow
 def test_what_only_a_recording_names_is_not_imported(elsewhere: Path) -> None:
     for arguments in looked_at(elsewhere):
         ran = CliRunner().invoke(app, arguments)
@@ -212,6 +213,7 @@ def test_where_the_file_does_not_describe_its_groups_it_is_refused(elsewhere: Pa
     assert not list(elsewhere.parent.rglob("*.ran"))
 
 
+@pytest.mark.slow
 def test_a_later_report_imports_it_from_the_folder_that_the_user_names(
     folder: Path, mylab: Path, tmp_path: Path
 ) -> None:

@@ -28,6 +28,7 @@ def test_where_a_robot_is_not_where_its_law_takes_it_the_estimate_is_named() -> 
     assert "`controller.disturbance: estimated`" in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("figures", "changes"),
     [

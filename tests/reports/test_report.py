@@ -110,6 +110,7 @@ def test_a_fault_is_said_first_and_stops_are_listed(story: Make, page: Make, add
     assert "0.66 r2 no enable" in " ".join(words(text).split())
 
 
+@pytest.mark.slow
 def test_without_the_truth_it_says_what_is_not_known(story: Make, page: Make) -> None:
     text = page(story().recording(truth=False))
     assert set(TITLES) - set(plots(text)) == {
@@ -151,7 +152,7 @@ def test_one_robot_alone_has_a_page(story: Make, page: Make) -> None:
     assert "Spacing. Not measured: the group has nothing" in words(text)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_hundred_robots_fit_into_two_megabytes(page: Make) -> None:
     config = load_config(PLATOON)
     robot = config.robots[0]
@@ -173,6 +174,7 @@ def test_nothing_is_fetched_from_elsewhere_and_the_same_run_gives_the_same_page(
     assert page(story(ticks=20).recording()) == first
 
 
+@pytest.mark.slow
 def test_every_figure_is_a_file_for_a_paper_too_and_the_page_links_it(
     story: Make, figures: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -30,7 +30,8 @@ def is_well(came: Came, *, may_succeed: bool = True) -> str:
     return "" if may_succeed and came.exit_code in (0, 1) else f"it is not refused: {came}"
 
 
-@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["in turn", "every"])
+@pytest.mark.slow
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.long)], ids=["in turn", "every"])
 def test_no_recording_harms_who_looks_at_it(tmp_path: Path, every: bool) -> None:
     """``every``: each file by each command, not by one of them in turn."""
     lines, names = [], []
@@ -123,6 +124,7 @@ def odd(run: Path, tmp_path: Path) -> Iterator[list[Path]]:
         yield names
 
 
+@pytest.mark.slow
 def test_what_is_no_recording_is_refused_in_a_line(odd: list[Path], run: Path) -> None:
     asked = [
         (*command, *names)
@@ -156,6 +158,7 @@ def test_what_no_page_can_stand_in_is_refused_in_a_line(run: Path, tmp_path: Pat
     assert not (tmp_path / "elsewhere").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pipe", "zero", "large", "nested"])
 def test_a_summary_that_is_none_is_left_out(run: Path, name: str) -> None:
     file = run / "summary.json"

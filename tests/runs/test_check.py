@@ -63,6 +63,7 @@ def test_no_wheel_passes_its_limit_along_the_whole_path() -> None:
     assert proved["the highest speed along the path"] == pytest.approx(np.abs(body).max(), rel=1e-3)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("l", [0.01, 0.08, 0.3])
 @pytest.mark.parametrize("clockwise", [True, False])
 def test_on_a_circle_the_point_drives_its_robot_on_a_smaller_one(l: float, clockwise: bool) -> None:

@@ -9,14 +9,14 @@ from robofleet.config.load import ConfigError
 from robofleet.runs.check import load_checked
 from tests.runs.realrun import PLATOON, RealRun, of_robots
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.mark.parametrize(
     ("fault", "cause"),
     [
         pytest.param(
-            "{kind: killed, process: driver-r2, at_s: 0.5}", "r2: the driver went silent", marks=pytest.mark.slow
+            "{kind: killed, process: driver-r2, at_s: 0.5}", "r2: the driver went silent", marks=pytest.mark.long
         ),
         ("{kind: stopped, process: driver-r2, at_s: 0.5, duration_s: 5}", "r2: the driver went silent"),
     ],

@@ -22,6 +22,7 @@ class Robot(SimulatedRobot):
 """
 
 
+@pytest.mark.slow
 def test_a_driver_that_crashes_the_check_is_named_with_its_line(tmp_path: Path) -> None:
     (tmp_path / "crash_lab.py").write_text(CRASHES)
     crashing = SWIRL.read_text().replace("mylab:Swirl", "script").replace("    settings: {radius_m: 0.5}\n", "")

@@ -13,7 +13,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 OF_A_LABORATORY = {"lab", "mixed", "platoon-serial"}  # robots, or twins of them on serial lines, that are there or not
 SHIPPED = sorted({file.stem for file in CONFIGS.glob("*.yaml")} - OF_A_LABORATORY)
 QUICK = {"go-to", "two-groups"}
-SLOW = pytest.mark.slow  # of some: the same test
+SLOW = pytest.mark.long  # of some: the same test
 
 
 def driven(name: str, *changes: str) -> Recording:
@@ -24,6 +24,7 @@ def driven(name: str, *changes: str) -> Recording:
     return run.recording
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else SLOW) for name in SHIPPED])
 def test_two_runs_of_a_seed_are_equal_and_one_replays_to_the_last_bit(name: str) -> None:
     duration = f"run.duration_s={2 if name in QUICK else 6}"

@@ -10,7 +10,7 @@ import pytest
 from robofleet.safety.gate import Latch
 from tests.runs.realrun import ALONE, RealRun, own_folders, wait
 
-pytestmark = pytest.mark.slow  # a driver on a full disk: test_driver_keeping.py
+pytestmark = pytest.mark.long  # a driver on a full disk: test_driver_keeping.py
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ def test_messages_with_hostile_content_end_no_process_and_no_listener() -> None:
     _hold("teleop", 60, BOTH, "robots.0.sensors=true", whole=False)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::Warning:rerun", "ignore::Warning:robofleet.gateways.viewers.rerun")  # too large
 @pytest.mark.parametrize("name", ["platoon", "two-cameras", "script", "teleop", "go-to"])
 def test_ten_thousand_messages_on_every_topic_end_no_process(name: str) -> None:

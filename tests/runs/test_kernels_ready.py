@@ -27,6 +27,7 @@ print(json.dumps([len(ready), sorted(compiled() - ready)]))
 """
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("config", "changes"),
     [

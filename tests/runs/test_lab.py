@@ -70,7 +70,7 @@ def test_its_calibrations_are_one_comment_sign_away(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_runs_without_hardware(real_run: Callable[..., RealRun]) -> None:
     changes = [word for change in WITHOUT_HARDWARE for word in ("--set", change)]
     run = real_run(*changes, "--duration", "5", config=LAB)

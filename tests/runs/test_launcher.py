@@ -19,6 +19,7 @@ def libraries(process: psutil.Process) -> str:
     return "\n".join(mapped.path for mapped in process.memory_maps())
 
 
+@pytest.mark.slow
 def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) -> None:
     run = real_run("--duration", "3")
     run.wait_until_running()
@@ -64,11 +65,11 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
     "victim",
     [
         ["driver", "r1"],
-        pytest.param(["router"], marks=pytest.mark.slow),
-        pytest.param(["recorder"], marks=pytest.mark.slow),
-        pytest.param(["controller"], marks=pytest.mark.slow),
-        pytest.param(["tracker"], marks=pytest.mark.slow),
-        pytest.param(["supervisor"], marks=pytest.mark.slow),
+        pytest.param(["router"], marks=pytest.mark.long),
+        pytest.param(["recorder"], marks=pytest.mark.long),
+        pytest.param(["controller"], marks=pytest.mark.long),
+        pytest.param(["tracker"], marks=pytest.mark.long),
+        pytest.param(["supervisor"], marks=pytest.mark.long),
     ],
     ids="-".join,
 )
@@ -84,7 +85,7 @@ def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., 
     assert run.summary["recording"]["messages"] > 300, "it is made from what was recorded until then"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()
@@ -94,7 +95,7 @@ def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., Rea
     assert run.ended(1) == -signal.SIGKILL
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()
@@ -106,7 +107,7 @@ def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
     assert "stopped: the operator interrupted" in run.said
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
     run.wait_for(run.children)

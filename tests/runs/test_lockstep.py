@@ -70,6 +70,7 @@ def test_a_locked_exposure_reaches_the_wheels_soon_after_its_tick(with_camera: S
     assert latency["stages"]["exposure_to_poses"]["p99"] < lead_ms
 
 
+@pytest.mark.slow
 def test_a_camera_of_its_own_rate_beats_against_the_ticks(lockstep: RunOf) -> None:
     s = lockstep("run.duration_s=5", "camera.trigger=free")
     latency = s["latency_ms"]["exposure_to_wheel"]
@@ -90,6 +91,7 @@ def test_the_camera_too_gives_the_same_bytes(lockstep: RunOf) -> None:
     assert first == again
 
 
+@pytest.mark.slow
 def test_euler_amplifies_noise_from_robot_to_robot(truth: RunOf) -> None:
     def growth(integrator: str) -> float:
         means = truth("run.duration_s=25", f"controller.integrator={integrator}")["control_error_mm"]["per_robot_mean"]
@@ -105,7 +107,8 @@ def test_a_tracked_centre_stays_on_the_path(truth: RunOf) -> None:
     assert centre["path_error_mm"]["mean"] > point["path_error_mm"]["mean"]
 
 
-@pytest.mark.parametrize("robot", ["r1", *(pytest.param(robot, marks=pytest.mark.slow) for robot in ("r2", "r3"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["r1", *(pytest.param(robot, marks=pytest.mark.long) for robot in ("r2", "r3"))])
 def test_nobody_drives_into_a_robot_that_stalls(truth: RunOf, robot: str) -> None:
     s = truth("run.duration_s=22", stalls(robot, 12, 17))
     assert s["outcome"] == "completed"
@@ -113,6 +116,7 @@ def test_nobody_drives_into_a_robot_that_stalls(truth: RunOf, robot: str) -> Non
     assert s["timed_error_mm"]["per_robot_mean"][ROBOTS.index(robot)] > 10
 
 
+@pytest.mark.slow
 def test_a_fifth_of_the_poses_may_be_missing(truth: RunOf) -> None:
     s = truth("run.duration_s=20", "tracker.truth.dropout=0.2")
     assert s["outcome"] == "completed"
@@ -148,6 +152,7 @@ def test_a_run_that_nobody_sees_says_so_and_turns_no_wheel(
         assert not commands["left_rad_s"].any()
 
 
+@pytest.mark.slow
 def test_several_robots_to_a_driver_process_drive_as_well(truth: RunOf) -> None:
     each, pairs = truth("run.duration_s=10"), truth("run.duration_s=10", "drivers.robots_per_process=2")
     assert (pairs["outcome"], pairs["stops"], pairs["trace_hash"] != each["trace_hash"]) == ("completed", [], True)

@@ -13,7 +13,7 @@ import pytest
 
 from tests.runs.realrun import ALONE, PLATOON, RealRun, fill, own_folders, wait
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 Start = Callable[..., RealRun]
 _BRIEF = (*ALONE, "--duration", "1")

@@ -27,7 +27,7 @@ def test_a_folder_that_is_renamed_or_removed_keeps_its_room(tmp_path: Path) -> N
     assert free_bytes(held) == 0, "unknown room is none: the fleet holds"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_whose_folder_is_renamed_goes_on_and_says_where_it_is_not(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE, "--duration", "2")
     run.wait_until_running()

@@ -9,7 +9,7 @@ import zenoh
 
 from tests.runs.realrun import ALONE, RealRun, wait
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 Start = Callable[..., RealRun]
 

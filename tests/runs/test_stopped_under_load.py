@@ -8,7 +8,7 @@ import pytest
 from tests.runs.realrun import ALONE, RealRun
 from tools.measure.runs.busy_machine import busy_loops
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 LOOPS = 4
 
 

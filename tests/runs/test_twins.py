@@ -135,7 +135,7 @@ def test_a_configuration_without_twins_has_none_to_start(tmp_path: Path) -> None
     assert "no robot has a twin" in said.output
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_twins_that_are_killed_end_the_run_and_leave_no_port(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*of_robots("r1"), *A_TWIN)
     run.wait_until_running()
@@ -148,7 +148,7 @@ def test_twins_that_are_killed_end_the_run_and_leave_no_port(real_run: Callable[
     assert not port.is_symlink()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_driver_that_is_killed_leaves_its_twin_to_its_firmware(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*of_robots("r1"), *A_TWIN, "--set", "faults=[{kind: killed, process: driver-r1, at_s: 1.0}]")
     run.wait_until_running()

@@ -20,7 +20,7 @@ def of_a_create2(*more: str) -> list[str]:
     return [word for key in keys for word in ("--set", key)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_ends_by_the_cables_name_and_the_next_one_drives_after_a_reset(
     real_run: Callable[..., RealRun],
 ) -> None:

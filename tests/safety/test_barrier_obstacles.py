@@ -47,6 +47,7 @@ def after(pose: Array, turning: Array, wheels: Array, seconds: float) -> tuple[A
     return pose, turning
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", range(12))
 def test_nobody_comes_nearer_than_is_kept_whatever_is_asked_for(seed):
     rng = np.random.default_rng(seed)

@@ -45,6 +45,7 @@ def test_hello_stops_on_each_corner_of_the_square_and_the_others_stand() -> None
     assert np.ptp(at[:, 1:], axis=0).max() < 0.005
 
 
+@pytest.mark.slow
 def test_consensus_is_at_least_as_fast_as_the_connectivity_says() -> None:
     ran = started("consensus")
     times, _, points = seen(ran)
@@ -56,6 +57,7 @@ def test_consensus_is_at_least_as_fast_as_the_connectivity_says() -> None:
     assert spread[-1] < 0.6  # as near as bodies come
 
 
+@pytest.mark.slow
 def test_formation_has_each_shape() -> None:
     ran = started("formation")
     figures = kept(ran)
@@ -64,6 +66,7 @@ def test_formation_has_each_shape() -> None:
     assert last - last.mean(axis=0) == pytest.approx(ran["shape"], abs=0.025)
 
 
+@pytest.mark.slow
 def test_followers_keep_their_gaps_behind_a_leader_on_its_way() -> None:
     ran = started("leader_followers")
     times, _, points = seen(ran)
@@ -74,6 +77,7 @@ def test_followers_keep_their_gaps_behind_a_leader_on_its_way() -> None:
     assert np.array([ran["oval"](t)[0] for t in times[late]]) == pytest.approx(points[late, 0], abs=0.02)
 
 
+@pytest.mark.slow
 def test_cyclic_pursuit_ends_on_the_circle_equally_spaced() -> None:
     ran = started("cyclic_pursuit")
     figures = kept(ran)
@@ -84,6 +88,7 @@ def test_cyclic_pursuit_ends_on_the_circle_equally_spaced() -> None:
     assert turned[-1] - turned[0] == pytest.approx(2.0 * ran["SPEED"] / ran["RADIUS"], rel=0.2)  # of 2 s
 
 
+@pytest.mark.slow
 def test_coverage_goes_down_the_locational_cost() -> None:
     ran = started("voronoi_coverage")
     figures, costs = kept(ran), np.array(ran["costs"])
@@ -116,6 +121,7 @@ def test_robots_reach_their_goals_between_obstacles() -> None:
     assert away.min() > ran["KEEP"] - 0.01
 
 
+@pytest.mark.slow
 def test_model_predictive_control_parks_round_the_obstacle() -> None:
     ran = started("mpc")
     figures = kept(ran)
@@ -190,6 +196,7 @@ def test_a_policy_that_knows_how_reaches_the_goals_and_equal_seeds_give_equal_ep
     env.close()
 
 
+@pytest.mark.slow
 def test_an_experiment_repeats_a_seed_to_the_bit_and_feedback_helps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,7 +10,7 @@ import pytest
 from tests.runs.realrun import RealRun
 from tests.scripts.examples import EXAMPLES, Watched, seen, started
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")

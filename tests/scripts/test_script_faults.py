@@ -61,6 +61,7 @@ print(json.dumps(fleet.summary))
 """
 
 
+@pytest.mark.slow
 def test_a_run_of_its_own_begins_and_ends_with_the_script_and_goes_on_after_it_was_late(
     alone_for_a_module: None, tmp_path: Path
 ) -> None:
@@ -80,7 +81,7 @@ def test_a_run_of_its_own_begins_and_ends_with_the_script_and_goes_on_after_it_w
     assert "no arena has a run" in CliRunner().invoke(app, ["status"], env=environment).stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_of_its_own_ends_with_a_script_that_is_killed(alone_for_a_module: None, tmp_path: Path) -> None:
     environment, folder = own_folders(tmp_path), tmp_path / "run"
     file = tmp_path / "own.py"
@@ -202,8 +203,9 @@ WORDS = {
 FAST = "killed", "raises"  # one of each event; what else is silent is silent alike
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "case", [case if case in FAST else pytest.param(case, marks=pytest.mark.slow) for case in CASES]
+    "case", [case if case in FAST else pytest.param(case, marks=pytest.mark.long) for case in CASES]
 )
 def test_its_robots_stand_at_once_the_run_is_held_and_another_script_goes_on(scripts: Scripts, case: str) -> None:
     body, strike, event = CASES[case]
@@ -225,6 +227,7 @@ def test_its_robots_stand_at_once_the_run_is_held_and_another_script_goes_on(scr
         assert stop[2] <= OUTPUT_MS
 
 
+@pytest.mark.slow
 def test_a_script_that_ends_well_leaves_a_run_that_goes_on_with_robots_that_stand(scripts: Scripts) -> None:
     before = len(stops(read(scripts.run.folder)))
     script = scripts.start("sys.exit()")

@@ -20,7 +20,7 @@ from robofleet.studies.storm.episode import play
 from robofleet.studies.storm.schedule import Act, Plan, plan
 from robofleet.vehicles.interface import WheelSpeeds
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 Patch = pytest.MonkeyPatch
 Storms = Callable[[Plan], bool]

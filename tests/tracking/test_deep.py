@@ -26,6 +26,7 @@ from tests.tracking.test_tracker import (
 from tools.measure.tracking.acquisition import SCENES, evaluate, trials
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("title", "least"), [("contrast 30", 0.99), ("contrast 20", 0.93)])
 def test_faint_tags_are_acquired_within_ten_images(title: str, least: float) -> None:
     row = evaluate(SCENES[title], [OURS], 1)[OURS]
@@ -33,6 +34,7 @@ def test_faint_tags_are_acquired_within_ten_images(title: str, least: float) -> 
     assert row["acquired"] >= least
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("title", ["a side covered, 25 %", "a corner covered, 25 %"])
 def test_covered_tags_are_acquired_and_placed_by_what_is_seen(title: str) -> None:
     row = evaluate(SCENES[title], [OURS], 1)[OURS]
@@ -41,6 +43,7 @@ def test_covered_tags_are_acquired_and_placed_by_what_is_seen(title: str) -> Non
     assert row["max_mm"] <= 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["36h11", "Standard41h12"])
 def test_a_covered_tag_of_another_fleet_is_no_tag(family: str) -> None:
     for title in ("covered at any angle, 25 %", "half covered"):

@@ -66,11 +66,13 @@ def test_a_tilt_is_learnt_and_no_longer_turns_the_heading(tilts_deg: tuple[float
     assert (off[-6:] ** 2 / sigma[-6:] ** 2).mean() < 4.0
 
 
+@pytest.mark.slow
 def test_what_lies_across_level_tags_is_not_taken_for_a_tilt() -> None:
     off, _ = errors((0.0, 0.0), Cable(0.0, 0.005, 0.4, 0.004, 0.004, 20.0))
     assert math.sqrt((off[3:] ** 2).mean()) < 0.06
 
 
+@pytest.mark.slow
 def test_a_tag_that_is_put_straight_is_learnt_anew() -> None:
     off, sigma = errors((5.0, 0.0), images=4 * IMAGES)
     assert np.abs(off[IMAGES]).max() > 0.3

@@ -99,6 +99,7 @@ def test_without_evidence_it_stands_as_ever(
     assert told(stand) is None
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
 def test_with_a_robot_that_exists_it_stands_as_ever_and_names_the_load(
     stand_of: MakeStand, who: str, event: Event, robot: int

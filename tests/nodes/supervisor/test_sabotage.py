@@ -117,7 +117,7 @@ WHERE = {
 
 
 @pytest.mark.parametrize(("module", "check", "without", "test"), CHECKS)
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_check_that_is_taken_out_is_missed(
     module: ModuleType,
     check: str,

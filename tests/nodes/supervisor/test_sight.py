@@ -126,6 +126,7 @@ def test_a_piece_of_news_behind_another_is_not_lost(stand: Stand) -> None:
     assert stand.state.phase == Phase.FAULT
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", range(2))
 def test_a_bad_network_raises_nothing(stand: Stand, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """1 % of what is said is lost, in bursts of up to 60 ms, and one message in a hundred is later than 60 ms."""

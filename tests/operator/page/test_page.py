@@ -114,6 +114,7 @@ def latch_when_asked(page: Seen, *robots: str) -> None:
     page.fleet.latched, page.fleet.phase = set(robots), Phase.ESTOP
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("how", ["pointer", " ", "e", "E"])
 def test_the_emergency_stop_is_one_press_and_says_who_has_latched(page: Seen, how: str) -> None:
     page.becomes(lambda: "hold" in page.enabled())
@@ -152,6 +153,7 @@ def is_lost(page: Seen) -> bool:
     return page.shown("lost-banner") and page.estop_is_dead() and not page.enabled()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("who", ["supervisor", "controller"])
 def test_a_fleet_that_is_not_heard_greys_everything_out_until_it_is_heard_again(page: Seen, who: str) -> None:
     silent = {"supervisor": "supervised", "controller": "controlled"}[who]
@@ -204,6 +206,7 @@ def test_a_run_that_has_ended_is_told_calmly(browser: Chrome, mortal: WebStand, 
         assert not page.enabled()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("size", [DESKTOP, (820, 1100), PHONE, LYING])
 def test_the_emergency_stop_is_in_sight_at_every_size_and_scrolled(page: Seen, size: tuple[int, int]) -> None:
     show_as(page.browser, size)

@@ -197,7 +197,7 @@ def test_the_command_prints_an_address_for_each_role(
             router.close()  # type: ignore[no-untyped-call]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_brings_its_page_to_the_network(real_run: Callable[..., RealRun]) -> None:
     own = Authority.create("platoon", keys_folder("platoon")).issue(PAGE, PAGE, addresses=[HOST])
     run = real_run(*ALONE, "--web-host", HOST, "--duration", "1")

@@ -26,6 +26,8 @@ from tests.operator.page.webstand import WebStand, web_stand
 from tests.robots import GTERNAL
 from tests.runs.realrun import PLATOON
 
+pytestmark = pytest.mark.slow
+
 TWO = Path(__file__).parents[1] / "two_groups.yaml"
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 LAPTOP = 1280, 800
@@ -73,7 +75,7 @@ def found_by_axe(browser: Chrome, what: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "phases", [(Phase.RUNNING, Phase.ESTOP), pytest.param(tuple(PHASES), marks=pytest.mark.slow)], ids=["two", "all"]
+    "phases", [(Phase.RUNNING, Phase.ESTOP), pytest.param(tuple(PHASES), marks=pytest.mark.long)], ids=["two", "all"]
 )
 def test_axe_finds_nothing_in_any_state_of_the_run(browser: Chrome, tmp_path: Path, phases: tuple[Phase, ...]) -> None:
     found = []
@@ -99,7 +101,7 @@ def sideways(browser: Chrome) -> float:
     return float(browser.execute_script("return document.documentElement.scrollWidth - innerWidth"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["report", "calibration"])
 def test_axe_finds_nothing_in_a_report_nor_in_a_calibration(browser: Chrome, tmp_path: Path, what: str) -> None:
     if what == "report":

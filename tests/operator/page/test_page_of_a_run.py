@@ -20,7 +20,7 @@ from tests.operator.page.openpage import SOON_S
 from tests.operator.page.webstand import CLOCK
 from tests.runs.realrun import ALONE, RealRun, wait
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\S+")
 

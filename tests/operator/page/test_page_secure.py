@@ -19,6 +19,8 @@ from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.secureweb import HOST, keys_in
 from tests.operator.page.webstand import WebStand, web_stand
 
+pytestmark = pytest.mark.slow
+
 TALL = 1440, 1700  # all of it is in sight
 
 

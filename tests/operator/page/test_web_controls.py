@@ -111,7 +111,7 @@ def test_a_stop_reaches_the_robots_also_when_its_page_is_gone(stand: WebStand) -
     assert wait(lambda: b"estop" in stand.asked, 2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_goes_on_without_its_page(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE, "--web", "--duration", "1")
     run.wait_for(lambda: "the operator's page: http://127.0.0.1:" in run.said)

@@ -68,6 +68,7 @@ SAID = {"nothing": b"", "half a head": HALF, "half a body": BODY, "no page": KEY
         "garbage": b"\x00\xff\r\n\r\n" * 100, "a script": b"GET /page.js HTTP/1.1\r\nHost: x\r\n\r\n"}  # fmt: skip
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("said", SAID, ids=str)
 def test_a_crowd_that_waits_does_not_delay_the_emergency_stop(stand: WebStand, said: str) -> None:
     with crowd(stand, 200, SAID[said]):
@@ -126,6 +127,7 @@ def meanwhile(act: Callable[[], None]) -> Iterator[None]:
         thread.join()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("said", [b"", HALF, SAID["garbage"]])
 def test_a_crowd_that_keeps_coming_does_not_delay_the_emergency_stop(
     stand: WebStand, said: bytes, capsys: pytest.CaptureFixture[str]
