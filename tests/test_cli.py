@@ -17,6 +17,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from robofleet import cli
+from robofleet.core.refusal import LAB_MODULES
 from robofleet.operator import run_command
 from tests.recording.recorded import room_for
 
@@ -331,6 +332,15 @@ def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(a
     assert re.fullmatch(
         r"this needs (numba|mcap): \S+ -m pip install -e '\.\[lab\]' in robofleet's folder\n", done.stderr
     )
+
+
+@pytest.mark.parametrize("arguments", [["run", "--help"], ["calibrate", "camera", "--help"], ["schema"]])
+def test_a_robots_computer_without_the_extra_has_every_commands_help_and_the_schema(arguments: list[str]) -> None:
+    hidden = f"import sys; sys.modules.update(dict.fromkeys({LAB_MODULES}))"
+    code = f"{hidden}; sys.argv[1:] = {arguments}; from robofleet.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Usage: robofleet " + arguments[0] in done.stdout or json.loads(done.stdout)["type"] == "object"
 
 
 COMMANDS_ON_A_RUN = [["stop"], ["hold"], ["status"], ["status", "--json"], ["web"]]
