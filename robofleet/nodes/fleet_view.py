@@ -20,9 +20,8 @@ from robofleet.config.tree import Config
 from robofleet.core.kernels import kernel
 from robofleet.nodes import cameras_heard
 from robofleet.nodes.cameras_heard import CamerasHeard
-from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import MOVING, Event
-from robofleet.safety.view import FleetView, Machine
+from robofleet.safety.view import ROBOT, FleetView, Machine, Rows
 
 _FAILURES = np.array([event for event in Event if event.name.startswith(("BEHAVIOUR_", "SCRIPT_"))])
 

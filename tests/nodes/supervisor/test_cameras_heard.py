@@ -14,9 +14,8 @@ from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.nodes.cameras_heard import CamerasHeard
 from robofleet.nodes.views import FloorView
 from robofleet.safety import monitor
-from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
-from robofleet.safety.view import FleetView
+from robofleet.safety.view import ROBOT, FleetView, Rows
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 
 EXAMPLE = Path(__file__).parents[3] / "configs" / "two-cameras.yaml"
@@ -187,4 +186,6 @@ def _border(hall: Hall) -> float:
 
 def _settings(hall: Hall) -> monitor.MonitorSettings:
     n = len(hall.config.bodies)
-    return monitor.MonitorSettings(1, (0.05,) * n, hall.config.arena.size_m, (0.2,) * n, attended=False)
+    return monitor.MonitorSettings(
+        build=1, body_radius=(0.05,) * n, arena=hall.config.arena.size_m, max_speed=(0.2,) * n, attended=False
+    )

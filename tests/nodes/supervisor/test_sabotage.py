@@ -65,7 +65,7 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_a_state_every_40_ms_and_at_once_when_it_changes"),
     (supervisor, "\"attended\":\n            self._operator_ns = self._view.now_ns", "\"attended\":\n            pass",
      "test_a_run_whose_operator_went_away_is_stopped_for_good"),
-    (supervisor, "speeds, attended, elsewhere", "speeds, False, elsewhere",
+    (supervisor, "attended=attended, elsewhere", "attended=False, elsewhere",
      "test_a_run_whose_operator_went_away_is_stopped_for_good"),
     (supervisor, "self._operator_ns = self._view.now_ns\n                self._start", "self._start",
      "test_an_operator_who_asks_for_a_start_has_a_second_to_be_there"),
