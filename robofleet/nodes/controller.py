@@ -37,7 +37,7 @@ from robofleet.safety import barrier as safety_barrier
 from robofleet.safety.barrier import Filtered
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.wiggle import STROKES, probe_speeds
-from robofleet.tracking import estimator, measured
+from robofleet.tracking import estimator
 from robofleet.tracking.estimator import CARRIED, UNUSED
 from robofleet.vehicles.differential_drive import feasible_ratio
 
@@ -299,7 +299,6 @@ def compile_kernels(config: Config, say: Say | None = None) -> None:
         *platoon.KERNELS,
         *path.KERNELS,
         *wheel_limits.KERNELS,
-        *measured.KERNELS,
         *estimator.KERNELS,
         *safety_barrier.KERNELS,
         _fill_commands,
@@ -315,11 +314,11 @@ def _call_kernels(config: Config) -> None:
     everybody, driving = np.ones(len(config.bodies), dtype=np.bool_), np.ones(n, dtype=np.bool_)
     none, robots = np.zeros(0, np.intp), np.zeros(n, UNIT_STATUS.item_dtype)
     _fill_commands(np.zeros(0, UNIT_COMMAND.item_dtype), robots, driving, none, none, np.zeros((n, 2)))
-    poses, instants_ns = np.empty((n, measured.COLUMNS)), np.empty(n, dtype=np.int64)
+    poses, instants_ns = np.empty((n, estimator.COLUMNS)), np.empty(n, dtype=np.int64)
     nobody = np.frombuffer(b"", FLEET_POSES.item_dtype)  # read only, as what comes from the bus
     for instant_ns in (S, 2 * S):
-        measured.placed(nobody, measured.rows_of({}), instant_ns, instant_ns, poses, instants_ns)
-        fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, measured.COLUMNS)))
+        estimator.measurements(nobody, estimator.rows_of({}), instant_ns, instant_ns, poses, instants_ns)
+        fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, estimator.COLUMNS)))
         estimator.ages(fleet_filter.measured_ns, instant_ns)
         _, then, _ = fleet_filter.predict(instant_ns + 1)
         w = fleet_filter.disturbance(then, c.point_ahead_m)

@@ -11,9 +11,8 @@ from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, Tracke
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, TickGrid
 from robofleet.nodes import fleet
-from robofleet.tracking import measured
 from robofleet.tracking.agreement import Agreement, Verdict
-from robofleet.tracking.estimator import ages
+from robofleet.tracking.estimator import COLUMNS, ages, measurements, rows_of
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 from robofleet.tracking.joined import Joined, Seen
 from robofleet.tracking.targets import floor_tags_in_view
@@ -46,10 +45,10 @@ class FleetEstimate:
 
     def __init__(self, config: Config, bus: Bus, clock: Clock, epoch: int) -> None:
         self._config, self._clock, self._epoch = config, clock, epoch
-        self._rows = measured.rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
+        self._rows = rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
         self._bodies, self._members = len(config.bodies), len(config.members)
         self._images = [bus.newest(POSES, name) for name in config.camera_names]
-        self._single = np.empty((self._bodies, measured.COLUMNS)), np.empty(self._bodies, dtype=np.int64)
+        self._single = np.empty((self._bodies, COLUMNS)), np.empty(self._bodies, dtype=np.int64)
         self._news = [bus.publisher(NEWS, name) for name in config.camera_names]
         self._seq = 0  # of the newest news
         c = config.controller
@@ -135,8 +134,8 @@ class FleetEstimate:
         if exposure_ns > latest_ns:  # impossible, and the filter would be blind until then
             return None
         if poses is None or instants_ns is None:
-            poses, instants_ns = np.empty((self._bodies, measured.COLUMNS)), np.empty(self._bodies, dtype=np.int64)
-        measured.placed(image_poses, self._rows, exposure_ns, latest_ns, poses, instants_ns)
+            poses, instants_ns = np.empty((self._bodies, COLUMNS)), np.empty(self._bodies, dtype=np.int64)
+        measurements(image_poses, self._rows, exposure_ns, latest_ns, poses, instants_ns)
         self.exposure_ns = max(self.exposure_ns, image.exposure_ns) if len(self._images) > 1 else image.exposure_ns
         return Seen(camera, poses, instants_ns)
 
