@@ -16,6 +16,7 @@ from robofleet.bus.messages import (
     UNIT_COMMAND,
     UNIT_STATUS,
     Hurry,
+    RobotTick,
     UnitCommand,
 )
 from robofleet.bus.statuses import HURRY_NS, Statuses
@@ -92,6 +93,7 @@ class Controller:
         self._runner, self._groups = BehaviourRunner(config, judge), groups.rows(config.groups)
         self._setpoints = SetpointInbox(config, bus)
         self._crawls = crawls(config)
+        self._robots = np.zeros((len(robots), len(RobotTick._fields)))  # of a tick's record
         self._begin()
 
     def _begin(self) -> None:
@@ -266,9 +268,15 @@ class Controller:
     ) -> None:  # fmt: skip
         """Publish what a tick read, and what came of it."""
         flags = request.saturated, used, prediction.lost, final.change, final.blocked, self._runner.failed
-        robots = np.concatenate(  # the fields of RobotTick
-            [prediction.now, request.points, final.u, final.wheels, np.array(flags, dtype=np.float64).T], axis=1
+        robots = self._robots
+        robots[:, :3], robots[:, 3:5], robots[:, 5:7], robots[:, 7:9] = (
+            prediction.now,
+            request.points,
+            final.u,
+            final.wheels,
         )
+        for column, values in enumerate(flags, start=9):
+            robots[:, column] = values
         running = self._phase is Phase.RUNNING
         head = (
             self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
