@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.behaviours.described import COMMON_FIGURES
 from robofleet.bus.keys import BUSY, key
 from robofleet.bus.messages import FleetPoses
 from robofleet.config import obstacles
@@ -26,15 +27,6 @@ from robofleet.tracking.events import NO_TAG, TrackerEvent
 from robofleet.vehicles.solids import distances
 
 Figures = dict[str, Any]
-
-# Figures of a group that stand beside those of the whole run, where one group alone has them, and what is in them.
-_HOISTED = {
-    "control_error_mm": {"mean", "max", "per_robot_mean"},
-    "timed_error_mm": {"mean", "max", "per_robot_mean"},
-    "path_error_mm": {"mean", "max", "per_robot_mean"},
-    "centre_error_mm": {"mean", "max", "per_robot_mean"},
-    "spacing_m": {"mean", "max_deviation_mm"},
-}
 
 
 def summary(
@@ -137,11 +129,12 @@ def _groups(run: Run, recording: Recording) -> Figures:
 
 
 def _hoisted(groups: Figures) -> Figures:
+    """Return the common figures that one group alone has."""
     found: Figures = {}
-    for name, parts in _HOISTED.items():
-        values = [own.get(name) for own in groups.values()]
-        have = [own for own in values if isinstance(own, dict) and parts <= own.keys()]
-        found[name] = have[0] if len(have) == 1 else None
+    for figure in COMMON_FIGURES:
+        values = [own.get(figure.key) for own in groups.values()]
+        have = [own for own in values if isinstance(own, dict) and figure.statistics <= own.keys()]
+        found[figure.key] = have[0] if len(have) == 1 else None
     return found
 
 

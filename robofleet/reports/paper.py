@@ -10,6 +10,7 @@ from robofleet.behaviours.paths import PathFile
 from robofleet.config.names import SHIPPED
 from robofleet.config.tree import Config
 
+FIGURE_KEY = "control_error_mm"  # of the figure that the paper tells
 CONTROL_ERROR_MM = 5.0  # IV-C: mean of the four robots after 1.4 s, on hardware
 SPACING_M = 0.25  # IV-C: d
 _PATH = SHIPPED / "paths" / "platoon.yaml"

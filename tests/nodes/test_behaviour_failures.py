@@ -111,12 +111,12 @@ def test_one_that_takes_longer_than_its_share_of_a_tick_is_named_and_its_group_s
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     read_ns = iter([0, 17 * MS, 17 * MS, 18 * MS])  # the failing group's decision, and the other's
-    deciding = BehaviourRunner(load_config(SWIRL, two_groups("never")), timed_by(read_ns.__next__, 16.5 * MS))
+    runner = BehaviourRunner(load_config(SWIRL, two_groups("never")), timed_by(read_ns.__next__, 16.5 * MS))
     everybody = np.full(3, fill_value=True)
-    deciding.tick(np.zeros((3, 3)), everybody, everybody, np.zeros((3, 2)), moving=True)
-    assert deciding.failed.tolist() == [Event.BEHAVIOUR_LATE, Event.BEHAVIOUR_STANDS, Event.NOTHING]
-    assert not deciding.wheels[:2].any()
-    assert deciding.wheels[2].all()
+    decisions = runner.decide(np.zeros((3, 3)), everybody, everybody, np.zeros((3, 2)), moving=True)
+    assert runner.failed.tolist() == [Event.BEHAVIOUR_LATE, Event.BEHAVIOUR_STANDS, Event.NOTHING]
+    assert decisions.driving.tolist() == [False, False, True]
+    assert decisions.velocities[2].any()
     late = "group failing, r1: Broken returned its decision after its share of the tick was over"
     assert capsys.readouterr().err.startswith(late)
 

@@ -220,7 +220,8 @@ def test_every_robot_of_an_image_has_its_own_mid_exposure(stand: Stand) -> None:
         stand.next_tick()
         one, other = stand.newest.robots[:2]
         assert (one.measured, other.measured) == (float(k > 0), float(k > 0))  # the first echoes no tick
-    assert stand.node._filter.measured_ns[0] - stand.node._filter.measured_ns[1] == 8 * MS
+    unseen_s = stand.node._estimate.predict(stand.bench.now_ns).unseen_s
+    assert unseen_s[1] - unseen_s[0] == pytest.approx(8e-3)
 
 
 @pytest.mark.parametrize("after_ns", [2 * TICK_NS, 10**9])

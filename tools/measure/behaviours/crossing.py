@@ -139,8 +139,8 @@ def cross(config: Config, seed: int, scenario: Scenario) -> Crossing:
         goals = arena.goals(points(there, c.point_ahead_m))
         before, (u, wheels) = wheels, asked(config, scenario, there, goals)
         unseen = (tick_ns - estimate.measured_ns) / S
-        how, blocked = barrier.filter(there, turning, unseen, all_drive, wheels, u)
-        no_answer, ever = no_answer + int((how == NO_ANSWER).sum()), ever | (blocked & ~arena.there())
+        wheels, _, change, blocked = barrier.filter(there, turning, unseen, all_drive, wheels, u)
+        no_answer, ever = no_answer + int((change == NO_ANSWER).sum()), ever | (blocked & ~arena.there())
         estimate.command(tick_ns, wheels)
         arena.move(before, c.command_delay_s)
         for _ in range(3):

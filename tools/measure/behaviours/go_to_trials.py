@@ -97,25 +97,23 @@ def go(config: Config, starts: Array, goals: Array, seed: int, longest_s: float 
     pairs, radius = np.triu_indices(n, 1), config.members[0].vehicle.body_radius_m
     images: list[Array] = []
     limits, of_body = commanding.limits(fleet.drives(config)), np.ones(n, dtype=np.bool_)
-    wheels, u, unused, gap, k = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 3)), math.inf, 0
+    wheels, gap, k = np.zeros((n, 2)), math.inf, 0
     poses = starts
     while k * c.tick_s < longest_s and not behaviour.arrived:
         tick_ns, newest = START_NS + k * round(c.tick_s * S), max(0, k - DELAY_TICKS)
         images.append(poses + noise * rng.normal(size=(n, 3)))
         estimate.observe(np.full(n, START_NS + newest * round(c.tick_s * S)), images[newest])
         _, there, turning = estimate.predict(tick_ns)
-        before = wheels.copy()
+        before = wheels
         driving = np.full(n, k >= ARMED_TICKS)
         decision = behaviour.decide(
             Situation(
                 t=k * c.tick_s, poses=there, driving=driving, disturbance=np.zeros((n, 2)), others=np.zeros((0, 3))
             )
         )
-        commanding.commanded(
-            decision.velocities, of_body, there, c.point_ahead_m, limits, driving, u, wheels, unused[:, 0].copy(),
-            unused[:, 1:].copy(),
-        )  # fmt: skip
-        barrier.filter(there, turning, (tick_ns - estimate.measured_ns) / S, driving, wheels, u)
+        request = commanding.limited(decision.velocities, of_body, there, c.point_ahead_m, limits, driving)
+        unseen_s = (tick_ns - estimate.measured_ns) / S
+        wheels, u, _, _ = barrier.filter(there, turning, unseen_s, driving, request.wheels, request.u)
         behaviour.changed(u)
         estimate.command(tick_ns, wheels)
         for i, plant in enumerate(plants):
