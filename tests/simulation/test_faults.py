@@ -16,7 +16,7 @@ from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.gate import GateOutput, GateState, Inputs
+from robofleet.safety.gate import GateState, Inputs
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
@@ -440,9 +440,9 @@ def test_robots_with_computers_of_their_own_bear_that_radio_with_few_messages(fa
     ]  # fmt: skip
     worst_ns: dict[str, int] = {}
 
-    def witness(robot: str, now_ns: int, _inputs: Inputs, state: GateState, _output: GateOutput) -> None:
+    def witness(robot: str, now_ns: int, _inputs: Inputs, state: GateState) -> None:
         if run.status.phase is Phase.RUNNING:
-            worst_ns[robot] = max(worst_ns.get(robot, 0), now_ns - min(state.command_nonce, state.enabled[0]))
+            worst_ns[robot] = max(worst_ns.get(robot, 0), now_ns - min(state.command_nonce, state.enabled_nonce))
 
     run = Lockstep(load_config(PLATOON, overrides, faults), witness)
     run.request(b"start")
