@@ -1,6 +1,7 @@
 """A run that is looked at part by part has the figures, columns and entries of one that is looked at as a whole."""
 
 import tracemalloc
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from robofleet.core.clock import S
 from robofleet.operator.run import in_lockstep
 from robofleet.recording import reading
 from robofleet.recording.columns import write_csv
+from robofleet.recording.log import RunLog
 from robofleet.recording.run import SHOWN, Run
 from robofleet.recording.series import series
 from robofleet.reports import metrics, sampled
@@ -20,11 +22,13 @@ from robofleet.reports.timeline import Timeline
 from robofleet.runs import lockstep
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
+from tests.recording.recorded import in_order
 
 RECORDINGS = sorted((Path(__file__).parents[1] / "recordings").glob("*.mcap"))
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 PER_SECOND = 6_000  # bytes: 20 MB an hour; all messages of a second are 90,000
 PART = 60_000  # bytes: a second or two of four robots
+FIGURES_OF_A_PART = 8_000  # bytes: its largest figures and what happened in it
 
 
 def summary(run: Run) -> dict[str, Any]:
@@ -75,6 +79,47 @@ def test_of_a_sampled_run_what_is_largest_and_what_is_counted_is_of_every_tick(m
             assert told[name] == (pytest.approx(value, abs=2e-4) if isinstance(value, float) else value), name
         elif isinstance(value, float):
             assert told[name] == pytest.approx(value, rel=0.25), name
+
+
+def test_a_part_of_a_run_is_let_go_of_before_the_next_one_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reading, "_AROUND_NS", 3 * S // 2)
+    seen: list[weakref.ref[Run]] = []
+
+    class Seen(Run):
+        def __init__(self, *args: Any, **keys: Any) -> None:
+            assert not any(part() for part in seen)
+            super().__init__(*args, **keys)
+            seen.append(weakref.ref(self))
+
+    monkeypatch.setattr(sampled, "Run", Seen)
+    look(RECORDINGS[0], together=PART)
+    write_csv(map(series, looks(RECORDINGS[0], together=PART)), tmp_path / "parts.csv")
+    assert len(seen) > 3
+
+
+def test_what_is_kept_of_a_run_hardly_grows_with_its_length(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same messages again and again: each further part may leave its figures, and nothing of each tick."""
+    monkeypatch.setattr(reading, "_AROUND_NS", 3 * S // 2)
+    monkeypatch.setattr(sampled, "_MOST_BYTES", 100_000)
+    recording = reading.read(RECORDINGS[[file.stem for file in RECORDINGS].index("platoon")])
+    messages = in_order(recording)
+    size = sum(len(payload) for _, payload in messages)
+
+    def peak(times: int) -> int:
+        file = tmp_path / f"{times}.mcap"
+        with RunLog(file, recording.config, drawn=False, batched=True) as log:
+            for k in range(times):
+                log.add_all(messages, 2 * k * S)
+        tracemalloc.start()
+        try:
+            look(file, together=size)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    assert peak(40) - peak(10) < 30 * FIGURES_OF_A_PART
 
 
 @pytest.mark.long
