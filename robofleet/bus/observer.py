@@ -3,11 +3,12 @@
 numpy is not imported: `robofleet stop` and `status` start fast.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from robofleet.bus.bus import Bus, Subscription, Wake
-from robofleet.bus.keys import Topic
+from robofleet.bus.keys import STATUS, Topic
+from robofleet.bus.messages import RobotStatus
 from robofleet.core.clock import S
 
 Source = Topic | tuple[Topic, str]  # a topic; or a topic and what it is about: a unit, a camera
@@ -64,3 +65,22 @@ class Observer:
     def alive(self, source: Source, now_ns: int, within_ns: int = S) -> bool:
         """Return whether a message has come within this time."""
         return source in self._newest and now_ns - self._newest[source][1] <= within_ns
+
+
+class RobotObserved(NamedTuple):
+    """What is known of one robot."""
+
+    status: RobotStatus | None = None
+    arrival_ns: int = 0  # 0: its unit has not spoken
+
+
+def robots_observed(
+    observer: Observer, units: Mapping[str, Sequence[str]], robots: Iterable[str]
+) -> list[RobotObserved]:
+    """Return the newest status of each robot; the observer observes STATUS of the units."""
+    found: dict[str, RobotObserved] = {}
+    for unit, members in units.items():
+        message, arrival_ns = observer[STATUS, unit], observer.arrival_ns((STATUS, unit))
+        if message is not None and len(message.robots) == len(members):
+            found |= zip(members, [RobotObserved(status, arrival_ns) for status in message.robots], strict=True)
+    return [found.get(robot, RobotObserved()) for robot in robots]

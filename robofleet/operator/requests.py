@@ -18,8 +18,8 @@ from robofleet.bus.arena_file import ArenaFile, Search, found
 from robofleet.bus.credentials import Credentials, KeysError
 from robofleet.bus.joining import joined
 from robofleet.bus.keys import STATE, STATUS
-from robofleet.bus.messages import RobotStatus, RunState
-from robofleet.bus.observer import Observer
+from robofleet.bus.messages import RunState
+from robofleet.bus.observer import Observer, RobotObserved, robots_observed
 from robofleet.bus.permissions import OPERATOR, UNIT
 from robofleet.bus.requests import SAFE, SAFE_WORDS, asked
 from robofleet.bus.zenoh_bus import ZenohBus
@@ -209,11 +209,7 @@ def status(run: ArenaFile) -> dict[str, Any]:
             observer.update(now_ns)
             clock.sleep_until(now_ns + _POLL_NS)
     state: RunState | None = observer[STATE]
-    statuses = dict.fromkeys(run.robots, _robot(None, None))
-    for unit, robots in run.units.items():
-        age_ns, message = observer.age_ns((STATUS, unit), clock.now_ns()), observer[STATUS, unit]
-        if message is not None:
-            statuses |= {robot: _robot(status, age_ns) for robot, status in zip(robots, message.robots, strict=False)}
+    robots = robots_observed(observer, run.units, run.robots)
     return {
         "arena": run.arena,
         "folder": run.folder,
@@ -224,20 +220,21 @@ def status(run: ArenaFile) -> dict[str, Any]:
         "cause": None if state is None else advised(run_cause(state, run.robots), state.cause),
         "next": _SILENT if state is None else WAY_OUT.get(state.phase),
         "robots": [
-            {"id": robot, **statuses[robot], "halted": None if state is None else halt_cause(state, row) or None}
+            {"id": robot, **_robot(robots[row], now_ns), "halted": (halt_cause(state, row) if state else "") or None}
             for row, robot in enumerate(run.robots)
         ],
     }
 
 
-def _robot(status: RobotStatus | None, age_ns: int | None) -> dict[str, Any]:
-    if status is None or age_ns is None:
+def _robot(observed: RobotObserved, now_ns: int) -> dict[str, Any]:
+    status, arrival_ns = observed
+    if status is None:
         return {"gate": None, "latch": None, "battery": None, "age_ms": None}
     return {
         "gate": named(GateStatus, status.gate),
         "latch": named(Latch, status.latch),
         "battery": None if status.battery < 0.0 else round(status.battery, 3),
-        "age_ms": round(age_ns / MS, 1),
+        "age_ms": round((now_ns - arrival_ns) / MS, 1),
     }
 
 

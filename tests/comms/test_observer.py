@@ -6,8 +6,8 @@ import pytest
 
 from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import REQUEST, STATE, STATUS, TICK
-from robofleet.bus.messages import RUN_STATE, UNIT_STATUS, RunState, UnitStatus
-from robofleet.bus.observer import Observer
+from robofleet.bus.messages import RUN_STATE, UNIT_STATUS, RobotStatus, RunState, UnitStatus
+from robofleet.bus.observer import Observer, RobotObserved, robots_observed
 from robofleet.core.clock import MS, SimulatedClock
 
 MakeBus = Callable[[int], MemoryBus]
@@ -61,3 +61,16 @@ def test_it_wakes_and_decodes_as_declared(memory_bus: MakeBus, clock: SimulatedC
     assert observer.update(10) == {STATE}
     with pytest.raises(AssertionError):
         observer.declare([(REQUEST, "supervisor")])  # it is asked, not observed
+
+
+def test_each_robot_has_the_newest_status_of_its_unit(memory_bus: MakeBus, clock: SimulatedClock) -> None:
+    bus, units = memory_bus(10), {"u1": ("r1", "r3"), "u2": ("r2",), "u3": ("r4",)}
+    observer = Observer(bus, [(STATUS, unit) for unit in units])
+    robots = [RobotStatus(*[number] * len(RobotStatus._fields)) for number in (1, 2, 3)]
+    bus.publisher(STATUS, "u1")(UNIT_STATUS.encode(UnitStatus(*[7] * 6, (robots[0], robots[2]))))
+    bus.publisher(STATUS, "u3")(UNIT_STATUS.encode(UnitStatus(*[7] * 6, (robots[0], robots[2]))))
+    clock.advance_to(100)
+    observer.update(100)
+    observed = robots_observed(observer, units, ["r1", "r2", "r3", "r4"])
+    assert observed[::2] == [RobotObserved(robots[0], 10), RobotObserved(robots[2], 10)]
+    assert observed[1::2] == [RobotObserved(), RobotObserved()], "u2 is silent, u3 has other robots"

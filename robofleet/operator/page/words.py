@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from robofleet.bus.messages import BusyMachine, RobotStatus, RunState
+from robofleet.bus.messages import BusyMachine, RunState
+from robofleet.bus.observer import RobotObserved
 from robofleet.config.tree import Config
 from robofleet.operator.terminal.live_state import arming, who_stands
 from robofleet.recording.busy_machine import goes_on
@@ -46,7 +47,7 @@ def stage(state: RunState | None, robots: tuple[str, ...]) -> str | None:
 
 
 def what_next(
-    state: RunState | None, busy: BusyMachine | None, statuses: Sequence[RobotStatus | None], config: Config,
+    state: RunState | None, busy: BusyMachine | None, observed: Sequence[RobotObserved], config: Config,
     way: Phase | None, how_far: str,
 ) -> str:  # fmt: skip
     """Return what the operator can do now; ``way``: that the robots are on, ``how_far`` they are."""
@@ -57,7 +58,9 @@ def what_next(
         silent = [robot for robot, row_state in zip(robots, state.robots, strict=False) if not row_state.acknowledged]
         if silent:
             return f"NOT acknowledged by {', '.join(silent)}: stop them by hand."
-    latched = [robot for robot, status in zip(robots, statuses, strict=True) if status is not None and status.latch]
+    latched = [
+        robot for robot, (status, _) in zip(robots, observed, strict=True) if status is not None and status.latch
+    ]
     if config.run.start == "auto" and state.phase in ENDED:
         by_itself = "This run starts and ends by itself."
         return by_itself if state.phase == Phase.IDLE else "Every robot stands and this run ends: look at the robots."
