@@ -26,10 +26,9 @@ from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.core.clock import MS, WallClock
 from robofleet.core.errors import RobofleetError
 from robofleet.operator.estop import SUPERVISOR, Stopped, emergency_stop, urgent
-from robofleet.recording.causes import halt_cause, named, run_cause
-from robofleet.safety.advice import WAY_OUT, advised
+from robofleet.recording.causes import halt_cause, named
+from robofleet.safety.advice import WAY_OUT
 from robofleet.safety.gate import GateStatus, Latch
-from robofleet.safety.supervisor import Phase
 
 _CONNECT_WITHIN_S = 1.0
 _CONNECT_ELSEWHERE_WITHIN_S = 3.0
@@ -201,6 +200,8 @@ def ask(arena: Arena, what: str) -> tuple[bool, str]:
 
 def status(run: ArenaFile) -> dict[str, Any]:
     """Return what a run says of itself within a moment; None for what is silent."""
+    from robofleet.recording.state_words import state_words  # noqa: PLC0415 - it loads numpy
+
     clock = WallClock()
     with reached(run, clock) as bus:
         observer = Observer(bus, [STATE, *((STATUS, unit) for unit in run.units)])
@@ -209,6 +210,7 @@ def status(run: ArenaFile) -> dict[str, Any]:
             observer.update(now_ns)
             clock.sleep_until(now_ns + _POLL_NS)
     state: RunState | None = observer[STATE]
+    words = None if state is None else state_words(state, None, run.robots)
     robots = robots_observed(observer, run.units, run.robots)
     return {
         "arena": run.arena,
@@ -216,8 +218,8 @@ def status(run: ArenaFile) -> dict[str, Any]:
         "started": run.started,
         "pid": run.pid,
         "endpoint": run.endpoint,
-        "phase": None if state is None else named(Phase, state.phase),
-        "cause": None if state is None else advised(run_cause(state, run.robots), state.cause),
+        "phase": words and words.phase,
+        "cause": words and words.advice,
         "next": _SILENT if state is None else WAY_OUT.get(state.phase),
         "robots": [
             {"id": robot, **_robot(robots[row], now_ns), "halted": (halt_cause(state, row) if state else "") or None}

@@ -19,8 +19,8 @@ from robofleet.gateways.ros2.graph import Graph
 from robofleet.gateways.ros2.topics import Frames
 from robofleet.gateways.served import Served
 from robofleet.gateways.urdf import HEIGHT_M
-from robofleet.recording.causes import halt_cause, named, run_cause
-from robofleet.safety.advice import advised
+from robofleet.recording.causes import halt_cause, named
+from robofleet.recording.state_words import state_words
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 
@@ -67,10 +67,10 @@ class Run:
         state, name = self._newest, f"{self._config.arena.name}: run"
         if state is None:
             return DiagnosticStatus(level=_STALE, name=name, message="the supervisor says nothing")
-        why = advised(run_cause(state, self._config.ids), state.cause)
+        words = state_words(state, None, self._config.ids)
         level = _LEVELS.get(state.phase, _OK)  # type: ignore[call-overload]
         return DiagnosticStatus(
-            level=level, name=name, message=f"{self._phase}: {why}", values=_values(phase=self._phase)
+            level=level, name=name, message=f"{words.phase}: {words.advice}", values=_values(phase=self._phase)
         )
 
     def _of_controller(self) -> DiagnosticStatus:

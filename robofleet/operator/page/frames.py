@@ -19,13 +19,14 @@ from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
 from robofleet.operator.hand import driven
 from robofleet.operator.page.hearing import CameraHearing, Hearing, Shown
-from robofleet.operator.page.words import phase_name, phase_word, stage, what_next
+from robofleet.operator.page.words import phase_name, phase_word, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import OnTheWay
-from robofleet.recording import busy_machine
 from robofleet.recording.causes import named, own_state
+from robofleet.recording.state_words import state_words
 from robofleet.safety.distances import apart
 from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.supervisor import Phase
 from robofleet.tracking.outlines import TagOutlines
 
 Frame = dict[str, Any]
@@ -122,7 +123,8 @@ def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -
 
 def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, now_ns: int, launcher: str) -> Frame:
     """Return the run as it stands; ``launcher``: what that one does before the supervisor speaks."""
-    state, robots, way = hearing.state, config.ids, hearing.way
+    state, way = hearing.state, hearing.way
+    words = None if state is None else state_words(state, hearing.busy, config.ids)
     to_go_m = way.to_go_m(None if hearing.controller_silent() else hearing.record)
     return {
         "type": "tick",
@@ -130,9 +132,9 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "tick": 0 if hearing.record is None else hearing.record.tick,
         "t_s": _rounded(hearing.t_s, 3),
         "phase": phase_name(state),
-        "cause": None if state is None else busy_machine.told(state, hearing.busy, robots, advice=False),
-        "stage": stage(state, robots) if state is not None else launcher or None,
-        "what_next": what_next(state, hearing.busy, hearing.robots, config, way.phase, way.words(to_go_m)),
+        "cause": words and words.cause,
+        "stage": (words.check if state.phase == Phase.ARMED else None) if state and words else launcher or None,
+        "what_next": what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
         "way": None if way.phase is None else phase_word(way.phase),
         "health": _health(hearing),
         "robots": _rows(hearing, groups, state, to_go_m, now_ns),
