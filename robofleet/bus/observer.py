@@ -23,27 +23,28 @@ class Observer:
     """
 
     def __init__(self, bus: Bus, sources: Iterable[Source] = (), wake: Wake | None = None) -> None:
-        """Declare topics; ``wake`` is called, from any thread, when a message comes."""
-        self._bus = bus
+        """Declare topics; ``wake`` is called, from any thread, when a message of any declared topic comes."""
+        self._bus, self._wake = bus, wake
         self._subscriptions: dict[Source, tuple[Subscription, Decode]] = {}
         self._newest: dict[Source, tuple[Any, int]] = {}  # message, and when it came [ns]
-        self.declare(sources, wake)
+        self.declare(sources)
 
-    def declare(self, sources: Iterable[Source], wake: Wake | None = None, decode: Decode | None = None) -> None:
+    def declare(self, sources: Iterable[Source], decode: Decode | None = None) -> None:
         """Subscribe to topics. ``decode`` replaces the layout's own; it returns None for a message that is wrong."""
         for source in sources:
             topic, name = (source, "") if isinstance(source, Topic) else source
             if decode is None:
                 assert topic.layout is not None, topic.key
             self._subscriptions[source] = (
-                self._bus.newest(topic, name, wake),
+                self._bus.newest(topic, name, self._wake),
                 decode or topic.layout.decode,  # type: ignore[union-attr]
             )
 
-    def update(self, now_ns: int) -> set[Source]:
-        """Take what has come; returns the sources of which there is a new message."""
+    def update(self, now_ns: int, sources: Iterable[Source] | None = None) -> set[Source]:
+        """Take what has come, by default of all sources; returns those of which there is a new message."""
         updated: set[Source] = set()
-        for source, (subscription, decode) in self._subscriptions.items():
+        for source in self._subscriptions if sources is None else sources:
+            subscription, decode = self._subscriptions[source]
             payload = subscription.take()
             if payload is not None and (message := decode(payload)) is not None:
                 self._newest[source] = message, subscription.arrival_ns or now_ns
@@ -55,7 +56,7 @@ class Observer:
         return self._newest.get(source, (None, 0))[0]
 
     def arrival_ns(self, source: Source) -> int:
-        """Return when the newest message came, exactly where a ``wake`` was declared; 0 where none has."""
+        """Return when the newest message came, exactly where there is a ``wake``; 0 where none has."""
         return self._newest.get(source, (None, 0))[1]
 
     def age_ns(self, source: Source, now_ns: int) -> int | None:

@@ -51,12 +51,11 @@ def test_who_has_spoken_within_a_time_is_alive(memory_bus: MakeBus, age_ns: int,
 
 def test_it_wakes_and_decodes_as_declared(memory_bus: MakeBus, clock: SimulatedClock) -> None:
     bus, woken = memory_bus(10), list[int]()
-    observer = Observer(bus)
-    observer.declare([STATE], woken.append, RUN_STATE.decode_head)
-    observer.declare([TICK])
+    observer = Observer(bus, [TICK], woken.append)
+    observer.declare([STATE], RUN_STATE.decode_head)
     bus.publisher(TICK)(b"")
     bus.publisher(STATE)(RUN_STATE.encode(state(4)))
-    assert woken == [10]
+    assert woken == [10, 10]
     clock.advance_to(10)
     assert observer.update(10) == {STATE}
     with pytest.raises(AssertionError):

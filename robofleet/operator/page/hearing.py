@@ -81,9 +81,8 @@ class Hearing:
         self._clock, self._tick_s = clock, config.controller.tick_s
         self.tags = {robot.tag: robot.id for robot in robots}
         self._units, self._ids = config.units, [robot.id for robot in robots]
-        self.run = Observer(bus, [STATE], wake)
-        self.run.declare([TICK], wake, self._own_tick)
-        self.run.declare([BUSY])
+        self.run = Observer(bus, [STATE, BUSY], wake)
+        self.run.declare([TICK], self._own_tick)
         self._statuses = Observer(bus, [(STATUS, unit) for unit in config.units])
         self.robots = [RobotObserved()] * len(robots)
         self.state: RunState | None = None
