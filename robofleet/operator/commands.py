@@ -17,7 +17,7 @@ from robofleet.runs import table
 if TYPE_CHECKING:
     from robofleet.bus.arena_file import ArenaFile
     from robofleet.config.tree import Config
-    from robofleet.operator.elsewhere import Elsewhere
+    from robofleet.operator.requests import JoinedArena
     from robofleet.runs.table import Row
 
 
@@ -111,13 +111,12 @@ def status(
     raise typer.Exit(direct.status(arena, as_json=as_json))
 
 
-def _elsewhere(arena: str | None) -> "Elsewhere | None":
+def _elsewhere(arena: str | None) -> "JoinedArena | None":
     """Return the arena of another computer that is meant, if one is."""
-    from robofleet.operator import elsewhere  # noqa: PLC0415
     from robofleet.operator import requests as operator  # noqa: PLC0415
 
     try:
-        return elsewhere.joined_arena(arena)
+        return operator.joined_arena(arena)
     except operator.NoArenaError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error

@@ -5,11 +5,13 @@ from typing import Any
 
 import pytest
 
-from robofleet.bus.bus import Answer
-from robofleet.bus.keys import ENABLE, REQUEST, SAFE_REQUEST, STATUS
+from robofleet.bus.bus import Answer, MemoryBus
+from robofleet.bus.keys import ENABLE, REQUEST, SAFE_REQUEST, STATE, STATUS
+from robofleet.bus.messages import RUN_STATE, RobotState, RunState
 from robofleet.config.load import load_config
-from robofleet.core.clock import MS, S
+from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.operator.estop import EmergencyStop, Stopped
+from robofleet.operator.requests import by_supervisor
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
@@ -20,9 +22,10 @@ _BOUND_MS = 100.0
 _AT_S = 0.5  # since the fleet ran, trouble; the stop comes 0.1 s later
 
 
-def stop(lockstep: Lockstep) -> Stopped:
+def stop(lockstep: Lockstep, *, by_gates: bool = True) -> Stopped:
     """Do what whoever stops does, in simulated time."""
-    stopping = EmergencyStop(lockstep.bus, lockstep.recording.config.units, lockstep.clock.now_ns())
+    units = lockstep.recording.config.units if by_gates else None
+    stopping = EmergencyStop(lockstep.bus, units, lockstep.clock.now_ns())
     while (stopped := stopping.step(lockstep.clock.now_ns())) is None:
         lockstep.advance(0.001)
     return stopped
@@ -99,6 +102,40 @@ def test_every_gate_latches_and_nothing_goes_on_until_a_reset(
     assert latches(lockstep) == {Latch.NONE}
     assert answered(lockstep, b"start") == b"ok"
     assert lockstep.advance(60.0, lambda: lockstep.status.phase is Phase.RUNNING), "as after any emergency stop"
+
+
+def test_of_another_computers_arena_the_supervisor_says_who_has_acknowledged(
+    driving: Callable[..., Lockstep],
+) -> None:
+    lockstep = driving(None)
+    stopped = stop(lockstep, by_gates=False)
+    assert (stopped.silent, len(stopped.after_ms)) == ((), len(ROBOTS))
+    assert by_supervisor(stopped).startswith("every robot acknowledged, after ")
+    assert latches(lockstep) == {Latch.EMERGENCY_STOP}
+
+
+@pytest.mark.parametrize(
+    ("phase", "acknowledged", "words"),
+    [
+        (Phase.RUNNING, [1, 1, 1], "the supervisor does not answer: go and look"),
+        (Phase.ESTOP, [1, 0, 0], "2 robots have not acknowledged: go and look"),
+        (Phase.ESTOP, [1, 1, 1], "every robot acknowledged, after 40 ms"),
+    ],
+)
+def test_of_another_computers_arena_it_is_said_who_has_not_acknowledged(
+    phase: Phase, acknowledged: list[int], words: str
+) -> None:
+    clock = SimulatedClock()
+    bus = MemoryBus("lab", clock, 0)
+    stopping, publish = EmergencyStop(bus, None, 0), bus.publisher(STATE)
+    stopped = None
+    while stopped is None and clock.now_ns() < 2 * S:
+        clock.advance_to(clock.now_ns() + 40 * MS)
+        robots = tuple(RobotState(0, own, 0) for own in acknowledged)
+        publish(RUN_STATE.encode(RunState(1, 1, phase, 0, 0, 0.0, 0, robots)))
+        stopped = stopping.step(clock.now_ns())
+    assert stopped is not None
+    assert by_supervisor(stopped) == words
 
 
 def test_a_flood_of_requests_that_swallows_the_stop_keeps_no_gate_open(driving: Callable[..., Lockstep]) -> None:

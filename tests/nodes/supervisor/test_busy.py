@@ -7,7 +7,7 @@ import pytest
 from robofleet.bus.keys import BUSY
 from robofleet.bus.messages import BusyMachine
 from robofleet.core.clock import MS, S
-from robofleet.recording import busy_machine
+from robofleet.recording.state_words import state_words
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
 from tests.nodes.stand import Stand
@@ -110,10 +110,10 @@ def test_with_a_robot_that_exists_it_stands_as_ever_and_names_the_load(
     stand.run(700 * MS)
     phase = Phase.HOLD if who == "tracker" else Phase.FAULT
     assert stand.cause == (phase, event, robot)
-    words = busy_machine.told(stand.state, told(stand), ("r1", "r2", "r3", "r4"))
+    words = state_words(stand.state, told(stand), ("r1", "r2", "r3", "r4")).advice
     assert "(this machine was busy: load 6.1 on 2 cores, " in words
     assert words.endswith("): end other programs that keep this machine busy")
-    assert not busy_machine.goes_on(stand.state, told(stand))
+    assert not state_words(stand.state, told(stand), ()).goes_on
     stand.silent.clear()
     stand.run(10 * S)
     assert stand.cause == (phase, event, robot)

@@ -18,6 +18,7 @@ from rich.console import Console
 
 from robofleet.behaviours.script import Script
 from robofleet.bus.bus import Arrival, Bus
+from robofleet.bus.observer import Observer
 from robofleet.bus.ticks import TickFollower
 from robofleet.config import groups
 from robofleet.config.tree import Config
@@ -124,7 +125,7 @@ class Scripted:
     def step(self, _now_ns: int) -> None:
         fleet, link = self._fleet, self._link
         with suppress(FleetError):
-            if link._ticks > link._taken:
+            if link._has_new_tick():
                 fleet._read(link.next_tick())
         assert len(fleet.readings) == len(fleet.robots) == len(fleet.sensors)
         _ = fleet.poses, fleet.points, fleet.time, fleet.phase, fleet._number(fleet._followed)
@@ -177,20 +178,18 @@ class Ros:
         graph: Any = Graph()
         self._ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
         names = topics.ros_names(config.ids)
-        args = graph, config, names, bus
-        robots = Robots(*args, self._ticks, lambda _: None)
+        observer = self._observer = Observer(bus)
+        args = graph, config, names, observer
+        robots = Robots(*args, self._ticks)
         served = Served(lambda: False, clock.now_ns())
-        self._parts: list[Any] = [
-            robots,
-            Sensing(*args, lambda _: None),
-            Run(graph, config, bus, served, lambda _: None),
-        ]
-        self._parts += [Camera(graph, n, view, robots, bus, lambda _: None) for n, view in config.trackers.items()]
+        self._parts: list[Any] = [robots, Sensing(*args), Run(graph, config, observer, served)]
+        self._parts += [Camera(graph, n, view, robots, bus, observer) for n, view in config.trackers.items()]
 
     def step(self, now_ns: int) -> None:
         self._ticks.update()
+        updated = self._observer.update(now_ns)
         for part in self._parts:
-            part.step(now_ns)
+            part.step(now_ns, updated)
 
     def close(self) -> None:
         pass
