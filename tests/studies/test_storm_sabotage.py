@@ -11,6 +11,7 @@ from pydantic import TypeAdapter
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
 from robofleet.core.clock import MS, S
+from robofleet.nodes.unit import drivers
 from robofleet.nodes.unit.keeping import MemoryKeeping
 from robofleet.operator.estop import EmergencyStop
 from robofleet.safety import gate, monitor, runaway, supervisor
@@ -33,6 +34,12 @@ _FAULTS = 3  # of such a storm: with many at once another one may end the run be
 @pytest.fixture(scope="module")
 def fleet(platoon_of: Callable[..., Config]) -> Config:
     return platoon_of("tracker.source=truth")
+
+
+@pytest.fixture(autouse=True)
+def uncompiled(monkeypatch: Patch) -> None:
+    """A compiled gate keeps the functions that it was compiled from; the plain one takes those of a test."""
+    monkeypatch.setattr(drivers, "in_arrays", lambda *_: False)
 
 
 def _old_messages_count(patch: Patch) -> None:
