@@ -136,8 +136,11 @@ def watch(
 
 
 def _over_time(
-    conditions: Iterable[tuple[Event, int, float]], memory: MonitorState, view: FleetView, body_radius: tuple[float, ...]
-) -> tuple[dict[tuple[Event, int], int], dict[int, Rolling], list[Happening]]:  # fmt: skip
+    conditions: Iterable[tuple[Event, int, float]],
+    memory: MonitorState,
+    view: FleetView,
+    body_radius: tuple[float, ...],
+) -> tuple[dict[tuple[Event, int], int], dict[int, Rolling], list[Happening]]:
     """Return since when conditions hold, how robots roll, and the events of what has held for long enough."""
     happenings: list[Happening] = []
     lasting_ns: dict[tuple[Event, int], int] = {}
@@ -228,7 +231,7 @@ _rests, _counts, _is_seen_standing = map(kernel, (rests, runaway.counts, runaway
 
 
 @kernel
-def _of_robots(  # type: ignore[no-untyped-def]
+def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each rule
     rows, before, sessions, bodies, edges, rings, half_length, half_width, build, now_ns, phase, moving
 ):
     """Yield the conditions that hold: event, robot, detail; in the order in which they are told of a robot.
@@ -244,7 +247,7 @@ def _of_robots(  # type: ignore[no-untyped-def]
         reports = driven and r.heard_ns != NEVER
         if reports and now_ns - r.heard_ns > SILENT_NS:
             yield Event.LINK_LOST if body.elsewhere else Event.DRIVER_SILENT, k, 0.0
-        if reports and b.boot_id != _NOBODY and b.boot_id != r.boot_id:
+        if reports and b.boot_id not in (_NOBODY, r.boot_id):
             yield Event.LINK_LOST if body.elsewhere else Event.DRIVER_RESTARTED, k, 0.0
         if reports and r.build != build:
             yield Event.OTHER_BUILD, k, 0.0
