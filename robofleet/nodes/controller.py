@@ -169,8 +169,8 @@ class Controller:
         used = self._estimate.measure(self._index, self._grid)
         if used is None:
             return self._nobody
-        if used.max() == CARRIED:
-            for row in np.flatnonzero(used == CARRIED).tolist():
+        for row, use in enumerate(used.tolist()):
+            if use == CARRIED:
                 self._runner.carried(row)
         return np.not_equal(used, UNUSED)
 
