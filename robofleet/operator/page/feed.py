@@ -37,7 +37,7 @@ class Feed:
     """Hears the run, and wakes the pages when there is something to show."""
 
     def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, progress: Callable[[], str]) -> None:
-        """``said``: what the launcher does, for as long as the supervisor has not spoken."""
+        """``progress`` says what the launcher does, for as long as the supervisor has not spoken."""
         self.config, self.bus, self._clock, self._progress = config, bus, clock, progress
         self.folder = folder
         self.ended: Frame | None = None  # how the run did, once it has
