@@ -61,11 +61,12 @@ class Observer:
 
     def age_ns(self, source: Source, now_ns: int) -> int | None:
         """Return how long ago the newest message came; None where none has."""
-        return now_ns - self._newest[source][1] if source in self._newest else None
+        return now_ns - self.arrival_ns(source) if source in self._newest else None
 
     def alive(self, source: Source, now_ns: int, within_ns: int = S) -> bool:
         """Return whether a message has come within this time."""
-        return source in self._newest and now_ns - self._newest[source][1] <= within_ns
+        age_ns = self.age_ns(source, now_ns)
+        return age_ns is not None and age_ns <= within_ns
 
 
 class RobotObserved(NamedTuple):

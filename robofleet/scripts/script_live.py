@@ -16,7 +16,7 @@ from robofleet.behaviours import described
 from robofleet.bus.arena_file import ArenaFile, running
 from robofleet.bus.credentials import Credentials
 from robofleet.bus.joining import joined
-from robofleet.bus.keys import NOTE, SENSORS, STATE, STATUS, TICK, WISH
+from robofleet.bus.keys import NOTE, SENSORS, STATE, STATUS, TICK, WISH, Topic
 from robofleet.bus.messages import RUN_STATE, TICK_RECORD
 from robofleet.bus.observer import Observer, Source
 from robofleet.bus.permissions import SCRIPT
@@ -65,8 +65,8 @@ class LiveLink:
             self._ticks.declare([TICK], self._own_tick)
             self._observer = Observer(self._bus)
             self._observer.declare([STATE], _status)
-            self._observer.declare([(STATUS, unit) for unit in config.units], bytes)
-            self._observer.declare([(SENSORS, unit) for unit in config.sensing], bytes)
+            units = [(STATUS, unit) for unit in config.units] + [(SENSORS, unit) for unit in config.sensing]
+            self._observer.declare(units, bytes)
             self._publish = self._bus.publisher(WISH, group)
             self.wish = self._publish
             self.note = self._bus.publisher(NOTE, group)
@@ -112,14 +112,9 @@ class LiveLink:
             raise ended(self.status, self.config)
         return tick
 
-    def unit_status(self, unit: str) -> bytes | None:
-        """Return the newest status of a unit."""
-        payload: bytes | None = self._newest((STATUS, unit))
-        return payload
-
-    def unit_sensors(self, unit: str) -> bytes | None:
-        """Return what the sensors of a unit's robots said last."""
-        payload: bytes | None = self._newest((SENSORS, unit))
+    def newest(self, topic: Topic, unit: str) -> bytes | None:
+        """Return the newest message of a unit."""
+        payload: bytes | None = self._newest((topic, unit))
         return payload
 
     def ask(self, what: bytes) -> None:

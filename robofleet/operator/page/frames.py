@@ -19,7 +19,7 @@ from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
 from robofleet.operator.hand import driven
 from robofleet.operator.page.hearing import CameraHearing, Hearing, Shown
-from robofleet.operator.page.words import phase_name, phase_word, what_next
+from robofleet.operator.page.words import phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.recording.causes import named, own_state
@@ -70,7 +70,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
             for group in groups
         ],
         "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
-        "places": {phase_word(phase): _places(places) for phase, places in OnTheWay(config).places.items()},
+        "places": {named(Phase, phase): _places(places) for phase, places in OnTheWay(config).places.items()},
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
         "camera": {"width": camera.width, "height": camera.height} if seen else None,
@@ -135,7 +135,7 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "cause": words and words.cause,
         "stage": (words.check if state.phase == Phase.ARMED else None) if state and words else launcher or None,
         "what_next": what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
-        "way": None if way.phase is None else phase_word(way.phase),
+        "way": None if way.phase is None else named(Phase, way.phase),
         "health": _health(hearing),
         "robots": _rows(hearing, groups, state, to_go_m, now_ns),
     }

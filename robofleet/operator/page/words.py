@@ -31,12 +31,7 @@ ENDED = (Phase.IDLE, Phase.FAULT, Phase.ESTOP)  # nothing moves, and nothing wil
 
 def phase_name(state: RunState | None) -> str:
     """Return a run's phase; ``starting`` while the supervisor has not spoken."""
-    return "starting" if state is None else phase_word(state.phase)
-
-
-def phase_word(phase: int) -> str:
-    """Return a phase as the page knows it."""
-    return named(Phase, phase)
+    return "starting" if state is None else named(Phase, state.phase)
 
 
 def what_next(
