@@ -3,8 +3,8 @@
 A file is code that runs. So the folder is the user's alone (mode 0700), and each file is the user's, no link, and
 writable for nobody else. What is not so is not read: a process compiles anew.
 
-A built wheel brings kernels for a common processor in ``compiled/`` (``tools/compile_kernels.py``). They are read where
-the user's folder has none, and where only the owner of the package's own source can write them.
+A built wheel brings kernels for a common processor in ``compiled/`` (``tools/compile_kernels.py``). They are read
+before the user's own, where only the owner of the package's own source can write them.
 """
 
 import contextlib
@@ -86,13 +86,17 @@ class KernelCache(_Cache):
         """Return the compiled function of a signature, None where there is none."""
         target_context.refresh()
         machine = target_context.codegen().magic_tuple()
+        if (
+            runs_shipped()
+        ):  # before the user's own, so that what is computed does not depend on what was compiled before
+            content = _shipped_content(self._name_of(sig, (machine[0], SHIPPED_CPU, "")))
+            if (found := _rebuilt(target_context, content)) is not None:
+                return found
         content = b""
         with _opened(folder()) as directory, contextlib.suppress(OSError):
             if directory is not None:
                 content = _content(directory / self._name_of(sig, machine))
-        if (found := _rebuilt(target_context, content)) is not None or not runs_shipped():
-            return found
-        return _rebuilt(target_context, _shipped_content(self._name_of(sig, (machine[0], SHIPPED_CPU, ""))))
+        return _rebuilt(target_context, content)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function."""
