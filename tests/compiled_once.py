@@ -22,7 +22,7 @@ def compiled_once(locks: Path) -> Iterator[None]:
         found = load(kept, sig, target_context)
         if found is not None:
             return found
-        name = kept._name_of(sig, target_context.codegen())
+        name = kept._name_of(sig, target_context.codegen().magic_tuple())
         if name in held:  # it failed before
             return None
         lock = (locks / name).open("wb")
@@ -42,7 +42,7 @@ def compiled_once(locks: Path) -> Iterator[None]:
 
     def save_overload(kept: KernelCache, sig: Any, data: Any) -> None:
         save(kept, sig, data)
-        if (lock := held.pop(kept._name_of(sig, data.codegen), None)) is not None:
+        if (lock := held.pop(kept._name_of(sig, data.codegen.magic_tuple()), None)) is not None:
             lock.close()
 
     KernelCache.load_overload, KernelCache.save_overload = load_overload, save_overload  # type: ignore[method-assign]

@@ -199,6 +199,30 @@ def test_where_the_folder_beside_the_package_is_anothers_the_users_own_is_taken(
     assert store.folder() == tmp_path / "cache" / "robofleet" / "kernels"
 
 
+SHIPPED = "import sys; from pathlib import Path; from robofleet.core.kernels import store; "
+FOR_COMMON = {"NUMBA_CPU_NAME": store.SHIPPED_CPU, "NUMBA_CPU_FEATURES": ""}
+
+
+@pytest.mark.skipif(not store.runs_shipped(), reason="this processor runs no kernels of a wheel")
+def test_what_the_package_brings_is_loaded_unless_others_can_write_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package, own = tmp_path / "package", tmp_path / "kernels"
+    with monkeypatch.context() as build:
+        for name, value in FOR_COMMON.items():
+            build.setenv(name, value)
+        said(started(MODELS, package, 2.0, 3.0))
+    package.chmod(0o755)
+    source = f"{SHIPPED}store.SHIPPED = Path({str(package)!r})\n{MODELS}"
+    assert said(started(source, own, 2.0, 3.0)) == [(3.0, True), (4.0, True)]
+    assert not own.exists(), "what the package brings is not written again"
+    sorted(package.iterdir())[0].chmod(0o666)
+    assert sorted(hit for _, hit in said(started(source, own, 2.0, 3.0))) == [False, True]
+    shutil.rmtree(own)
+    package.chmod(0o777)
+    assert said(started(source, own, 2.0, 3.0)) == [(3.0, False), (4.0, False)]
+
+
 def test_what_nobody_has_read_for_longest_makes_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(store, "_LARGEST", 250)
     for age, name in enumerate("abc"):

@@ -26,7 +26,7 @@ from robofleet.core.kernels.lazy import Kernel
 
 # what they compile to is known from their name and the version
 _LIBRARIES = {"numpy", "numba", "math", "cmath", "operator", "builtins"}
-_VERSIONS = (sys.version, numba.__version__, llvmlite.__version__, np.__version__)
+_VERSIONS = (str(sys.implementation.cache_tag), numba.__version__, llvmlite.__version__, np.__version__)
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
 

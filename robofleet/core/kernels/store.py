@@ -2,6 +2,9 @@
 
 A file is code that runs. So the folder is the user's alone (mode 0700), and each file is the user's, no link, and
 writable for nobody else. What is not so is not read: a process compiles anew.
+
+A built wheel brings kernels for a common processor in ``compiled/`` (``tools/compile_kernels.py``). They are read
+before the user's own, where only the owner of the package's own source can write them.
 """
 
 import contextlib
@@ -17,6 +20,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any
 
+from llvmlite.binding import get_host_cpu_features
 from numba.core import serialize
 from numba.core.caching import _Cache
 from numba.core.codegen import RuntimeLinker
@@ -27,6 +31,20 @@ from robofleet.core.files import open_plain
 _PACKAGE = Path(__file__).parents[1]
 _LARGEST = 256_000_000  # bytes in the folder; those that nobody has read for longest go first
 _CHECK = 16  # bytes of digest before the content
+SHIPPED = Path(__file__).parent / "compiled"
+SHIPPED_CPU = "x86-64-v3"
+_SHIPPED_CPU_FEATURES = (
+    "avx",
+    "avx2",
+    "bmi",
+    "bmi2",
+    "f16c",
+    "fma",
+    "lzcnt",
+    "movbe",
+    "popcnt",
+    "xsave",
+)  # LLVM's names
 
 
 def folder() -> Path:
@@ -67,18 +85,18 @@ class KernelCache(_Cache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled function of a signature, None where there is none."""
         target_context.refresh()
+        machine = target_context.codegen().magic_tuple()
+        if (
+            runs_shipped()
+        ):  # before the user's own, so that what is computed does not depend on what was compiled before
+            content = _shipped_content(self._name_of(sig, (machine[0], SHIPPED_CPU, "")))
+            if (found := _rebuilt(target_context, content)) is not None:
+                return found
         content = b""
         with _opened(folder()) as directory, contextlib.suppress(OSError):
             if directory is not None:
-                content = _content(directory / self._name_of(sig, target_context.codegen()))
-        check, data = content[:_CHECK], content[_CHECK:]
-        if check != _digest(data):  # cut, or changed: the linker would end the process
-            return None
-        try:
-            rebuild: Callable[..., Any] = CompileResult._rebuild
-            return rebuild(target_context, *pickle.loads(data))
-        except Exception:  # noqa: BLE001 - whatever it needs is no longer there: compile it again
-            return None
+                content = _content(directory / self._name_of(sig, machine))
+        return _rebuilt(target_context, content)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function."""
@@ -90,7 +108,7 @@ class KernelCache(_Cache):
             folder().mkdir(mode=0o700, parents=True, exist_ok=True)
         with _opened(folder()) as directory, contextlib.suppress(OSError):
             if directory is not None:
-                _write(directory / self._name_of(sig, data.codegen), _digest(content) + content)
+                _write(directory / self._name_of(sig, data.codegen.magic_tuple()), _digest(content) + content)
                 _make_room(directory)
 
     def enable(self) -> None:
@@ -102,10 +120,39 @@ class KernelCache(_Cache):
     def flush(self) -> None:
         """Nothing in it is ever stale."""
 
-    def _name_of(self, sig: Any, codegen: Any) -> str:
+    def _name_of(self, sig: Any, machine: tuple[str, ...]) -> str:
         fields = [getattr(kind, "fields", ()) for kind in getattr(sig, "args", sig)]
-        what = repr((self._meaning(), sig, fields, codegen.magic_tuple()))
+        what = repr((self._meaning(), sig, fields, machine))
         return f"{self._name}-{_digest(what.encode()).hex()}"
+
+
+def _rebuilt(target_context: Any, content: bytes) -> Any:
+    """Return the compiled function that a file holds; None where it holds none that fits."""
+    check, data = content[:_CHECK], content[_CHECK:]
+    if check != _digest(data):  # cut, or changed: the linker would end the process
+        return None
+    try:
+        rebuild: Callable[..., Any] = CompileResult._rebuild
+        return rebuild(target_context, *pickle.loads(data))
+    except Exception:  # noqa: BLE001 - whatever it needs is no longer there: compile it again
+        return None
+
+
+@functools.cache
+def runs_shipped() -> bool:
+    """Return whether this processor runs the kernels that a wheel brings."""
+    features = get_host_cpu_features()
+    return all(features.get(name) for name in _SHIPPED_CPU_FEATURES)
+
+
+def _shipped_content(name: str) -> bytes:
+    """Return what a file of the package holds; nothing where more users can write it than the package's source."""
+    trusted = Path(__file__).stat().st_uid
+    with contextlib.suppress(OSError), open_plain(SHIPPED / name) as stream:
+        found = SHIPPED.lstat(), os.fstat(stream.fileno())
+        if all(_is_only_of(trusted, status) for status in found):
+            return stream.read()
+    return b""
 
 
 @contextlib.contextmanager
@@ -134,7 +181,11 @@ def _opened(directory: Path) -> Iterator[Path | None]:
 
 def _is_own(found: os.stat_result) -> bool:
     """Return whether a file or folder is no link, is this user's, and can be written by nobody else."""
-    return not stat.S_ISLNK(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & 0o022
+    return _is_only_of(os.geteuid(), found)
+
+
+def _is_only_of(user: int, found: os.stat_result) -> bool:
+    return not stat.S_ISLNK(found.st_mode) and found.st_uid == user and not found.st_mode & 0o022
 
 
 @functools.cache
