@@ -20,7 +20,7 @@ from robofleet.safety import monitor
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.interface import RobotFault
-from tests.processes.stand import Stand
+from tests.nodes.stand import Stand
 from tests.sabotage import remade, uncompiled
 
 STOPS = {"left_angle_rad": 1.0, "left_output_rad_s": 12.5}  # its left wheel stands, though it is told to turn
