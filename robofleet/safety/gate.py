@@ -13,8 +13,9 @@ A gate that let its wheels turn and was then not stepped for 120 ms does not go 
 stopped by other means. Its output is zero at once, and what was issued before counts no more.
 
 ``step`` is plain Python: a robot's small computer runs it on a ``GateState`` and needs no numba. ``step_row`` is the
-same source, compiled: simulated robots run it on rows of arrays. There the ids that the wire brings are unsigned, and
-those that a gate counts are signed: for numba, the sum of an unsigned number and 1 is a float.
+same source, compiled: simulated robots run it on rows of arrays. There what a gate counts (boot id, epoch, latch id) is
+signed, also in messages, since numba turns both numbers into floats where an unsigned one meets a signed one. A forged
+one of 2^63 or more is negative there, and equals no count. Sessions and sequence numbers are unsigned everywhere.
 """
 
 import math
@@ -40,7 +41,7 @@ NEVER_NS = (1 << 63) - 1  # as a deadline: none
 NOT_ASKED = -1  # as the answer to a lease request: there was none
 
 T = TypeVar("T")
-Unsigned = Annotated[int, "<u8"]  # an id as the wire carries it
+Unsigned = Annotated[int, "<u8"]  # never beside a signed number, but 0
 
 
 class GateStatus(IntEnum):
@@ -79,20 +80,20 @@ class Inputs:
     """What came since the last step; a flag says whether there is a command, a permission, a lease request."""
 
     command: bool = False
-    command_epoch: Unsigned = 0
+    command_epoch: int = 0
     command_session: Unsigned = 0
     command_seq: Unsigned = 0
-    command_boot_id: Unsigned = 0
+    command_boot_id: int = 0
     command_nonce: int = 0
     command_left: float = 0.0
     command_right: float = 0.0
     permission: bool = False
-    permission_epoch: Unsigned = 0
+    permission_epoch: int = 0
     permission_seq: Unsigned = 0
-    permission_boot_id: Unsigned = 0
+    permission_boot_id: int = 0
     permission_nonce: int = 0
     permission_latch: int = Latch.NONE
-    permission_clear: Unsigned = 0  # latch id
+    permission_clear: int = 0  # latch id
     permission_limit: float = 0.0  # fastest wheel [rad/s]; 0: none
     lease: bool = False
     lease_session: Unsigned = 0

@@ -26,7 +26,8 @@ from robofleet.vehicles.interface import WheelSpeeds
 from tests.robots import GTERNAL
 
 MS, S = 1_000_000, 1_000_000_000
-BOOT, SESSION, OTHER, NOW = 7, 21, 22, 1_000 * S
+BOOT, SESSION = 2**62 + 7, 2**63 + 21  # no float can hold these
+OTHER, NOW = SESSION + 1, 1_000 * S
 DRIVE = replace(GTERNAL, max_speed=0.16)
 WHEELS, FAST = WheelSpeeds(3.0, -4.0), WheelSpeeds(12.5, -12.5)
 

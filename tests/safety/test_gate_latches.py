@@ -194,3 +194,22 @@ def test_a_release_stops_and_is_the_holder_s_alone(step: Step) -> None:
     assert gate.lease() is False
     gate.wait(100 * MS)
     assert (gate.out.output, gate.lease(), gate.state.epoch) == (STOP, True, 2)
+
+
+def test_ids_that_no_float_tells_apart_are_not_taken_for_each_other(step: Step) -> None:
+    """For numba a signed and an unsigned number are equal if their floats are."""
+    count = 2**62 + 7
+    gate = Gate(step, GateState(boot_id=BOOT, epoch=count, latch=Latch.EMERGENCY_STOP, latch_id=count))
+    gate.enable(clear=count + 1)
+    assert gate.state.latch == Latch.EMERGENCY_STOP
+    gate.enable(clear=count)
+    assert gate.state.latch == Latch.NONE
+    assert gate.lease() is True
+    for change in ({"epoch": count}, {"boot_id": BOOT - 1}, {"session": OTHER}):
+        assert gate.refuses(command=gate.a_command(**change))
+    for change in ({"epoch": count}, {"boot_id": BOOT - 1}):
+        assert gate.refuses(permission=gate.an_enable(**change))
+    gate.command(seq=2**63 + 8)
+    assert gate.refuses(command=gate.a_command(seq=2**63 + 8))
+    assert not gate.refuses(command=gate.a_command(seq=2**63 + 9))
+    assert gate.state.epoch == count + 1

@@ -40,7 +40,7 @@ from robofleet.simulation import bodies as simulated
 from robofleet.simulation.bodies import Bodies
 from robofleet.vehicles.interface import DriverContext, RobotFault
 
-_F, _I, _ID = "<f8", "<i8", "<u8"
+_F, _I = "<f8", "<i8"
 LINK = np.dtype(
     [
         # What the wheels were given last, NaN before; what they were told since the start, and since when.
@@ -48,7 +48,7 @@ LINK = np.dtype(
         *((name, _F) for name in ("left_telling", "right_telling")),
         *((name, _I) for name in ("told_ns", "accepted_exposure_ns", "applied_exposure_ns", "applied_ns")),
         *((name, _I) for name in ("opened", "hurry_until_ns", "told_latch", "stepped")),
-        ("told_latch_id", _ID), ("kept_epoch", _ID), ("kept_latch_id", _ID), ("kept_latch", _I),
+        ("told_latch_id", _I), ("kept_epoch", _I), ("kept_latch_id", _I), ("kept_latch", _I),
         # The newest reading, and what is wrong with the robot.
         *((name, _F) for name in ("left_angle", "right_angle", "left_speed", "right_speed", "battery")),
         *((name, _I) for name in ("faults", "felt", "latch", "turning_since_ns", "turning_at_ns", "runs")),
