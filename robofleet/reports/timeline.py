@@ -48,11 +48,10 @@ class Timeline:
         self._stamps, self._places = run.instants
         begun = (run.ticks["stamp_ns"], self._stamps, run.all_ticks["stamp_ns"])
         self._zero_ns = next((int(stamps[0]) for stamps in begun if len(stamps)), 0)
-        lasts = [
-            (stamps[-1] - self._zero_ns) / 1e9 for stamps in (self._stamps, run.all_ticks["stamp_ns"]) if len(stamps)
-        ]
+        ends = (self._stamps, run.all_ticks["stamp_ns"])
+        lasts = [(int(stamps[-1]) - self._zero_ns) / 1e9 for stamps in ends if len(stamps)]
         self.begin_s = min(0.0, self._seconds(self._stamps[:1]).min(initial=0.0))
-        self.end_s = max([0.0, *map(float, lasts)])
+        self.end_s = max([0.0, *lasts])
         self.phases = list(self._spans())
         awake = next((span.t_s for span in self.phases if span.phase != Phase.IDLE), self.begin_s)
         self.shown_s = max(self.begin_s, awake - _IDLE_SHOWN_S)  # kernels may have been compiled for a minute before

@@ -59,7 +59,6 @@ class Row(NamedTuple):
     """One kind of process."""
 
     name: str  # of its command; its log, place on the bus and faults are named so too, a driver's after its first robot
-    what: str
     make: Callable[[Edges], Node] | None  # None: it has no steps, and a main function of its own
     priority: int | None  # real-time; 0: nice alone, before what else the machine does; None: it goes before nobody
     starter: Starter | None = "run"  # None: bus.router or drivers.started_by says it
@@ -261,22 +260,20 @@ def _driver(edges: Edges) -> Node:
     )  # fmt: skip
 
 
-ROUTER = Row("router", "The router of a run's bus.", None, 0, starter=None, first=True)
+ROUTER = Row("router", None, 0, starter=None, first=True)
 RECORDER = Row(
-    "recorder", "The recorder of a run: it writes run.mcap beside CONFIG.", _recorder, None,
+    "recorder", _recorder, None,
     first=True, injectable=False, ends_within_s=5.0,  # what is left is written, and the file's index
 )  # fmt: skip
 TWINS = Row(
-    "twins", "The firmware twins of a run: they answer on serial ports in the place of robots.", _twins, 18,
+    "twins", _twins, 18,
     first=True, waker=LineWaker,  # a robot's own processor waits for nobody
     missing="no robot has a twin: name one in robots[].twin",
 )  # fmt: skip
-PAGE = Row("web", "The operator's page of a run.", None, None, "operator", injectable=False)
-SUPERVISOR = Row("supervisor", "The supervisor of a run.", _supervisor, 12, turn=3)
-TRACKER = Row("tracker", "The tracker of a run, and its camera.", _tracker, 10, turn=2)
-CONTROLLER = Row("controller", "The controller of a run.", _controller, HIGHEST_PRIORITY, turn=4, precise=True)
-DRIVER = Row(
-    "driver", "The drivers of some robots: what a robot's own computer runs.", _driver, 15, starter=None, turn=1
-)
+PAGE = Row("web", None, None, "operator", injectable=False)
+SUPERVISOR = Row("supervisor", _supervisor, 12, turn=3)
+TRACKER = Row("tracker", _tracker, 10, turn=2)
+CONTROLLER = Row("controller", _controller, HIGHEST_PRIORITY, turn=4, precise=True)
+DRIVER = Row("driver", _driver, 15, starter=None, turn=1)
 
 TABLE = (ROUTER, RECORDER, TWINS, PAGE, SUPERVISOR, TRACKER, CONTROLLER, DRIVER)

@@ -9,6 +9,10 @@ from random import Random
 from typing import Any
 
 import pytest
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -24,6 +28,7 @@ from robofleet.core.refusal import RefusedError
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.live import Opened, Viewers
 from robofleet.gateways.viewers.rerun.server import Server
+from robofleet.gateways.viewers.rerun.shapes import of_entity
 from robofleet.operator.viewer_address import DEFAULTS, RERUN, Address, completed
 from robofleet.recording.run import Recording
 from robofleet.recording.scenes.drawn import Channel
@@ -93,6 +98,12 @@ def test_shapes_and_outlines_are_drawn_below_the_names_of_their_topics(seen: See
     assert seen.early["/fleet/r1"][-1]["CoordinateFrame:frame"] == ["r1"], "viewers move it by its frame"
     plane = seen.early["/camera/image"][-1]["CoordinateFrame:frame"]
     assert seen.early["/camera/annotations"][-1]["CoordinateFrame:frame"] == plane
+
+
+def test_a_shape_with_figures_beyond_any_number_ends_no_viewer() -> None:
+    huge = Pose(orientation=Quaternion(w=1e200, x=1e200))
+    entity = SceneEntity(lines=[LinePrimitive(pose=huge, points=[Point3(x=1e200, y=1e200)])])
+    assert list(of_entity(entity))
 
 
 def test_who_comes_late_gets_the_same(seen: Seen) -> None:

@@ -108,6 +108,18 @@ def test_whole_numbers_that_cannot_be_end_no_report(
     everything(recording, figures(recording), tmp_path)
 
 
+@pytest.mark.parametrize("ends", [("min", "max"), ("max", "min")])
+def test_stamps_from_one_end_of_time_to_the_other_end_no_report(
+    story: Make, figures: Make, tmp_path: Path, ends: tuple[str, str]
+) -> None:
+    def change(ticks: np.ndarray) -> None:
+        limits = np.iinfo(ticks.dtype["stamp_ns"])
+        ticks["stamp_ns"][[0, -1]] = [getattr(limits, end) for end in ends]
+
+    recording = with_ticks(story(ticks=60).recording(), change)
+    everything(recording, figures(recording), tmp_path)
+
+
 @pytest.mark.parametrize(
     ("layout", "topic"),
     [(TRUTH_LAYOUT, (TRUTH, "r2")), (ROBOT_STATUS, (STATUS, "r2")), (TRACKER_NEWS, (NEWS, CAMERA))],

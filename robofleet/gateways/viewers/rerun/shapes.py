@@ -77,8 +77,9 @@ def _strips(line: LinePrimitive) -> list[NDArray[np.float64]]:
     return [np.vstack([points, points[:1]]) if line.type == LinePrimitive.LINE_LOOP else points]
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _placed(pose: Pose, points: Sequence[Point3]) -> NDArray[np.float64]:
-    """Return points (N, 3) in the frame in which a pose is."""
+    """Return points (N, 3) in the frame in which a pose is; infinite or NaN where the figures are too large."""
     *v, w = _turn(pose)
     local = np.reshape([_xyz(point) for point in points], (-1, 3))
     across = 2.0 * np.cross(v, local)
