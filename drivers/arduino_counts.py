@@ -15,7 +15,7 @@ class Rounding:
         self._speed, self._given, self._owed = 0.0, 0, 0.0
 
     def __call__(self, speed: float, frames: float) -> int:
-        """Return what to say instead of ``told``, ``frames`` of the speed loop after the last time (1 at most)."""
+        """Return the counts to send for ``speed``, ``frames`` of the speed loop after the last call (1 at most)."""
         self._owed += frames * (self._speed - self._given)
         self._speed, self._given = speed, round(speed + self._owed) if speed else 0
         return self._given

@@ -48,7 +48,7 @@ class Row(NamedTuple):
 COMMANDS = (
     Row("run", "operator.run_command", "run", parser="RunCommand"),
     Row("go", "operator.run_command", "go"),
-    Row("check", "operator.config_commands", "check"),
+    Row("check", "operator.run_command", "check"),
     Row("init", "operator.config_commands", "init"),
     Row("schema", "operator.config_commands", "schema"),
     Row("doctor", "doctor.command", "doctor"),
@@ -115,9 +115,19 @@ class _Commands(TyperGroup):
         super().__init__(**settings | {"commands": {row.name: _Unloaded(row) for row in COMMANDS}})
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that is called, and import it."""
+        """Find the command that is called, and import it; its help and completion do without packages of ``lab``."""
         name, command, rest = super().resolve_command(ctx, args)
-        return name, command.loaded if isinstance(command, _Unloaded) else command, rest
+        if not isinstance(command, _Unloaded):
+            return name, command, rest
+        try:
+            return name, command.loaded, rest
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] not in LAB_MODULES or not (
+                ctx.resilient_parsing or "--help" in rest
+            ):
+                raise
+            command.epilog = f"Its options are listed where they can be used: {how_to_install('lab')}"
+            return name, command, ["--help"]
 
     def invoke(self, ctx: Any) -> Any:
         """Run it; bad input, and a package that is not installed, end with exit code 2 and one line a fault."""

@@ -20,6 +20,8 @@ from xdist.scheduler import LoadFileScheduling
 
 from tests.compiled_once import compiled_once
 
+pytest_plugins = ["tests.process_fixtures", "tests.recording_fixtures"]
+
 # Else every process that a test starts compiles all sources anew, and every worker rewrites all assertions.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
@@ -59,6 +61,19 @@ def _has_fleet(scope: str) -> bool:
     """Whether tests of a file take a fixture by which only one worker at a time has a fleet of real processes."""
     file = Path(__file__).parents[1] / scope
     return file.is_file() and bool(_FLEET.search(file.read_text()))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the cases of ``slow_after_first`` as slow, but the first of each test."""
+    fast = set()
+    for item in items:
+        if item.get_closest_marker("slow_after_first") is None or item.get_closest_marker("long") is not None:
+            continue
+        test = item.nodeid.partition("[")[0]
+        if test in fast:
+            item.add_marker("slow")
+        fast.add(test)
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:

@@ -6,13 +6,26 @@ from itertools import product
 from types import ModuleType
 from typing import Any
 
+from robofleet.core.kernels import Kernel
+
 
 def sabotaged(module: ModuleType, old: str, new: str) -> ModuleType:
     """Return the module with one piece of its source replaced."""
     source = inspect.getsource(module)
     assert source.count(old) == 1, f"{source.count(old)} places read {old!r}"
+    return remade(module, source.replace(old, new))
+
+
+def remade(module: ModuleType, source: str) -> ModuleType:
+    """Return the module as another source makes it."""
     copy = ModuleType(module.__name__)
-    exec(compile(source.replace(old, new), str(module.__file__), "exec"), copy.__dict__)
+    exec(compile(source, str(module.__file__), "exec"), copy.__dict__)
+    return copy
+
+
+def uncompiled(copy: ModuleType) -> ModuleType:
+    """Let the kernels of a module run as Python: what is changed for one test is not worth compiling."""
+    copy.__dict__.update({name: value.py_func for name, value in vars(copy).items() if isinstance(value, Kernel)})
     return copy
 
 

@@ -766,6 +766,7 @@ def test_a_mistake_is_one_line_with_its_place_and_its_cure(
     assert content_of(folder) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a name misspelt", "an option misspelt", "a tab", "hold with nothing running"])
 def test_a_process_says_the_same(folder: Path, name: str) -> None:
     mistake = next(mistake for mistake in MISTAKES if mistake.name == name)

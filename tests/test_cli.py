@@ -17,6 +17,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from robofleet import cli
+from robofleet.core.refusal import LAB_MODULES
 from robofleet.operator import run_command
 from tests.recording.recorded import room_for
 
@@ -295,6 +296,7 @@ def test_a_ci_that_asks_for_nothing_is_told_so(refused: Callable[..., str], fold
     assert refused(PLATOON, *TRUTH, "--junit", "there", "--out", "new").startswith("--junit: there is a folder")
 
 
+@pytest.mark.slow
 def test_a_terminal_of_the_c_locale_gets_ascii_alone(folder: Path) -> None:
     command = [sys.executable, "-m", "robofleet", "check", str(PLATOON)]
     for place, plain in (({"LC_ALL": "C"}, True), ({"LANG": "C.UTF-8"}, False)):
@@ -320,6 +322,7 @@ def test_check_refuses_with_exit_code_2(folder: Path) -> None:
     assert robofleet("check", file).exit_code == 0, place
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("arguments", [["run", str(PLATOON), "--lockstep"], ["replay", "runs"], ["report", "runs"]])
 def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(arguments: list[str]) -> None:
     hidden = "import sys; sys.modules.update(numba=None, mcap=None)"
@@ -329,6 +332,15 @@ def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(a
     assert re.fullmatch(
         r"this needs (numba|mcap): \S+ -m pip install -e '\.\[lab\]' in robofleet's folder\n", done.stderr
     )
+
+
+@pytest.mark.parametrize("arguments", [["run", "--help"], ["calibrate", "camera", "--help"], ["schema"]])
+def test_a_robots_computer_without_the_extra_has_every_commands_help_and_the_schema(arguments: list[str]) -> None:
+    hidden = f"import sys; sys.modules.update(dict.fromkeys({LAB_MODULES}))"
+    code = f"{hidden}; sys.argv[1:] = {arguments}; from robofleet.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Usage: robofleet " + arguments[0] in done.stdout or json.loads(done.stdout)["type"] == "object"
 
 
 COMMANDS_ON_A_RUN = [["stop"], ["hold"], ["status"], ["status", "--json"], ["web"]]

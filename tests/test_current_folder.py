@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.processes.realrun import own_folders
+from tests.runs.realrun import own_folders
 
 ROOT = Path(__file__).parents[1]
 PROGRAM = str(Path(sys.executable).with_name("robofleet"))
@@ -91,16 +91,19 @@ def test_nothing_of_it_is_imported_by_the_workers_of_a_storm_or_a_sweep(trap: Tr
     assert trap.run(sys.executable, str(tmp_path / "work.py")) == "[1, 2]\n"
 
 
+@pytest.mark.slow
 def test_nothing_of_it_is_imported_by_the_doctor(trap: Trap) -> None:
     trap.run(PROGRAM, "doctor")
 
 
+@pytest.mark.slow
 def test_nothing_of_it_is_imported_by_a_command_that_python_starts_as_a_module(tmp_path: Path) -> None:
     """Python itself looks there for its own modules, before anybody can forbid it."""
     trap = Trap(tmp_path, PACKAGES)
     assert "can run" in trap.run(sys.executable, "-m", "robofleet", "check", str(ROOT / "configs" / "swirl.yaml"))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("alone")
 def test_nothing_of_it_is_imported_by_a_run_in_real_time_whose_own_driver_is_there(trap: Trap, tmp_path: Path) -> None:
     """The script, its run and the run's processes start there, and the configuration stands there, too."""

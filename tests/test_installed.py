@@ -34,7 +34,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_wheel_holds_one_package_with_all_that_it_reads(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as files:
         names = files.namelist()
@@ -45,7 +45,7 @@ def test_a_wheel_holds_one_package_with_all_that_it_reads(wheel: Path) -> None:
     assert {"robofleet/py.typed", f"robofleet-{version('robofleet')}.dist-info/licenses/LICENSE"} <= set(names)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_wheel_runs_from_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
     installed, empty = tmp_path / "installed", tmp_path / "empty"
     empty.mkdir()

@@ -35,7 +35,7 @@ FOLDERS = ("configs", "drivers", "robofleet", "tests", "tools")
 GUIDES = [*ROOT.glob("*.md"), *(guide for folder in FOLDERS for guide in (ROOT / folder).rglob("*.md"))]
 PLACEHOLDERS = {
     "CONFIG": "configs/platoon.yaml", "RUN": "tests/recordings/platoon.mcap", "FILE": "configs/faults/lossy.yaml",
-    "SWEEP": "configs/sweeps/gains.yaml", "SCRIPT": "tests/gateways/seeded.py", "CHECKOUT": "tests",
+    "SWEEP": "configs/sweeps/gains.yaml", "SCRIPT": "tools/measure/seeded.py", "CHECKOUT": "tests",
     "ARENA": "platoon", "DIR": "new", "NAME": "all", "N": "3", "S": "5", "SEED": "7", "KEY=VALUE": "run.seed=3",
     "CAMERA": "configs/cameras/overhead.yaml", "SURVEY": "survey.yaml", "IMAGES": "photos",
     "/etc/robofleet/lab.yaml": "configs/lab.yaml",  # where tools/deploy installs it
@@ -119,6 +119,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("guide", GUIDES, ids=lambda guide: str(guide.relative_to(ROOT)))
 @pytest.mark.usefixtures("desk")
 def test_every_command_of_a_guide_works(guide: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -286,8 +287,8 @@ def test_a_command_that_does_not_work_is_noticed(tmp_path: Path, monkeypatch: py
         "robofleet check configs/platoon.yaml --set groups.0.settings.path_rate=9",
         "robofleet paper platon",
         "robofleet --versoin",
-        "python -m tests.processes.kills --often 25",
-        "python -m tests.processes.kill",
+        "python -m tools.measure.runs.kills --often 25",
+        "python -m tools.measure.runs.kill",
         "robofleet calibrate offset configs/lab.yaml",
         "python tools/calibrate.py offsets configs/labs.yaml",
         "pip install -e '.[labs]'",

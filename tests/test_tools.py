@@ -53,6 +53,7 @@ def test_the_examples_of_every_command_are_read_as_they_stand(name: str, program
             command.make_context(part, shlex.split(example))  # a usage error where it is none
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tool", "name"), [("calibrate", "calibrate"), ("tag_sheet", "sheet")])
 def test_a_script_is_the_command_of_its_name(tool: str, name: str) -> None:
     script = subprocess.run(

@@ -9,6 +9,8 @@ import argparse
 import json
 import statistics
 from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +41,6 @@ with needing("bench", "lab"):
     from robofleet.runs.lockstep import Lockstep
     from robofleet.safety import gate
     from robofleet.vehicles.bicycle import ZHOU_2017, BicycleParameters
-    from robofleet.vehicles.interface import WheelSpeeds
 
 ROOT = Path(__file__).resolve().parents[1]
 Row = dict[str, Any]
@@ -198,15 +199,19 @@ def gate_steps() -> list[Row]:
     """What every command costs on its way to the wheels; the ratio is to 20 us, what it may."""
     robot = load_config(ROOT / "configs" / "platoon.yaml").robots[0]
     drive, now = drive_of(robot), S
-    state, _ = gate.step(gate.GateState(1), drive, gate.Inputs(lease=(1, gate.LeaseAction.ACQUIRE)), now)
+    state = gate.GateState(boot_id=1)
+    gate.step(state, drive, gate.Inputs(lease=True, lease_session=1), now)
     costs: dict[str, list[int]] = {"command and enable": [], "command": [], "nothing": []}
     for k in range(1, 3001):
-        command = gate.Command(1, 1, k, 1, now, WheelSpeeds(3.0 + k % 2, 4.0))
-        enable = gate.Permission(1, k, 1, now, gate.Latch.NONE, 0, 12.5)
-        both = gate.Inputs(command, enable)
-        for what, inputs in zip(costs, (both, both._replace(permission=None), gate.Inputs()), strict=True):
+        both = gate.Inputs(
+            command=True, command_epoch=1, command_session=1, command_seq=k, command_boot_id=1, command_nonce=now,
+            command_left=3.0 + k % 2, command_right=4.0, permission=True, permission_epoch=1, permission_seq=k,
+            permission_boot_id=1, permission_nonce=now, permission_limit=12.5,
+        )  # fmt: skip
+        for what, inputs in zip(costs, (both, replace(both, permission=False), gate.Inputs()), strict=True):
+            after = copy(state)
             began = stopwatch_ns()
-            after, _ = gate.step(state, drive, inputs, now)
+            gate.step(after, drive, inputs, now)
             costs[what].append(stopwatch_ns() - began)
             if inputs is both:
                 following = after

@@ -61,7 +61,7 @@ def _crossing(count: int) -> list[Row]:
             v, omega = drive.wheel_radius * (left + right) / 2, drive.wheel_radius * (right - left) / drive.wheel_base
             x, y, psi = poses[i].tolist()
             poses[i] = arc(x, y, psi, v, omega, keepout.tick)
-    return percentiles(f"barrier, a tick of {count} robots", times)
+    return list(percentiles(f"barrier, a tick of {count} robots", times))
 
 
 def _joint(times: dict[str, list[float]], poses: Array, u: Array, distance: float, rate: float) -> None:

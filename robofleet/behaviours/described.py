@@ -4,6 +4,7 @@ A recording keeps it beside its messages, so that it is read without the behavio
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,6 +57,48 @@ def shape_from_plain(plain: Mapping[str, Any]) -> Shape:
     return kind(**shape | {"points": np.array(shape["points"]).reshape(-1, 2)})
 
 
+@dataclass(frozen=True, kw_only=True)
+class CommonFigure:
+    """A figure by which behaviours can be compared: whichever behaviour tells or measures it, a bound may judge it, and
+    it stands beside the run's own figures in ``summary.json`` where one group alone has it.
+
+    Attributes:
+        name: Of the ``Figure`` or the ``Measure``; it is drawn in mm.
+        key: Its name in ``Behaviour.summary``.
+        statistics: What the summary has of it, at least.
+        bound: The key of ``run.bounds`` that judges it. Empty: none does.
+        statistic: Which of the statistics is judged; of a list the first.
+        label: The judged figure in words.
+        level: The bound in words, where the figure is drawn.
+    """
+
+    name: str
+    key: str
+    statistics: frozenset[str] = frozenset({"mean", "max", "per_robot_mean"})
+    bound: str = ""
+    statistic: str = "mean"
+    label: str = ""
+    level: str = "bound of the mean"
+
+
+COMMON_FIGURES = (
+    CommonFigure(
+        name="control_error", key="control_error_mm", bound="control_error_mean_mm", label="control error, mean"
+    ),
+    CommonFigure(
+        name="timed_error", key="timed_error_mm", bound="timed_error_mean_mm", statistic="per_robot_mean",
+        label="leader's timed error, mean", level="bound of the first robot's mean",
+    ),
+    CommonFigure(name="path_error", key="path_error_mm", bound="path_error_mean_mm", label="path error, mean"),
+    CommonFigure(name="centre_error", key="centre_error_mm"),
+    CommonFigure(
+        name="spacing", key="spacing_m", statistics=frozenset({"mean", "max_deviation_mm"}),
+        bound="spacing_max_deviation_mm", statistic="max_deviation_mm", label="largest spacing error", level="bound",
+    ),
+)  # fmt: skip
+JUDGED_FIGURES = tuple(figure for figure in COMMON_FIGURES if figure.bound)
+
+
 class GroupFigures(NamedTuple):
     """What a group told over K ticks."""
 
@@ -77,10 +120,8 @@ def names(groups: Sequence[Group]) -> list[str]:
 def told(groups: Sequence[Group], numbers: Array) -> list[GroupFigures]:
     """Return what each group told, from the ticks' numbers (K, size)."""
     return [
-        GroupFigures(
-            numbers_of[..., :2], {figure.name: numbers_of[..., 2 + k] for k, figure in enumerate(group.figures)}
-        )
-        for group, numbers_of in zip(groups, parts(groups, numbers), strict=True)
+        GroupFigures(values[..., :2], {figure.name: values[..., 2 + k] for k, figure in enumerate(group.figures)})
+        for group, values in zip(groups, parts(groups, numbers), strict=True)
     ]
 
 

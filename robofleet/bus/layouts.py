@@ -12,9 +12,10 @@ permission permits nothing, and a counter that is used up repeats its last value
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from itertools import accumulate
+from operator import itemgetter
 from struct import Struct, error
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
@@ -57,14 +58,13 @@ def _nearest(letter: str, value: float) -> float:
     return int(min(max(low, value), high))
 
 
-def _instants(letters: str) -> tuple[int, ...]:
-    """Return which fields are instants, or lengths of time [ns]."""
-    return tuple(k for k, letter in enumerate(letters) if letter == "q")
-
-
-def _near(values: Sequence[float], instants: tuple[int, ...]) -> bool:
-    """Return whether no instant is so far away that a difference of two overflows."""
-    return all(-_FURTHEST_NS <= values[k] <= _FURTHEST_NS for k in instants)
+def _judge_instants(letters: str) -> Callable[[Sequence[Any]], bool]:
+    """Return what judges whether no field that is an instant [ns] is so far away that a difference of two overflows."""
+    fields = [k for k, letter in enumerate(letters) if letter == "q"]
+    if not fields:
+        return lambda values: True
+    instants_of = itemgetter(*fields, fields[0])  # of two at least it makes a tuple
+    return lambda values: min(instants_of(values)) >= -_FURTHEST_NS and max(instants_of(values)) <= _FURTHEST_NS
 
 
 def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:
@@ -78,7 +78,7 @@ class Layout(Generic[M]):
         self._make = make
         self._fields = fields + "d" * doubles
         self._struct, self._body = Struct(f"<B{self._fields}"), Struct(f"<x{self._fields}")
-        self._floats, self._instants = slice(len(self._fields) - doubles, None), _instants(self._fields)
+        self._floats, self._near = slice(len(self._fields) - doubles, None), _judge_instants(self._fields)
         self._columns = [("version", "u1"), *_columns(make, self._fields)]
         self._doubles = doubles
         self.size = self._struct.size
@@ -110,7 +110,7 @@ class Layout(Generic[M]):
 
     def _sound(self, values: tuple[float, ...]) -> bool:
         finite = not self._doubles or math.isfinite(sum(values[self._floats]))
-        return finite and _near(values, self._instants)
+        return finite and self._near(values)
 
     def decode(self, payload: bytes) -> M | None:
         """Return the message, or None where length, version, finiteness or an instant is wrong."""
@@ -135,7 +135,7 @@ class ListLayout(Generic[M]):
         self._make, self._make_item, self._numbers = make, make_item, numbers
         self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
         self._head_letters, self._item_letters, self._count = head, item, Struct("<H")
-        self._instants = _instants(head)
+        self._near, self._head_has_floats = _judge_instants(head), "d" in head
         self._columns = [("version", "u1"), *_columns(make, head), ("count", "<u2")]
         self._item_columns = _columns(make_item, item)
         plain = item.rstrip("d")
@@ -184,7 +184,7 @@ class ListLayout(Generic[M]):
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
         _, *head, count = self._head.unpack_from(payload)
-        return (head, count) if self._fits(len(payload), count) and _near(head, self._instants) else None
+        return (head, count) if self._fits(len(payload), count) and self._near(head) else None
 
     def decode_head(self, payload: bytes) -> M | None:
         """Return the message without its items, or None where length, version or an instant is wrong."""
@@ -200,7 +200,7 @@ class ListLayout(Generic[M]):
         if (opened := self._opened(payload)) is None:
             return None
         head, count = opened
-        if not (math.isfinite(sum(head)) and self._finite(payload, count, size)):
+        if not (self._finite_head(head) and self._finite(payload, count, size)):
             return None
         return read.array(1, self.head_dtype, payload), read.array(count, self.item_dtype, payload, size)
 
@@ -268,9 +268,10 @@ class ListLayout(Generic[M]):
         if (opened := self._opened(payload)) is None:
             return None
         head, count = opened
-        if not (math.isfinite(sum(head)) and self._finite(payload, count, size)):
+        if not (self._finite_head(head) and self._finite(payload, count, size)):
             return None
-        return self._make._make((*head, *self._none)), self._reader.array(count, self.item_dtype, payload, size)
+        message = tuple.__new__(self._make, (*head, *self._none))
+        return message, self._reader.array(count, self.item_dtype, payload, size)
 
     def encode(self, message: M) -> bytes:
         """Return the payload."""
@@ -288,7 +289,7 @@ class ListLayout(Generic[M]):
             count, items = _MOST_ITEMS, items[: _MOST_ITEMS * self._item.size]
         try:
             packed = self._head.pack(VERSION, *head, count)
-            fits = math.isfinite(sum(head)) and _near(head, self._instants)
+            fits = self._finite_head(head) and self._near(head)
         except _TOO_LARGE:
             fits = False
         if not fits:
@@ -305,9 +306,12 @@ class ListLayout(Generic[M]):
         except _TOO_LARGE:
             return self.encode_parts(head, count, items.tobytes(), numbers)
         body = items.tobytes()
-        if not (math.isfinite(sum(head)) and _near(head, self._instants) and self._finite(body, count, 0)):
+        if not (self._finite_head(head) and self._near(head) and self._finite(body, count, 0)):
             return self.encode_parts(head, count, body, numbers)
         return b"".join((packed, body, numbers))
+
+    def _finite_head(self, head: Sequence[float]) -> bool:
+        return not self._head_has_floats or math.isfinite(sum(head))
 
     def _finite(self, payload: bytes, count: int, start: int) -> bool:
         """Return whether all floats of the items that begin at a place in a payload are finite."""
@@ -343,8 +347,8 @@ class _Reader:
         self.array, self._abs, self._largest, self.double = np.ndarray, np.abs, np.maximum.reduce, np.dtype("<f8")
 
     def small(self, floats: "NDArray[Any]") -> bool:
-        """Return whether all are numbers whose sum is one."""
-        return bool(self._largest(self._abs(floats), None, initial=0.0) <= _MOST)  # not so of NaN
+        """Return whether all, of one at least, are numbers whose sum is one."""
+        return bool(self._largest(self._abs(floats), None) <= _MOST)  # not so of NaN
 
 
 class BlobLayout(Generic[M]):
@@ -352,7 +356,7 @@ class BlobLayout(Generic[M]):
 
     def __init__(self, make: type[M], head: str) -> None:
         self._make, self._head, self._letters = make, Struct(f"<B{head}"), head
-        self._columns, self._instants = [("version", "u1"), *_columns(make, head)], _instants(head)
+        self._columns, self._near = [("version", "u1"), *_columns(make, head)], _judge_instants(head)
 
     def describe(self) -> Description:
         """Return the message's name, and the numpy types of its parts."""
@@ -368,4 +372,4 @@ class BlobLayout(Generic[M]):
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
         _, *head = self._head.unpack_from(payload)
-        return self._make._make([*head, payload[self._head.size :]]) if _near(head, self._instants) else None
+        return self._make._make([*head, payload[self._head.size :]]) if self._near(head) else None

@@ -14,7 +14,7 @@ from robofleet.behaviours.excitation import Excitation
 from robofleet.bus.arena_file import ArenaBusyError, claimed
 from robofleet.bus.endpoint import check_router, settled
 from robofleet.bus.keys import POSES, STATE, STATUS, TICK, key
-from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
+from robofleet.bus.messages import FLEET_POSES, TICK_RECORD
 from robofleet.bus.private_folder import PlaceError
 from robofleet.calibration.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
@@ -24,13 +24,12 @@ from robofleet.config.tree import Config, Group
 from robofleet.core.clock import S
 from robofleet.operator.terminal.live_state import WAITING
 from robofleet.operator.terminal.terminal import Terminal
-from robofleet.recording.causes import run_cause
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.run import Recording, Watch
+from robofleet.recording.state_words import state_words
 from robofleet.runs.check import load_checked
 from robofleet.runs.launcher import Launcher
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.advice import advised
 from robofleet.tracking.offset import tag_from_centre
 
 Array = NDArray[np.float64]
@@ -209,12 +208,10 @@ class _Watch:
 
     def __call__(self, recording: Recording, phase: str) -> None:
         text = WAITING.get(phase, phase)
-        states = recording.messages.get(key(self._config.arena.name, STATE))
-        if phase == "held" and states and (state := RUN_STATE.decode(states[-1])) is not None:
-            cause = advised(run_cause(state, self._config.ids), state.cause)
-            text = f"held: {cause}; then press r, or `robofleet resume`"
-        ticks = recording.messages.get(key(self._config.arena.name, TICK))
-        head = TICK_RECORD.decode_head(ticks[-1]) if ticks and phase == "running" else None
+        if phase == "held" and (state := recording.newest(STATE)) is not None:
+            words = state_words(state, None, self._config.ids)
+            text = f"held: {words.advice}; then press r, or `robofleet resume`"
+        head = recording.newest(TICK) if phase == "running" else None
         if head is not None and head.run_tick >= 0:
             row = int(np.searchsorted(self._ends, head.run_tick * self._config.controller.tick_s, side="right"))
             if row < self._count:

@@ -82,10 +82,10 @@ def behaviour(config: Config, group: Group) -> Behaviour:
     return made(group, team(config, group))
 
 
-def made(group: Group, team_: Team) -> Behaviour:
+def made(group: Group, team: Team) -> Behaviour:
     """Return a group's behaviour for a team; errors as ``behaviour``."""
     behaviour = kind(group)
-    return behaviour(behaviour.Settings.model_validate(group.settings), team_)
+    return behaviour(behaviour.Settings.model_validate(group.settings), team)
 
 
 def behaviours(config: Config) -> tuple[Behaviour, ...]:
@@ -118,11 +118,11 @@ def jam_of(config: Config) -> Callable[[Sequence[Pose]], Reason | None]:
     every, own = behaviours(config), rows(config.groups)
 
     def jam(poses: Sequence[Pose]) -> Reason | None:
-        for behaviour, team_ in zip(every, own, strict=True):
-            why = behaviour.start(poses[team_]).jam
+        for behaviour, members in zip(every, own, strict=True):
+            why = behaviour.start(poses[members]).jam
             if why is not None:
-                order = None if why.order is None else tuple(team_.start + row for row in why.order)
-                return Reason(team_.start + why.behind, team_.start + why.other, order)
+                order = None if why.order is None else tuple(members.start + row for row in why.order)
+                return Reason(members.start + why.behind, members.start + why.other, order)
         return None
 
     return jam

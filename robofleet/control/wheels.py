@@ -1,5 +1,7 @@
 """From what robots are to do to what their wheels can do, for all robots at once."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,27 +17,36 @@ _wheels_from_body = kernel(differential_drive.wheels_from_body)
 _feasible_ratio = kernel(differential_drive.feasible_ratio)
 
 
+class Request(NamedTuple):
+    """What robots are asked for, as far as their wheels can do it."""
+
+    points: Array  # (N, 2) the points ahead when the commands act [m; world]
+    u: Array  # (N, 2) their velocities [m/s; world]
+    wheels: Array  # (N, 2) [rad/s]
+    saturated: Array  # (N,) 1 where the wheels cannot do all of it
+
+
 def limits(drives: tuple[DifferentialDrive, ...]) -> Array:
-    """Return what ``commanded`` must know of each robot: (N, 4)."""
+    """Return what ``limited`` must know of each robot: (N, 4)."""
     return np.array([(d.wheel_radius, d.wheel_base, d.max_wheel_speed, d.max_speed) for d in drives]).reshape(-1, 4)
 
 
 @kernel
-def commanded(
-    velocities: Array, of_body: NDArray[np.bool_], poses: Array, l: float, wheels_of: Array, driving: NDArray[np.bool_],
-    u: Array, wheels: Array, saturated: Array, points: Array,
-) -> None:  # fmt: skip
-    """Write what each robot is asked for: ``u`` (N, 2), ``wheels`` (N, 2) [rad/s], and whether they were limited (N,).
+def limited(
+    velocities: Array, of_body: NDArray[np.bool_], poses: Array, l: float, geometry: Array, driving: NDArray[np.bool_]
+) -> Request:
+    """Return what each of N robots is asked for, within the limits of its wheels.
 
     velocities (N, 2): of the points ``l`` [m] ahead [m/s; world], or where ``of_body`` v [m/s] and omega [rad/s].
-    poses (N, 3): x, y [m], psi [rad] of the centres; ``points`` (N, 2) become the points ahead. A robot whose wheels
-    cannot do all of it does a part: both wheels are slowed by one ratio, and so is
-    ``u``, the velocity of its point [m/s; world]. A robot that may not drive stands.
+    poses (M >= N, 3): x, y [m], psi [rad] of the centres when the commands act, the N robots first. A robot whose
+    wheels cannot do all of it does a part: both wheels and ``u`` are slowed by one ratio. A robot that may not drive
+    stands.
     """
-    for i in range(len(u)):
+    n = len(velocities)
+    points, u, wheels, saturated = np.empty((n, 2)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
+    for i in range(n):
         psi = poses[i, 2]
         points[i, 0], points[i, 1] = _point_from_pose(poses[i, 0], poses[i, 1], psi, l)
-        u[i, 0], u[i, 1], wheels[i, 0], wheels[i, 1], saturated[i] = 0.0, 0.0, 0.0, 0.0, 0.0
         if not driving[i]:
             continue
         u_x, u_y = velocities[i, 0], velocities[i, 1]
@@ -45,11 +56,12 @@ def commanded(
             u_x, u_y = c * v - s * l * omega, s * v + c * l * omega
         else:
             v, omega = _body_from_point(u_x, u_y, psi, l)
-        left, right = _wheels_from_body(v, omega, wheels_of[i, 0], wheels_of[i, 1])
-        ratio = _feasible_ratio(left, right, wheels_of[i, 0], wheels_of[i, 2], wheels_of[i, 3])
+        left, right = _wheels_from_body(v, omega, geometry[i, 0], geometry[i, 1])
+        ratio = _feasible_ratio(left, right, geometry[i, 0], geometry[i, 2], geometry[i, 3])
         wheels[i, 0], wheels[i, 1] = ratio * left, ratio * right
         u[i, 0], u[i, 1] = ratio * u_x, ratio * u_y
         saturated[i] = 1.0 if ratio < 1.0 else 0.0
+    return Request(points, u, wheels, saturated)
 
 
-KERNELS = (commanded,)  # that are called from Python
+KERNELS = (limited,)  # that are called from Python

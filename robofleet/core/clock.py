@@ -12,6 +12,7 @@ _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 _TIME_ERROR, _LARGEST_TIMEX = 5, 512  # of adjtimex: what it returns without synchronisation; more than its bytes
 _SPIN_NS = 500_000  # the kernel may wake a sleeper this late; the rest is spun
 
+US = 1_000  # [ns]
 MS = 1_000_000  # [ns]
 S = 1_000_000_000  # [ns]
 

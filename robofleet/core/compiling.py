@@ -50,14 +50,14 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
     """
     from numba.core import event  # noqa: PLC0415 - it takes a second to load
 
-    work = {kernel.py_func: len(kernel.py_func.__code__.co_code) for kernel in reached(*kernels)}
+    work = {code: len(code.co_code) for code in (kernel.py_func.__code__ for kernel in reached(*kernels))}
     done: set[Any] = set()
     began_ns = 0
 
     def spread() -> None:
         elapsed_s, share = (
             (stopwatch_ns() - began_ns) / S,
-            sum(work[done_name] for done_name in done) / sum(work.values()),
+            sum(work[code] for code in done) / sum(work.values()),
         )
         say(Progress(name, len(done), len(work), elapsed_s * (1 - share) / share if done else -1.0, share))
 
@@ -69,8 +69,8 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
                 spread()
 
         def on_end(self, compiled: Any) -> None:
-            if (function := compiled.data["dispatcher"].py_func) in work and function not in done:
-                done.add(function)
+            if (code := compiled.data["dispatcher"].py_func.__code__) in work and code not in done:
+                done.add(code)
                 spread()
 
     with event.install_listener("numba:compile", Listener()):

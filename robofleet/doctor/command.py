@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from robofleet.config.load import ConfigFile
-from robofleet.core.refusal import RefusedError, bad_input
+from robofleet.core.refusal import RefusedError
 from robofleet.core.valid_json import dumps
 from robofleet.doctor.asking import ask as answers
 from robofleet.doctor.examination import examine
@@ -48,10 +48,9 @@ def doctor(
 
     Exit 0: a run would work; 1: something that it needs is missing.
     """
-    with bad_input():
-        if not all(ask):
-            raise RefusedError("--ask: name a serial port, as /dev/ttyUSB0, or all")
-        needs = _needs(config, overrides, robots)
+    if not all(ask):
+        raise RefusedError("--ask: name a serial port, as /dev/ttyUSB0, or all")
+    needs = _needs(config, overrides, robots)
     findings = [*examine(needs), *answers(needs, ask)]
     missing = sum(finding.mark is Mark.MISSING for finding in findings)
     what = str(config) if config is not None else "A simulated run"

@@ -88,18 +88,16 @@ def _along(parameters: GainParameters, base: Config, integrator: Integrator, amp
     law = PlatoonLaw(path, settings, (vehicle,) * parameters.robots)
     fleet = _Circling(vehicle, radius, own.spacing_m, parameters.robots, c.point_ahead_m)
     driving, of_body = np.ones(parameters.robots, dtype=np.bool_), np.zeros(parameters.robots, dtype=np.bool_)
-    limits, commands, points = wheels.limits(law.vehicles), np.zeros_like(law.u), np.zeros_like(law.u)
-    saturated = np.zeros(parameters.robots)
+    limits = wheels.limits(law.vehicles)
     ticks = round(parameters.period_s / c.tick_s)
     along = []
     for k in range(2 * ticks):
         t = k * c.tick_s
         shake = sum(math.sin(math.tau * n * k / ticks + n) for n in parameters.periods)
         requested = law.tick(t + amplitude_s * shake, fleet.poses, driving)[:, INPUTS]
-        wheels.commanded(
-            requested, of_body, fleet.poses, c.point_ahead_m, limits, driving, law.u, commands, saturated, points
-        )
-        fleet.move(commands, c.tick_s)
+        request = wheels.limited(requested, of_body, fleet.poses, c.point_ahead_m, limits, driving)
+        law.changed(request.u)
+        fleet.move(request.wheels, c.tick_s)
         along.append(fleet.along())
     return np.array(along[ticks:])
 

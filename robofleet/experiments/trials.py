@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from robofleet.core.clock import utc_now
-from robofleet.core.refusal import RefusedError, bad_input, new_folder
+from robofleet.core.refusal import RefusedError, new_folder
 from robofleet.core.valid_json import dumps
 
 
@@ -28,14 +28,13 @@ def paper(
     """
     from robofleet.experiments import paper as experiments  # noqa: PLC0415
 
-    with bad_input():
-        try:
-            names = experiments.chosen(experiment)
-        except ValueError as error:
-            raise RefusedError(str(error)) from error
-        parameters = {name: experiments.parameters_of(name) for name in names}
-        folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-paper"
-        new_folder(folder)
+    try:
+        names = experiments.chosen(experiment)
+    except ValueError as error:
+        raise RefusedError(str(error)) from error
+    parameters = {name: experiments.parameters_of(name) for name in names}
+    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-paper"
+    new_folder(folder)
     try:
         contents = {name: experiments.report(name, parameters[name], folder, quiet=as_json) for name in names}
     except experiments.ExperimentError as error:

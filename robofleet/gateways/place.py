@@ -23,8 +23,7 @@ def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, ArenaAccess]"
     """Return the run that is meant; ``copy``: of its configuration, where it is elsewhere. RefusedError."""
     from robofleet.bus.permissions import OPERATOR  # noqa: PLC0415
     from robofleet.config.load import load_config  # noqa: PLC0415
-    from robofleet.operator.elsewhere import joined_arena  # noqa: PLC0415
-    from robofleet.operator.requests import NoArenaError, chosen  # noqa: PLC0415
+    from robofleet.operator.requests import NoArenaError, chosen, joined_arena  # noqa: PLC0415
 
     try:
         joined = joined_arena(arena)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-from robofleet.bus.messages import RUN_STATE
 from robofleet.core.clock import S
 
 _SILENT_NS = 3 * S  # of the supervisor: then it is asked whether there is a run
@@ -16,9 +15,9 @@ class Served:
         self._ended, self._heard_ns = ended, now_ns
         self._epoch, self._newest = 0, 0  # of supervisors; 0: none was heard
 
-    def take(self, state: bytes, now_ns: int) -> None:
-        """Take a supervisor's word."""
-        self._newest = RUN_STATE.head_of(state, "epoch") or self._newest
+    def take(self, epoch: int, now_ns: int) -> None:
+        """Take the epoch of a supervisor that has spoken."""
+        self._newest = epoch
         self._epoch, self._heard_ns = self._epoch or self._newest, now_ns
 
     def is_over(self, now_ns: int) -> bool:

@@ -18,7 +18,7 @@ from robofleet.config.robot_file import FILE, load_robot_file
 from robofleet.core import folders
 from robofleet.core.files import write_text
 from robofleet.core.plugins import known
-from robofleet.core.refusal import RefusedError, bad_input
+from robofleet.core.refusal import RefusedError
 from robofleet.core.valid_json import dumps
 from robofleet.hosts import bundle as bundles
 
@@ -28,13 +28,12 @@ _SERVICE = Path("/etc/systemd/system/robofleet-unit.service")
 @contextmanager
 def refused() -> Iterator[None]:
     """End with exit code 2 and a line where a key cannot be used."""
-    with bad_input():
-        try:
-            yield
-        except KeysError as error:
-            raise RefusedError(str(error)) from error
-        except OSError as error:
-            raise RefusedError(f"{error.filename}: {error.strerror}") from error
+    try:
+        yield
+    except KeysError as error:
+        raise RefusedError(str(error)) from error
+    except OSError as error:
+        raise RefusedError(f"{error.filename}: {error.strerror}") from error
 
 
 def join(

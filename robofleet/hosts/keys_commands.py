@@ -19,7 +19,7 @@ from robofleet.bus.permissions import OPERATOR, UNIT, VIEWER
 from robofleet.config.load import load_config
 from robofleet.core.clock import utc_now
 from robofleet.core.patterns import NAME_PATTERN, NETWORK_PATTERN
-from robofleet.core.refusal import RefusedError, bad_input, need_extra
+from robofleet.core.refusal import RefusedError, need_extra
 from robofleet.core.valid_json import dumps
 from robofleet.hosts import bundle as bundles
 from robofleet.hosts.authority import AUTHORITY_DAYS, DAYS, Authority, Entry
@@ -103,8 +103,7 @@ def add(
     $ robofleet keys add lab --from configs/lab.yaml --address 192.168.1.10
     """
     if (name is None) == (source is None):
-        with bad_input():
-            raise RefusedError("name one, or a configuration with --from: `robofleet keys add lab r1`")
+        raise RefusedError("name one, or a configuration with --from: `robofleet keys add lab r1`")
     if source is not None:
         _add_roster(arena, source, kind, address, days)
         return

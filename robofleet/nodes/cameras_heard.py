@@ -52,7 +52,7 @@ class _Camera:
     """What is known of one camera; its robots are in the bodies' order."""
 
     def __init__(self, config: Config, bus: Bus, name: str, robots: int) -> None:
-        self.poses = Inbox(bus.newest(POSES, name), FLEET_POSES.arrays)
+        self.poses = Inbox(bus.newest(POSES, name), FLEET_POSES.view)
         self.news = bus.stream(key(config.arena.name, NEWS, name), capacity=_STREAM)
         self.heard_ns = NEVER
         self.epoch = self.seq = self.build = self.tick = 0
@@ -67,14 +67,13 @@ class _Camera:
         """Return the poses (K,) of a new image; None where there is none."""
         if (taken := self.poses.take()) is None:
             return None
-        head, poses = taken
-        image = dict(zip(FLEET_POSES.head_dtype.names or (), head[0].item(), strict=True))
-        if image["epoch"] != self.epoch:  # its clock may be another one: what was unseen stays unseen
-            self.measured_ns += image["exposure_ns"] - self.exposure_ns
-        elif image["seq"] <= self.seq:
+        image, poses = taken
+        if image.epoch != self.epoch:  # its clock may be another one: what was unseen stays unseen
+            self.measured_ns += image.exposure_ns - self.exposure_ns
+        elif image.seq <= self.seq:
             return None
-        self.exposure_ns, self.heard_ns, self.tick = image["exposure_ns"], now_ns, image["echo_tick"]
-        self.epoch, self.seq, self.build = image["epoch"], image["seq"], image["build"]
+        self.exposure_ns, self.heard_ns, self.tick = image.exposure_ns, now_ns, image.echo_tick
+        self.epoch, self.seq, self.build = image.epoch, image.seq, image.build
         return poses
 
     def out(self, now_ns: int, tick: int) -> Event | None:

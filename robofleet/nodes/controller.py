@@ -1,8 +1,7 @@
-"""The controller: every 33 ms it reads, estimates, decides and publishes. It owns the flow's inputs and the filter."""
+"""The controller: every 33 ms it measures, predicts, decides, limits, filters, commands and records."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,9 @@ from robofleet.bus.messages import (
 from robofleet.bus.statuses import HURRY_NS, Statuses
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
-from robofleet.control import path, platoon, wheels
+from robofleet.control import path, platoon
+from robofleet.control import wheels as wheel_limits
+from robofleet.control.wheels import Request
 from robofleet.core.clock import Clock, S, TickGrid
 from robofleet.core.compiling import Say, on_stderr, told
 from robofleet.core.kernels import kernel
@@ -31,12 +32,13 @@ from robofleet.nodes import fleet
 from robofleet.nodes.deciding import BehaviourRunner, Judge, untimed
 from robofleet.nodes.leases import Leases
 from robofleet.nodes.rescues import crawls
-from robofleet.nodes.sighting import MeasurementUpdate
+from robofleet.nodes.sighting import FleetEstimate, Prediction
 from robofleet.nodes.wishes import SetpointInbox
 from robofleet.safety import barrier as safety_barrier
+from robofleet.safety.barrier import Filtered
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.wiggle import STROKES, probe_speeds
-from robofleet.tracking import estimator, measured
+from robofleet.tracking import estimator
 from robofleet.tracking.estimator import CARRIED, UNUSED
 from robofleet.vehicles.differential_drive import feasible_ratio
 
@@ -55,35 +57,6 @@ class _Timing:
     compute_ns: int = 0  # of the tick before
 
 
-class _Parts(NamedTuple):
-    """The parts of a tick's record (N, 15), as the fields of RobotTick are named: views of it."""
-
-    pose: Array  # (N, 3)
-    point: Array  # (N, 2)
-    u: Array  # (N, 2)
-    wheels: Array  # (N, 2)
-    saturated: Array  # (N,), as those that follow
-    measured: Array
-    lost: Array
-    filtered: Array
-    blocked: Array
-    failed: Array
-
-    @classmethod
-    def of(cls, record: Array) -> "_Parts":
-        """Return the parts of a record."""
-        names = RobotTick._fields
-
-        def between(first: str, last: str) -> Array:
-            return record[:, names.index(first) : names.index(last) + 1]
-
-        several = (
-            between("x_m", "psi_rad"), between("point_x_m", "point_y_m"), between("u_x_m_s", "u_y_m_s"),
-            between("left_rad_s", "right_rad_s"),
-        )  # fmt: skip
-        return cls(*several, *(record[:, names.index(name)] for name in cls._fields[len(several) :]))
-
-
 class Controller:
     """All groups' robots, group by group; the bystanders are seen, and kept clear of.
 
@@ -98,11 +71,10 @@ class Controller:
         self._config, self._clock = config, clock
         self._epoch, self._build = slices.drawn_id(rng, 32), slices.build(config)
         session = self._epoch << 32 | slices.drawn_id(rng, 32)
-        self._tick_s = c.tick_s
-        self._point_ahead, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
-        self._lost_after_s = c.filter.lost_after_s
-        self._sighting = MeasurementUpdate(config, bus, clock, self._epoch)
-        self._drives = [slices.drive(robot) for robot in robots]
+        self._point_ahead_m = c.point_ahead_m
+        self._estimate = FleetEstimate(config, bus, clock, self._epoch)
+        self._drives = fleet.drives(config)
+        self._limits = wheel_limits.limits(self._drives)
         self._statuses = Statuses(bus, config.units, [robot.id for robot in robots], by_radio=config.daemons)
         self._leases = Leases(bus, self._statuses, session, take_over=take_over)
         self._state, self._phases = bus.newest(STATE), groups.phases(config)
@@ -117,28 +89,24 @@ class Controller:
         self._grid = TickGrid(clock.now_ns(), round(c.tick_s * S))
         self._index = 0
         self._timing = _Timing()
-        self._record = np.zeros((len(robots), len(RobotTick._fields)))
-        self._record_parts = _Parts.of(self._record)
         self._nobody = np.zeros(len(robots), dtype=np.bool_)
-        self._deciding, self._groups = BehaviourRunner(config, judge), groups.rows(config.groups)
+        self._runner, self._groups = BehaviourRunner(config, judge), groups.rows(config.groups)
         self._setpoints = SetpointInbox(config, bus)
         self._crawls = crawls(config)
-        self._unknown = np.zeros((len(robots), 2))
+        self._robots = np.zeros((len(robots), len(RobotTick._fields)))  # of a tick's record
         self._begin()
 
     def _begin(self) -> None:
         """Know nothing of the fleet: at the start, and as long as somebody else drives these robots."""
         n = len(self._drives)
-        self._deciding.begin()
-        self._filter, self._barrier = fleet.fleet_filter(self._config), fleet.barrier(self._config)
-        self._bystanders = fleet.bystanders(self._config)
-        self._sighting.begin(self._filter, self._bystanders)
+        self._runner.begin()
+        self._estimate.begin()
+        self._barrier = fleet.barrier(self._config)
         self._wheels = np.zeros((n, 2))  # as commanded at the newest tick
         self._phase = Phase.IDLE
         self._run_tick = -1
         self._permitted = np.zeros(n, dtype=np.bool_)
         self._tried: list[tuple[int, int]] = []  # robots whose wheels are tried, and their strokes
-        self._out: int | None = None  # the robot that a person drives out of a held run
         self._newest_word = (0, 0)  # epoch and seq of the supervisor's newest word
 
     def step(self, now_ns: int) -> int:
@@ -164,44 +132,47 @@ class Controller:
         """Nothing to bring to rest: the gates close when commands cease."""
 
     def _tick(self, tick_ns: int) -> None:
-        silent = self._leases.refused
-        self._hear_drivers()
+        """Measure, predict, decide, limit, filter, command, record."""
+        begins = self._leases.refused
+        self._statuses.take()
+        self._leases.update()
         if self._leases.refused:  # somebody else drives these robots: not a word that could be taken for the other's
-            if not silent:
+            if not begins:
                 self._begin()
             return
         used = self._nobody
-        if not silent:  # who begins anew takes nothing at first: by that the record tells it
+        if not begins:  # who begins anew takes nothing at first: by that the record tells it
             self._read_state()
-            used = self._read_poses()
-        unseen_s, moving = estimator.ages(self._filter.measured_ns, tick_ns), self._phase in MOVING
-        lost = unseen_s > self._lost_after_s
+            used = self._measure()
         self._run_tick += self._phase is Phase.RUNNING
+        prediction = self._estimate.predict(tick_ns)
         setpoints = self._setpoints.at(self._index, self._phase)
-        driving = self._permitted & ~lost if moving else self._driven_out(setpoints, lost)
-        here, then, turning = self._filter.predict(tick_ns)
-        w = self._filter.disturbance(then, self._point_ahead) if self._offset_free else self._unknown
-        bodies, pushed = then, None
-        if len(self._bystanders.measured_ns):
-            bodies = np.concatenate([then, self._bystanders.predict(tick_ns)])
-            pushed = np.concatenate([np.zeros_like(turning), self._bystanders.velocities])
-            turning = np.concatenate([turning, np.zeros_like(self._bystanders.velocities)])
-            unseen_s = np.concatenate([unseen_s, estimator.ages(self._bystanders.measured_ns, tick_ns)])
-        self._deciding.tick(bodies, unseen_s < np.inf, driving, w, moving=moving, setpoints=setpoints)
-        self._record_parts.filtered[:], self._record_parts.blocked[:] = self._barrier.filter(
-            bodies, turning, unseen_s, driving, self._deciding.wheels, self._deciding.u, pushed
-        )
-        if self._out is not None:
-            _crawl(self._deciding.wheels[self._out], self._deciding.u[self._out], float(self._crawls[self._out]))
-        self._deciding.changed()
-        commanded = self._deciding.wheels
-        self._try_wheels(commanded)
-        self._filter.command(tick_ns, commanded)
-        self._wheels = commanded
-        seq = self._seq
-        for unit in range(len(self._commands)):
-            self._command(unit)
-        self._publish_record(tick_ns, here, used, lost, seq)
+        driving, rescued = self._drivers(setpoints, prediction.lost)
+        decisions = self._runner.decide(
+            prediction.poses, prediction.unseen_s < np.inf, driving, prediction.disturbance,
+            moving=self._phase in MOVING, setpoints=setpoints,
+        )  # fmt: skip
+        request = wheel_limits.limited(
+            decisions.velocities, decisions.of_body, prediction.poses, self._point_ahead_m, self._limits,
+            decisions.driving,
+        )  # fmt: skip
+        filtered = self._barrier.filter(
+            prediction.poses, prediction.turning, prediction.unseen_s, driving, request.wheels, request.u,
+            prediction.pushed,
+        )  # fmt: skip
+        final, seq = self._final(filtered, rescued), self._seq
+        self._command(tick_ns, final.wheels)
+        self._record(tick_ns, used, prediction, decisions.numbers, request, final, seq)
+
+    def _measure(self) -> Flags:
+        """Correct the estimate by the cameras' newest images; returns which robots they measured."""
+        used = self._estimate.measure(self._index, self._grid)
+        if used is None:
+            return self._nobody
+        for row, use in enumerate(used.tolist()):
+            if use == CARRIED:
+                self._runner.carried(row)
+        return np.not_equal(used, UNUSED)
 
     def _read_state(self) -> None:
         payload = self._state.take()
@@ -216,64 +187,69 @@ class Controller:
             self._tried = [(row, stroke) for row, stroke in enumerate(strokes) if 0 < stroke < len(STROKES)]
             if state.phase != self._phase:
                 resumed, self._phase = self._phase is Phase.HOLD, Phase(state.phase)
-                if resumed and self._phase is self._deciding.phase:
-                    self._deciding.resume()
+                if resumed and self._phase is self._runner.phase:
+                    self._runner.resume()
                 elif self._phase in MOVING:
                     self._run_tick = -1
-                    self._deciding.restart(self._phase)
+                    self._runner.restart(self._phase)
 
-    def _driven_out(self, setpoints: Sequence[Wish | None], lost: Flags) -> Flags:
-        """Return the one robot that the supervisor permits in a held run, if a person's wish is about it."""
-        self._out = None
-        permitted = np.flatnonzero(self._permitted).tolist() if self._phase is Phase.HOLD else []
-        if len(permitted) != 1 or self._deciding.phase is not Phase.RUNNING or lost[permitted[0]]:
-            return self._nobody
-        (row,) = permitted
+    def _drivers(self, setpoints: Sequence[Wish | None], lost: Flags) -> tuple[Flags, int | None]:
+        """Return which robots may drive, and the one of them that a person drives out of a held run."""
+        if self._phase in MOVING:
+            return self._permitted & ~lost, None
+        rescued = self._rescued(setpoints, lost) if self._phase is Phase.HOLD else None
+        return self._nobody if rescued is None else np.arange(len(lost)) == rescued, rescued
+
+    def _rescued(self, setpoints: Sequence[Wish | None], lost: Flags) -> int | None:
+        """Return the one robot that the supervisor permits in a held run, if a person's setpoint is about it."""
+        permitted = np.flatnonzero(self._permitted).tolist()
+        if len(permitted) != 1 or self._runner.phase is not Phase.RUNNING or lost[permitted[0]]:
+            return None
         for setpoint, own in zip(setpoints, self._groups, strict=True):
             if setpoint is None or setpoint.kind is not WishKind.RESCUE:
                 continue
-            if [own.start + k for k in np.flatnonzero(setpoint.told).tolist()] == [row]:
-                self._out = row
-                alone = self._nobody.copy()
-                alone[row] = True
-                return alone
-        return self._nobody
+            if [own.start + k for k in np.flatnonzero(setpoint.told).tolist()] == permitted:
+                return int(permitted[0])
+        return None
 
-    def _hear_drivers(self) -> None:
-        self._statuses.take()
-        self._leases.update()
-
-    def _try_wheels(self, commanded: Array) -> None:
-        """Let the robots that are being tried do their strokes."""
+    def _final(self, filtered: Filtered, rescued: int | None) -> Filtered:
+        """Return what is commanded: what the barrier let through, less of a robot that is rescued, none of those whose
+        behaviours failed at last, and the strokes of robots whose wheels are tried. It is written over ``filtered``."""
+        wheels, u = filtered.wheels, filtered.u
+        if rescued is not None:
+            fastest, limit = float(np.abs(wheels[rescued]).max()), float(self._crawls[rescued])
+            if fastest > limit:  # nearer to standing on its arc is safer
+                wheels[rescued] *= limit / fastest
+                u[rescued] *= limit / fastest
+        if (failed := self._runner.changed(u)) is not None:
+            wheels[failed], u[failed] = 0.0, 0.0
         for row, stroke in self._tried:
             drive = self._drives[row]
             left, right = probe_speeds(stroke, drive.wheel_radius)
             ratio = feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
-            commanded[row] = ratio * left, ratio * right
+            wheels[row] = ratio * left, ratio * right
+        return filtered
 
-    def _read_poses(self) -> Flags:
-        """Correct the filter by the cameras' newest images; returns which robots they measured."""
-        used = self._sighting.read(self._index, self._grid)
-        if used is None:
-            return self._nobody
-        if used.max() == CARRIED:
-            for row in np.flatnonzero(used == CARRIED).tolist():
-                self._deciding.carried(row)
-        return np.not_equal(used, UNUSED)
+    def _command(self, tick_ns: int, wheels: Array) -> None:
+        """Command a tick's wheels (N, 2) [rad/s]."""
+        self._estimate.command(tick_ns, wheels)
+        self._wheels = wheels
+        for unit in range(len(self._commands)):
+            self._command_unit(unit)
 
     def _repeat(self) -> None:
         newer, statuses = self._statuses.take(), self._statuses
         if self._leases.refused:
             return
         for unit in (*statuses.hurried(), *filter(self._waits, statuses.by_radio.intersection(newer))):
-            self._command(unit)
+            self._command_unit(unit)
 
     def _waits(self, unit: int) -> bool:
         """Whether a unit on a radio, of which a status has just come, cannot wait for the next tick."""
         status = self._statuses.newest[unit]
         return status is not None and (status.hurry == Hurry.NOW or self._stale[unit])
 
-    def _command(self, unit: int) -> None:
+    def _command_unit(self, unit: int) -> None:
         """Command the robots of a unit that answer to this controller; if none does, nothing is said."""
         status, part, items = self._statuses.newest[unit], self._statuses.units[unit], self._items[unit]
         robots, mine = self._statuses.robots, self._leases.mine
@@ -282,41 +258,32 @@ class Controller:
         self._seq += 1
         self._stale[unit], self._echoed[unit] = status.nonce == self._echoed[unit], status.nonce
         head = UnitCommand(
-            self._seq, self._leases.session, status.boot_id, status.nonce, self._sighting.exposure_ns, ()
+            self._seq, self._leases.session, status.boot_id, status.nonce, self._estimate.exposure_ns, ()
         )
         self._commands[unit](UNIT_COMMAND.encode_view(head, items))
 
-    def _publish_record(self, tick_ns: int, here: Array, used: Flags, lost: Flags, seq: int) -> None:
-        record_parts, decided = self._record_parts, self._deciding
-        record_parts.pose[:], record_parts.point[:], record_parts.u[:], record_parts.wheels[:] = (
-            here,
-            decided.points,
-            decided.u,
-            decided.wheels,
+    def _record(
+        self, tick_ns: int, used: Flags, prediction: Prediction, numbers: Array, request: Request, final: Filtered,
+        seq: int,
+    ) -> None:  # fmt: skip
+        """Publish what a tick read, and what came of it."""
+        flags = request.saturated, used, prediction.lost, final.change, final.blocked, self._runner.failed
+        robots = self._robots
+        robots[:, :3], robots[:, 3:5], robots[:, 5:7], robots[:, 7:9] = (
+            prediction.now,
+            request.points,
+            final.u,
+            final.wheels,
         )
-        record_parts.saturated[:], record_parts.measured[:], record_parts.lost[:], record_parts.failed[:] = (
-            decided.saturated,
-            used,
-            lost,
-            decided.failed,
-        )
+        for column, values in enumerate(flags, start=9):
+            robots[:, column] = values
         running = self._phase is Phase.RUNNING
         head = (
             self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
-            *self._sighting.taken[0], self._sighting.exposure_ns, *self._newest_word, seq,
-            self._phase, decided.arrived, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
+            *self._estimate.taken[0], self._estimate.exposure_ns, *self._newest_word, seq,
+            self._phase, self._runner.arrived, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
-        self._publish_tick(
-            TICK_RECORD.encode_array(head, self._record, decided.numbers.tobytes() + self._sighting.named)
-        )
-
-
-def _crawl(wheels: Array, u: Array, limit: float) -> None:
-    """Slow a robot (2,) [rad/s], (2,) [m/s] on its arc down to a limit of its wheels: nearer to standing is safer."""
-    fastest = float(np.abs(wheels).max())
-    if fastest > limit:
-        wheels *= limit / fastest
-        u *= limit / fastest
+        self._publish_tick(TICK_RECORD.encode_array(head, robots, numbers.tobytes() + self._estimate.named))
 
 
 @kernel
@@ -339,8 +306,7 @@ def compile_kernels(config: Config, say: Say | None = None) -> None:
     kernels = (
         *platoon.KERNELS,
         *path.KERNELS,
-        *wheels.KERNELS,
-        *measured.KERNELS,
+        *wheel_limits.KERNELS,
         *estimator.KERNELS,
         *safety_barrier.KERNELS,
         _fill_commands,
@@ -350,27 +316,29 @@ def compile_kernels(config: Config, say: Say | None = None) -> None:
 
 
 def _call_kernels(config: Config) -> None:
-    deciding, fleet_filter, barrier = BehaviourRunner(config), fleet.fleet_filter(config), fleet.barrier(config)
+    runner, fleet_filter, barrier = BehaviourRunner(config), fleet.fleet_filter(config), fleet.barrier(config)
     to_start, to_park = config.run.begin == "go_to_start", config.run.end == "park"
-    n = len(config.members)
-    driving = np.ones(n, dtype=np.bool_)
+    n, c = len(config.members), config.controller
+    everybody, driving = np.ones(len(config.bodies), dtype=np.bool_), np.ones(n, dtype=np.bool_)
     none, robots = np.zeros(0, np.intp), np.zeros(n, UNIT_STATUS.item_dtype)
     _fill_commands(np.zeros(0, UNIT_COMMAND.item_dtype), robots, driving, none, none, np.zeros((n, 2)))
-    poses, instants_ns = np.empty((n, measured.COLUMNS)), np.empty(n, dtype=np.int64)
+    poses, instants_ns = np.empty((n, estimator.COLUMNS)), np.empty(n, dtype=np.int64)
     nobody = np.frombuffer(b"", FLEET_POSES.item_dtype)  # read only, as what comes from the bus
     for instant_ns in (S, 2 * S):
-        measured.placed(nobody, measured.rows_of({}), instant_ns, instant_ns, poses, instants_ns)
-        fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, measured.COLUMNS)))
+        estimator.measurements(nobody, estimator.rows_of({}), instant_ns, instant_ns, poses, instants_ns)
+        fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, estimator.COLUMNS)))
         estimator.ages(fleet_filter.measured_ns, instant_ns)
         _, then, _ = fleet_filter.predict(instant_ns + 1)
-        w = fleet_filter.disturbance(then, config.controller.point_ahead_m)
+        w = fleet_filter.disturbance(then, c.point_ahead_m)
         bodies = np.zeros((len(config.bodies), 3))
         bodies[:n] = then
-        deciding.tick(bodies, np.ones(len(bodies), dtype=np.bool_), driving, w, moving=True)
-        barrier.filter(bodies, bodies[:, :2].copy(), bodies[:, 0].copy(), driving, deciding.wheels, deciding.u)
+        decided = runner.decide(bodies, everybody, driving, w, moving=True)
+        limits = wheel_limits.limits(fleet.drives(config))
+        request = wheel_limits.limited(decided.velocities, decided.of_body, bodies, c.point_ahead_m, limits, driving)
+        barrier.filter(bodies, bodies[:, :2].copy(), bodies[:, 0].copy(), driving, request.wheels, request.u)
         for wanted, phase in ((to_start, Phase.POSITIONING), (to_park, Phase.PARKING)):
             if wanted:  # its behaviour rehearses by its first decisions
-                deciding.restart(phase)
-                deciding.tick(bodies, np.ones(len(bodies), dtype=np.bool_), driving, w, moving=True)
-        deciding.restart(Phase.RUNNING)
-        fleet_filter.command(instant_ns, deciding.wheels)
+                runner.restart(phase)
+                runner.decide(bodies, everybody, driving, w, moving=True)
+        runner.restart(Phase.RUNNING)
+        fleet_filter.command(instant_ns, request.wheels)

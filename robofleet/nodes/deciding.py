@@ -2,8 +2,8 @@
 
 import sys
 import traceback
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,6 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Behaviour, Decision, Situation, Wish
 from robofleet.config import groups
 from robofleet.config.tree import Config
-from robofleet.control import wheels as wheel_limits
-from robofleet.nodes.fleet import drives
 from robofleet.safety.supervisor import Event, Phase
 
 Array = NDArray[np.float64]
@@ -41,8 +39,17 @@ def untimed(group: int, decide: Callable[[], Decision]) -> tuple[Decision, bool]
     return decide(), False
 
 
+class Decisions(NamedTuple):
+    """What all groups decided in a tick, of N members."""
+
+    velocities: Array  # (N, 2) as behaviours' ``Decision`` has them
+    of_body: Flags  # (N,) whose are v [m/s] and omega [rad/s]; else the points' [m/s; world]
+    driving: Flags  # (N,) who may drive, and whose behaviour has not failed
+    numbers: Array  # references and figures, as ``behaviours.described`` reads them; the next tick writes them over
+
+
 class BehaviourRunner:
-    """The groups' behaviours, and what they decided in the newest tick; arrays over the members, group by group.
+    """The groups' behaviours; arrays over the members, group by group.
 
     On the way to the start and to the park one behaviour, ``go_to``, drives all members. A behaviour that raises,
     returns something of a wrong shape or not finite, or takes longer than its share of the tick is stopped: its robots
@@ -51,20 +58,14 @@ class BehaviourRunner:
 
     def __init__(self, config: Config, judge: Judge = untimed) -> None:
         self._config, self._judge = config, judge
-        self._tick_s, self._l = config.controller.tick_s, config.controller.point_ahead_m
+        self._tick_s = config.controller.tick_s
         self._rows = groups.rows(config.groups)
-        self._limits = wheel_limits.limits(drives(config))
         self._radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
-        n = len(self._limits)
-        self.u, self.wheels = np.zeros((n, 2)), np.zeros((n, 2))  # [m/s], [rad/s]
-        self.points = np.zeros((n, 2))  # p when the commands act [m]
-        self.saturated, self.failed = np.zeros(n), np.zeros(n)
-        self._late: set[int] = set()  # rows of the crew, of this tick
-        self._velocities, self._of_body = np.zeros((n, 2)), np.zeros(n, dtype=np.bool_)
+        self.failed = np.zeros(len(config.members))  # Event by which a robot's behaviour failed
         group_descriptions = groups.descriptions(config)
-        self.numbers = np.full(described.size(group_descriptions), np.nan)  # as behaviours.described reads them
+        self._numbers = np.full(described.size(group_descriptions), np.nan)
         self._columns = [{figure.name: 2 + k for k, figure in enumerate(group.figures)} for group in group_descriptions]
-        self._figures = [part[0] for part in described.parts(group_descriptions, self.numbers[None])]
+        self._figures = [part[0] for part in described.parts(group_descriptions, self._numbers[None])]
         self.begin()
 
     def begin(self) -> None:
@@ -88,10 +89,10 @@ class BehaviourRunner:
         if phase is Phase.RUNNING:
             self._crew = list(zip(self._behaviours, self._rows, strict=True))
         else:
-            self._crew = [(groups.on_the_way(self._config, phase), slice(0, len(self.u)))]
+            self._crew = [(groups.on_the_way(self._config, phase), slice(0, len(self.failed)))]
         self._arrived = [False] * len(self._crew)
         for k, (behaviour, _) in enumerate(self._crew):
-            self._heard(k, behaviour.restart)
+            self._notify(k, behaviour.restart)
 
     def resume(self) -> None:
         """Ask behaviours again that failed."""
@@ -105,105 +106,92 @@ class BehaviourRunner:
         """Tell the behaviour of a robot that was carried away."""
         for k, (behaviour, own) in enumerate(self._crew):
             if own.start <= row < own.stop:
-                self._heard(k, behaviour.carried, row - own.start)
+                self._notify(k, behaviour.carried, row - own.start)
 
-    def changed(self) -> None:
-        """Tell what the barrier let through: ``u`` as it was changed."""
-        u = self.u.copy()
+    def changed(self, u: Array) -> Flags | None:
+        """Tell what wheels and barrier let through of all velocities; returns who (N,) stands as its behaviour failed
+        over it, None where nobody."""
+        u, before, failures = u.copy(), self.failed.copy(), len(self._stopped)
         for k, (behaviour, own) in enumerate(self._crew):
-            self._heard(k, behaviour.changed, u[own])
+            self._notify(k, behaviour.changed, u[own])
+        return self.failed != before if len(self._stopped) > failures else None
 
-    def tick(
+    def decide(
         self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, *, moving: bool,
         setpoints: Sequence[Wish | None] = (),
-    ) -> None:  # fmt: skip
-        """Ask every behaviour; then find what the wheels can do of it.
+    ) -> Decisions:  # fmt: skip
+        """Ask every behaviour.
 
         bodies (M, 3): poses of the members when the commands act, then of the bystanders; seen (M,): which of them ever
         were. driving (N,), disturbance (N, 2): of the members. ``moving``: time goes on for the behaviours.
-        ``wishes``: of the groups' scripts; none where empty.
+        ``setpoints``: of the groups' scripts; none where empty.
         """
-        n = len(self.u)
         self._ticks += moving
-        self.numbers.fill(np.nan)
-        wished = setpoints if self.phase is Phase.RUNNING else ()
-        decisions = self._asked(bodies, seen, driving, disturbance, wished)
-        self._check(decisions, driving)
-        for k, decision in decisions.items():
-            if k not in self._stopped:
-                self._tell(k, decision)
+        self._numbers.fill(np.nan)
+        velocities, of_body = np.zeros((len(driving), 2)), np.zeros(len(driving), dtype=np.bool_)
+        for k, situation in self._situations(bodies, seen, driving, disturbance, setpoints):
+            own = self._crew[k][1]
+            if (answer := self._ask(k, situation, driving[own])) is not None:
+                decision, velocities[own] = answer
+                of_body[own] = decision.of == "body"
+                self._keep(k, decision)
                 if decision.hold is not None:
                     self._stop(k, 0, decision.hold, "holds the run")
         if self._stopped:
-            driving = driving & (self.failed == 0.0)
-        wheel_limits.commanded(
-            self._velocities, self._of_body, bodies[:n], self._l, self._limits, driving,
-            self.u, self.wheels, self.saturated, self.points,
-        )  # fmt: skip
+            driving = driving & (self.failed == Event.NOTHING)
+        return Decisions(velocities, of_body, driving, self._numbers)
 
-    def _asked(
+    def _situations(
         self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, setpoints: Sequence[Wish | None]
-    ) -> dict[int, Decision]:
-        """Return what each group decides, by its row of the crew."""
-        poses, may, w = bodies[: len(self.u)].copy(), driving.copy(), disturbance.copy()  # a behaviour may write there
-        others = self._others(bodies, seen)
-        t, decisions = max(0, self._ticks) * self._tick_s, {}
+    ) -> Iterator[tuple[int, Situation]]:
+        """Yield what each group that has not failed decides by, after its row of the crew."""
+        poses, may, w = bodies[: len(driving)].copy(), driving.copy(), disturbance.copy()  # a behaviour may write there
+        others, t = self._others(bodies, seen), max(0, self._ticks) * self._tick_s
+        known = setpoints if self.phase is Phase.RUNNING else ()
         for k, (behaviour, own) in enumerate(self._crew):
             if k not in self._stopped:
-                now = Situation(
+                yield k, Situation(
                     t=t + behaviour.team.delay, poses=poses[own], driving=may[own], disturbance=w[own],
-                    others=others(own), wish=setpoints[k] if setpoints else None,
+                    others=others(own), wish=known[k] if known else None,
                 )  # fmt: skip
-                if (decision := self._ask(k, now)) is not None:
-                    decisions[k] = decision
-        return decisions
 
     def _others(self, bodies: Array, seen: Flags) -> Callable[[slice], Array]:
         """Return what tells a group who else is in the arena (M, 3): x, y, body radius [m]."""
-        if len(self._crew) == 1 and len(self.u) == len(bodies):
+        if len(self._crew) == 1 and len(self.failed) == len(bodies):
             return lambda own: np.empty((0, 3))
         everybody = np.column_stack([bodies[:, :2], self._radii])[seen]
         before = [0, *np.cumsum(seen).tolist()]  # so many of the first were seen
         return lambda own: np.concatenate([everybody[: before[own.start]], everybody[before[own.stop] :]])
 
-    def _ask(self, k: int, now: Situation) -> Decision | None:
-        """Return what a group decides; None where it failed."""
+    def _ask(self, k: int, situation: Situation, driving: Flags) -> tuple[Decision, Array] | None:
+        """Return what a group decides, and its velocities as an array; None where it failed."""
         behaviour, own = self._crew[k]
         try:
-            decision, late = self._judge(k, lambda: behaviour.decide(now))
+            decision, late = self._judge(k, lambda: behaviour.decide(situation))
             velocities = np.asarray(decision.velocities, dtype=np.float64)
             if decision.of not in ("point", "body"):
                 raise ValueError(f"of={decision.of!r}: must be 'point' or 'body'")
-            if velocities.shape != (own.stop - own.start, 2):
-                self._fail(k, 0, Event.BEHAVIOUR_SHAPE, f"velocities of shape {velocities.shape}")
-                return None
-            self._velocities[own], self._of_body[own] = velocities, decision.of == "body"
         except _RAISED:
             self._raised(k)
             return None
+        if velocities.shape != (own.stop - own.start, 2):
+            self._fail(k, 0, Event.BEHAVIOUR_SHAPE, f"velocities of shape {velocities.shape}")
+            return None
+        known = np.abs(velocities) < _BEYOND
+        if not known.all() and (unknown := ~known.all(axis=1) & driving).any():
+            row = int(unknown.argmax())
+            self._fail(k, row, Event.BEHAVIOUR_NOT_FINITE, f"a velocity {velocities[row]}")
+            return None
         if late:
-            self._late.add(k)
-        return decision
-
-    def _check(self, decisions: dict[int, Decision], driving: Flags) -> None:
-        """Stop who decided what is not finite, or too late."""
-        known = np.abs(self._velocities) < _BEYOND
-        if not known.all():
-            unknown = ~known.all(axis=1) & driving
-            for k in decisions:
-                own = self._crew[k][1]
-                if unknown[own].any():
-                    row = int(unknown[own].argmax())
-                    self._fail(k, row, Event.BEHAVIOUR_NOT_FINITE, f"a velocity {self._velocities[own][row]}")
-        for k in self._late - self._stopped:
             self._fail(k, 0, Event.BEHAVIOUR_LATE, "its decision after its share of the tick was over")
-        self._late.clear()
+            return None
+        return decision, velocities
 
-    def _tell(self, k: int, decision: Decision) -> None:
+    def _keep(self, k: int, decision: Decision) -> None:
         """Keep a decision's references and figures, and whether its behaviour has arrived."""
         try:
             if self.phase is Phase.RUNNING:
-                self._keep(k, decision)
+                self._keep_figures(k, decision)
             elif decision.references is not None:  # on the way no group decides: there are no figures
                 for part, own in zip(self._figures, self._rows, strict=True):
                     part[:, :2] = decision.references[own]
@@ -211,7 +199,7 @@ class BehaviourRunner:
         except _RAISED:
             self._raised(k)
 
-    def _keep(self, k: int, decision: Decision) -> None:
+    def _keep_figures(self, k: int, decision: Decision) -> None:
         group_figures, columns = self._figures[k], self._columns[k]
         if decision.references is not None:
             group_figures[:, :2] = decision.references
@@ -220,11 +208,11 @@ class BehaviourRunner:
                 raise ValueError(f"the figure {name!r} is none of its `figures`")
             group_figures[:, columns[name]] = values
 
-    def _heard(self, k: int, hear: Callable[..., None], *what: Any) -> None:
-        """Let a behaviour hear something that it need not answer."""
+    def _notify(self, k: int, hook: Callable[..., None], *arguments: Any) -> None:
+        """Call an optional hook of a behaviour."""
         if k not in self._stopped:
             try:
-                hear(*what)
+                hook(*arguments)
             except _RAISED:
                 self._raised(k)
 
@@ -239,7 +227,6 @@ class BehaviourRunner:
         """Let a group stand until the run is resumed."""
         behaviour, own = self._crew[k]
         team = behaviour.team
-        self.u[own], self.wheels[own] = 0.0, 0.0
         self._stopped.add(k)
         self.failed[own] = Event.BEHAVIOUR_STANDS
         self.failed[own.start + row] = why

@@ -13,6 +13,7 @@ from robofleet.bus.messages import (
     TICK_RECORD,
     UNIT_STATUS,
     RecorderStatus,
+    TickRecord,
 )
 from robofleet.bus.statuses import Statuses
 from robofleet.config import slices
@@ -20,9 +21,8 @@ from robofleet.config.tree import Config
 from robofleet.core.kernels import kernel
 from robofleet.nodes import cameras_heard
 from robofleet.nodes.cameras_heard import CamerasHeard
-from robofleet.safety.rows import ROBOT, Rows
 from robofleet.safety.supervisor import MOVING, Event
-from robofleet.safety.view import FleetView, Machine
+from robofleet.safety.view import ROBOT, FleetView, Machine, Rows
 
 _FAILURES = np.array([event for event in Event if event.name.startswith(("BEHAVIOUR_", "SCRIPT_"))])
 
@@ -40,7 +40,7 @@ class FleetListener:
         ids = [robot.id for robot in robots]
         self.statuses = Statuses(bus, config.units, ids, by_radio=config.daemons, wake=wake)
         self.newer: list[int] = []  # units, as numbers, of which the newest look found a newer status
-        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.arrays)
+        self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.view)
         self._cameras = CamerasHeard(config, bus)
         self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS.decode)
         self._recorder: RecorderStatus | None = None  # as it said last; lockstep has none
@@ -79,19 +79,18 @@ class FleetListener:
                 continue  # it has not taken this run's configuration yet
             _take_statuses(self._robots, statuses.robots, part.numbers, now_ns, status.build, np.uint64(status.boot_id))
 
-    def _take_tick(self, head: NDArray[Any], robots: NDArray[Any], now_ns: int) -> None:
-        record = dict(zip(TICK_RECORD.head_dtype.names or (), head[0].item(), strict=True))
-        if record["epoch"] == self._fleet.controller_epoch and record["tick"] <= self._fleet.tick:
+    def _take_tick(self, record: TickRecord, robots: NDArray[Any], now_ns: int) -> None:
+        if record.epoch == self._fleet.controller_epoch and record.tick <= self._fleet.tick:
             return
         self._fleet = self._fleet._replace(
             controller_ns=now_ns,
-            controller_epoch=record["epoch"],
-            controller_build=record["build"],
-            tick=record["tick"],
-            overruns=record["overruns"],
-            arrived=record["phase"] * record["arrived"],
+            controller_epoch=record.epoch,
+            controller_build=record.build,
+            tick=record.tick,
+            overruns=record.overruns,
+            arrived=record.phase * record.arrived,
         )
-        _take_tick(self._robots, robots, _FAILURES, record["phase"] in MOVING)
+        _take_tick(self._robots, robots, _FAILURES, record.phase in MOVING)
 
 
 @kernel

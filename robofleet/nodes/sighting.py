@@ -1,4 +1,6 @@
-"""What the controller makes of its cameras' images: each measured pose goes to the filter, at its own mid-exposure."""
+"""Where the controller takes the fleet to be: each measured pose goes to the filter, at its own mid-exposure."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,41 +10,57 @@ from robofleet.bus.keys import NEWS, POSES
 from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TrackerNews
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, TickGrid
-from robofleet.tracking import measured
+from robofleet.nodes import fleet
 from robofleet.tracking.agreement import Agreement, Verdict
-from robofleet.tracking.bystanders import Bystanders
-from robofleet.tracking.estimator import FleetFilter
+from robofleet.tracking.estimator import COLUMNS, ages, measurements, rows_of
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 from robofleet.tracking.joined import Joined, Seen
 from robofleet.tracking.targets import floor_tags_in_view
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Instants = NDArray[np.int64]
 
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
-class MeasurementUpdate:
-    """The newest image of every camera, once a tick. It owns the filter and the bystanders while it is asked.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Prediction:
+    """Of a tick: N members first, then the bystanders, M bodies in all; poses: x, y [m], psi [rad; world]."""
+
+    now: Array  # (N, 3) poses at the tick
+    poses: Array  # (M, 3) when the tick's commands act
+    turning: Array  # (M, 2) the wheels' speeds then, as modelled [rad/s]; 0 of bystanders
+    pushed: Array | None  # (M, 2) velocities of the bystanders [m/s; world], 0 of members; None: there are none
+    unseen_s: Array  # (M,) age of the newest image used; infinite: never seen
+    lost: Flags  # (N,) who was not seen for too long
+    disturbance: Array  # (N, 2) velocities of the points ahead beyond what was asked [m/s; world]
+
+
+class FleetEstimate:
+    """The filter of the members, and the bystanders: corrected by the newest image of every camera, once a tick.
 
     Where there are several cameras, it says of each whether it agrees with the others.
     """
 
     def __init__(self, config: Config, bus: Bus, clock: Clock, epoch: int) -> None:
         self._config, self._clock, self._epoch = config, clock, epoch
-        self._rows = measured.rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
+        self._rows = rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
         self._bodies, self._members = len(config.bodies), len(config.members)
         self._images = [bus.newest(POSES, name) for name in config.camera_names]
-        self._single = np.empty((self._bodies, measured.COLUMNS)), np.empty(self._bodies, dtype=np.int64)
+        self._single = np.empty((self._bodies, COLUMNS)), np.empty(self._bodies, dtype=np.int64)
         self._news = [bus.publisher(NEWS, name) for name in config.camera_names]
-        self._used = 0
+        self._seq = 0  # of the newest news
+        c = config.controller
+        self._point_ahead_m, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
+        self._lost_after_s = c.filter.lost_after_s
 
-    def begin(self, fleet_filter: FleetFilter, bystanders: Bystanders) -> None:
-        """Start anew with this filter and these bystanders."""
-        self._filter, self._bystanders = fleet_filter, bystanders
+    def begin(self) -> None:
+        """Know nothing of the fleet."""
+        self._filter, self._bystanders = fleet.fleet_filter(self._config), fleet.bystanders(self._config)
         self.taken = [(0, 0)] * len(self._images)  # epoch and seq of the newest poses of each camera
         self.exposure_ns = 0  # of the newest image used [tracker's clock]
-        self._joined = Joined(fleet_filter, self._believed)
+        self._joined = Joined(self._filter, self._believed)
         self._agreement = _agreement(self._config) if len(self._images) > 1 else None
 
     @property
@@ -50,7 +68,7 @@ class MeasurementUpdate:
         """Epoch and number of the newest image of each camera but the first, for a tick."""
         return np.array(self.taken[1:], np.float64).tobytes() if len(self.taken) > 1 else b""
 
-    def read(self, index: int, grid: TickGrid) -> Instants | None:
+    def measure(self, index: int, grid: TickGrid) -> Instants | None:
         """Correct the filter by what came since the tick before; returns what ``FleetFilter.observe`` does, None
         without any."""
         if self._agreement is None:
@@ -63,6 +81,28 @@ class MeasurementUpdate:
             return used
         images = [self._next(k, index, grid) for k in range(len(self._images))]
         return self._read_several(self._agreement, [seen for seen in images if seen is not None])
+
+    def predict(self, tick_ns: int) -> Prediction:
+        """Return where everybody is at a tick, and when the tick's commands act."""
+        now, poses, turning = self._filter.predict(tick_ns)
+        unseen_s = ages(self._filter.measured_ns, tick_ns)
+        lost = unseen_s > self._lost_after_s
+        w = self._filter.disturbance(poses, self._point_ahead_m) if self._offset_free else np.zeros_like(turning)
+        pushed = None
+        if self._bodies > self._members:
+            others = self._bystanders
+            still = np.zeros_like(others.velocities)
+            poses = np.concatenate([poses, others.predict(tick_ns)])
+            pushed = np.concatenate([np.zeros_like(turning), others.velocities])
+            turning = np.concatenate([turning, still])
+            unseen_s = np.concatenate([unseen_s, ages(others.measured_ns, tick_ns)])
+        return Prediction(
+            now=now, poses=poses, turning=turning, pushed=pushed, unseen_s=unseen_s, lost=lost, disturbance=w
+        )
+
+    def command(self, tick_ns: int, wheels: Array) -> None:
+        """Remember a tick's commands (N, 2) [rad/s]: by them the next tick predicts."""
+        self._filter.command(tick_ns, wheels)
 
     def _read_several(self, agreement: Agreement, images: list[Seen]) -> Instants | None:
         n = self._members
@@ -94,8 +134,8 @@ class MeasurementUpdate:
         if exposure_ns > latest_ns:  # impossible, and the filter would be blind until then
             return None
         if poses is None or instants_ns is None:
-            poses, instants_ns = np.empty((self._bodies, measured.COLUMNS)), np.empty(self._bodies, dtype=np.int64)
-        measured.placed(image_poses, self._rows, exposure_ns, latest_ns, poses, instants_ns)
+            poses, instants_ns = np.empty((self._bodies, COLUMNS)), np.empty(self._bodies, dtype=np.int64)
+        measurements(image_poses, self._rows, exposure_ns, latest_ns, poses, instants_ns)
         self.exposure_ns = max(self.exposure_ns, image.exposure_ns) if len(self._images) > 1 else image.exposure_ns
         return Seen(camera, poses, instants_ns)
 
@@ -105,9 +145,9 @@ class MeasurementUpdate:
             self._bystanders.observe(seen.instants_ns[self._members :], poses)
 
     def _say(self, verdict: Verdict) -> None:
-        self._used += 1
+        self._seq += 1
         event = TrackerEvent.CAMERA_AGREES if verdict.believed else TrackerEvent.CAMERA_DISAGREES
-        news = TrackerNews(self._epoch, self._used, self._clock.now_ns(), event, NO_TAG, verdict.apart)
+        news = TrackerNews(self._epoch, self._seq, self._clock.now_ns(), event, NO_TAG, verdict.apart)
         self._news[verdict.camera](TRACKER_NEWS.encode(news))
 
 

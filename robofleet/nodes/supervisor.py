@@ -21,14 +21,13 @@ from robofleet.nodes.busy_news import BusyNews
 from robofleet.nodes.fleet_view import FleetListener
 from robofleet.nodes.handing import Handing
 from robofleet.nodes.rescues import Words
-from robofleet.safety import arming, busy, monitor, rescue, scan
+from robofleet.safety import arming, busy, monitor, rescue
 from robofleet.safety.advice import WAY_OUT
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.gate import Latch
 from robofleet.safety.monitor import MonitorSettings, MonitorState
 from robofleet.safety.requests import acknowledged, latched, refusal
 from robofleet.safety.rescue import Rescue
-from robofleet.safety.scan import Scan
 from robofleet.safety.supervisor import CAUSES, MOVING, NOBODY, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, Machine, RobotView
 from robofleet.safety.wiggle import STROKES, probe_speeds
@@ -90,9 +89,9 @@ class Supervisor:
         daemons = frozenset(config.daemons)
         elsewhere = frozenset(row for row, robot in enumerate(robots) if config.unit_of[robot.id] in daemons)
         self._monitoring = MonitorSettings(
-            build, radii, arena, speeds, attended, elsewhere, tuple(solid for solid in every if solid.floor)
-        )
-        self._scan = Scan(self._monitoring)
+            build=build, body_radius=radii, arena=arena, max_speed=speeds, attended=attended, elsewhere=elsewhere,
+            floors=tuple(solid for solid in every if solid.floor),
+        )  # fmt: skip
         self._arming = ArmingSettings(
             build,
             tuple(d.wheel_radius for d in drives),
@@ -156,9 +155,8 @@ class Supervisor:
         before = (self._status, self._checks, self._states.tobytes(), self._clear.tobytes())
         self._view, out = self._listener.look(now_ns, self._operator_ns), self._view.cameras_out
         self._name_cameras(out)
-        suspects = self._scan.suspects(self._memory, self._status.phase, self._view)
         self._memory, self._standing = monitor.watch(
-            self._memory, self._monitoring, self._status.phase, self._view, proved=self._proved, suspects=suspects
+            self._memory, self._monitoring, self._status.phase, self._view, proved=self._proved
         )
         self._busy = busy.watch(self._busy, self._status.phase, self._view)
         for happening in self._standing:
@@ -436,14 +434,14 @@ def _fill_enables(  # type: ignore[no-untyped-def]
         enable.clear = seen.latch_id if clearing and seen.latch == _DRILL else clear[row]
 
 
-KERNELS = (_fill_enables, *fleet_view.KERNELS, *scan.KERNELS, *solids.KERNELS)
+KERNELS = (_fill_enables, *fleet_view.KERNELS, *monitor.KERNELS, *solids.KERNELS)
 
 
 def compile_kernels(say: Say) -> None:
     """Compile every kernel, or load it from the cache; ``say`` is told how far it is."""
     with told("supervisor", KERNELS, say):
         fleet_view.compile_kernels()
-        scan.compile_kernels()
+        monitor.compile_kernels()
         solids.distances((), np.zeros((1, 2)))
         none, rows_of = np.zeros(0, np.intp), np.zeros(1, UNIT_STATUS.item_dtype)
         _fill_enables(

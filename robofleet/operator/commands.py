@@ -2,9 +2,10 @@
 
 import os
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -17,8 +18,9 @@ from robofleet.runs import table
 if TYPE_CHECKING:
     from robofleet.bus.arena_file import ArenaFile
     from robofleet.config.tree import Config
-    from robofleet.operator.elsewhere import Elsewhere
     from robofleet.runs.table import Row
+
+T = TypeVar("T")
 
 
 def running_names() -> list[str]:
@@ -111,26 +113,22 @@ def status(
     raise typer.Exit(direct.status(arena, as_json=as_json))
 
 
-def _elsewhere(arena: str | None) -> "Elsewhere | None":
-    """Return the arena of another computer that is meant, if one is."""
-    from robofleet.operator import elsewhere  # noqa: PLC0415
-    from robofleet.operator import requests as operator  # noqa: PLC0415
+def _chosen(choose: Callable[[str | None], T], arena: str | None) -> T:
+    """Return the arena that is meant; exit code 2 where that is not clear."""
+    from robofleet.operator.requests import NoArenaError  # noqa: PLC0415
 
     try:
-        return elsewhere.joined_arena(arena)
-    except operator.NoArenaError as error:
+        return choose(arena)
+    except NoArenaError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
 
 
-def _running(arena: str | None, *, own: bool = False) -> "ArenaFile":
-    from robofleet.operator import requests as operator  # noqa: PLC0415
+def _own_run(arena: str | None) -> "ArenaFile":
+    """Return the own run that is meant."""
+    from robofleet.operator.requests import chosen  # noqa: PLC0415
 
-    try:
-        return operator.chosen(arena, own=own)
-    except operator.NoArenaError as error:
-        print(error, file=sys.stderr)
-        raise typer.Exit(2) from error
+    return _chosen(partial(chosen, own=True), arena)
 
 
 def _told(done: bool, what: str) -> None:
@@ -294,12 +292,12 @@ def hosts(
 
     file = None if arena is None else Path(arena)
     named = file is None or not (file.exists() or file.suffix)  # as an arena
-    elsewhere_ = _elsewhere(arena) if named else None
+    elsewhere_ = _chosen(operator.joined_arena, arena) if named else None
     try:
         if elsewhere_ is not None:
             found = asking.hosts_elsewhere(elsewhere_)
         else:
-            file = Path(_running(arena, own=True).folder) / "config.yaml" if file is None or named else file
+            file = Path(_own_run(arena).folder) / "config.yaml" if file is None or named else file
             found = asking.hosts(_for_one_process(file))
     except operator.UnreachableError as error:
         _told(False, str(error))
@@ -356,7 +354,7 @@ def web(
     from robofleet.operator.page import command  # noqa: PLC0415
 
     with bad_input():
-        page_run = command.there(run, partial(_running, own=True), _for_one_process)
+        page_run = command.there(run, _own_run, _for_one_process)
         with listening(host, port, "--host") as socket_:
             keys = page_keys(page_run.config.arena.name, host, "--host")
             done, line = command.serve(page_run, socket_, host, keys, browser=not no_browser)

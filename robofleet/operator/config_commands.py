@@ -1,4 +1,4 @@
-"""The commands about configurations: ``init``, ``check`` and ``schema``."""
+"""The commands that write what configurations begin with, ``init`` and ``schema``: they need the base install alone."""
 
 import json
 import shlex
@@ -6,37 +6,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from robofleet.config import schema as schemas
 from robofleet.config.starting import write_starting_files
-from robofleet.config.yamlfile import printable
-from robofleet.core.refusal import RefusedError, bad_input, new_folder
-from robofleet.operator.terminal.plain_terminal import as_shown
-from robofleet.reports.tables import proofs_table
-from robofleet.runs.check import load_checked, proofs
-from robofleet.runs.check_starts import warnings
+from robofleet.core.refusal import RefusedError, new_folder
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/keys lists every key.")]
 Overrides = Annotated[
     list[str],
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable."),
 ]
-
-
-def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
-    """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved.
-
-    $ robofleet check configs/platoon.yaml --set groups.0.settings.path_rate=0.06
-    """
-    with bad_input():
-        tree = load_checked(config, overrides, None, lockstep=False)
-    console = Console()
-    rows = [tuple(as_shown(cell, console.encoding) for cell in row) for row in proofs(tree)]
-    console.print(proofs_table(printable(f"{config} can run. What was proved:"), rows))
-    for warning in warnings(tree):
-        print(f"May take long: {warning}")
-    print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
 
 
 def init(
@@ -46,12 +25,11 @@ def init(
 
     $ robofleet init lab
     """
-    with bad_input():
-        new_folder(folder, "DIR")
-        try:
-            files = write_starting_files(folder)
-        except OSError as error:
-            raise RefusedError(f"DIR: {folder} cannot be written: {error.strerror}: name another folder") from error
+    new_folder(folder, "DIR")
+    try:
+        files = write_starting_files(folder)
+    except OSError as error:
+        raise RefusedError(f"DIR: {folder} cannot be written: {error.strerror}: name another folder") from error
     for file in files:
         print(f"{file}: {_first_comment(file)}")
     hello = shlex.quote(str(folder / "examples" / "hello.py"))
@@ -74,11 +52,10 @@ def schema(
     if out is None:
         print(text)
         return
-    with bad_input():
-        try:
-            out.write_text(text + "\n")
-        except OSError as error:
-            raise RefusedError(f"--out: {out} cannot be written: {error.strerror}: name another file") from error
+    try:
+        out.write_text(text + "\n")
+    except OSError as error:
+        raise RefusedError(f"--out: {out} cannot be written: {error.strerror}: name another file") from error
     print(out)
 
 

@@ -35,12 +35,10 @@ def run(words: Sequence[str]) -> int | None:
 
 def stop(arena: str | None) -> int:
     """Ask for the emergency stop of an arena, or of every run of this user."""
-    from robofleet.operator import elsewhere  # noqa: PLC0415
     from robofleet.operator import requests as operator  # noqa: PLC0415
 
     try:
-        access = elsewhere.joined_arena(arena)
-        answers = operator.stop_all(arena) if access is None else [elsewhere.stop(access)]
+        answers = operator.stop_all(arena)
     except operator.NoArenaError as error:
         return _refused(error)
     return max(_answered(done, what) for done, what in answers)
@@ -48,12 +46,10 @@ def stop(arena: str | None) -> int:
 
 def request(what: str, arena: str | None) -> int:
     """Ask the supervisor of an arena."""
-    from robofleet.operator import elsewhere  # noqa: PLC0415
     from robofleet.operator import requests as operator  # noqa: PLC0415
 
     try:
-        access = elsewhere.joined_arena(arena)
-        done, answer = operator.ask(operator.chosen(arena), what) if access is None else elsewhere.ask(access, what)
+        done, answer = operator.ask(operator.joined_arena(arena) or operator.chosen(arena), what)
     except operator.NoArenaError as error:
         return _refused(error)
     then = _THEN.get(what)

@@ -12,14 +12,12 @@ from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.core.patterns import unit_of_role
-from robofleet.operator.elsewhere import Elsewhere, reached
-from robofleet.operator.requests import answering
+from robofleet.operator.requests import JoinedArena, answering, reached
 from robofleet.safety.gate import GateStatus
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-_CONNECT_WITHIN_S = 1.0
 _LISTEN_NS = 2 * S
 _POLL_NS = MS
 
@@ -31,11 +29,11 @@ def hosts(config: Config) -> dict[str, Any]:
     """
     clock, arena = WallClock(), config.arena.name
     silent = f"no router of {arena} answers at {config.bus.endpoint}: start a run, or one that stays (bus.router)"
-    with answering(silent, arena, config.bus.endpoint, "operator", clock, _CONNECT_WITHIN_S) as bus:
+    with answering(silent, arena, config.bus.endpoint, clock) as bus:
         return {"arena": arena, "units": _asked(bus, clock, arena, config.units, config.daemons)}
 
 
-def hosts_elsewhere(access: Elsewhere) -> dict[str, Any]:
+def hosts_elsewhere(access: JoinedArena) -> dict[str, Any]:
     """Return the units of another computer's arena that are linked now: only its configuration knows the others.
 
     UnreachableError where no router answers.

@@ -1,30 +1,37 @@
-"""What an operator does to a running arena from another terminal. It is in a hurry: nothing heavy is imported here."""
+"""What an operator does to a running arena: of this computer, or of another one that this one has joined.
+
+Nothing heavy is imported here: `robofleet stop` starts fast.
+"""
 
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from robofleet.bus import credentials as keys
 from robofleet.bus.arena_file import ArenaFile, Search, found
+from robofleet.bus.credentials import Credentials, KeysError
 from robofleet.bus.joining import joined
-from robofleet.bus.keys import STATE, STATUS, key
-from robofleet.bus.messages import RUN_STATE, UNIT_STATUS, RobotStatus, RunState
-from robofleet.bus.requests import asked
+from robofleet.bus.keys import STATE, STATUS
+from robofleet.bus.messages import RunState
+from robofleet.bus.observer import Observer, RobotObserved, robots_observed
+from robofleet.bus.permissions import OPERATOR, UNIT
+from robofleet.bus.requests import SAFE, SAFE_WORDS, asked
 from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.core.clock import MS, WallClock
 from robofleet.core.errors import RobofleetError
-from robofleet.operator.estop import emergency_stop, urgent
-from robofleet.recording.causes import halt_cause, named, run_cause
-from robofleet.safety.advice import WAY_OUT, advised
+from robofleet.operator.estop import SUPERVISOR, Stopped, emergency_stop, urgent
+from robofleet.recording.causes import halt_cause, named
+from robofleet.safety.advice import WAY_OUT
 from robofleet.safety.gate import GateStatus, Latch
-from robofleet.safety.supervisor import Phase
 
 _CONNECT_WITHIN_S = 1.0
+_CONNECT_ELSEWHERE_WITHIN_S = 3.0
 _LISTEN_NS = 300 * MS
 _POLL_NS = 2 * MS
 _AT_ONCE = 128  # stops; each of a bus that does not answer takes a second
@@ -41,36 +48,69 @@ class UnreachableError(RobofleetError):
     """Raised where a run is on and its bus does not answer."""
 
 
-def chosen(name: str | None, *, own: bool = False) -> ArenaFile:
+class JoinedArena(NamedTuple):
+    """An arena of another computer, which this one has joined by a certificate."""
+
+    arena: str
+    router: tuple[str, ...]
+    credentials: Credentials
+    role: str  # operator, viewer
+
+
+Arena = ArenaFile | JoinedArena
+
+
+def joined_arena(arena: str | None) -> JoinedArena | None:
+    """Return the arena that this computer has joined and that was named, or the only one; None where there is none.
+
+    Runs of this computer go first. NoArenaError where several are meant, or where the keys cannot be used.
+    """
+    if next(Search(arena).permitted(), None) is not None:
+        return None
+    joins = {name: join for name, join in keys.joined().items() if join.kind != UNIT and arena in (None, name)}
+    if len(joins) > 1:
+        raise NoArenaError(f"this computer has joined several arenas: name one of {', '.join(joins)}")
+    for name, join in joins.items():
+        try:
+            return JoinedArena(name, join.router, keys.credentials(name, join.name), join.kind)
+        except KeysError as error:
+            raise NoArenaError(str(error)) from error
+    return None
+
+
+def chosen(arena: str | None, *, own: bool = False) -> ArenaFile:
     """Return the running arena of this user that was named, or the only one; ``own``: not another user's for root."""
-    search = Search(name)
-    mine = [*islice(search.own() if own else search.permitted(), None if name is None else 1)]
-    if name is None and len(mine) > 1:
+    search = Search(arena)
+    mine = [*islice(search.own() if own else search.permitted(), None if arena is None else 1)]
+    if arena is None and len(mine) > 1:
         raise NoArenaError(f"several arenas have a run: name one of {', '.join(sorted(run.arena for run in mine))}")
     if not mine:
-        raise NoArenaError(_not_yours(_others(search, name)[0]))
+        raise NoArenaError(_not_yours(_others(search, arena)[0]))
     _complain(search)
     return mine[0]
 
 
-def stop_all(name: str | None) -> list[tuple[bool, str]]:
+def stop_all(arena: str | None) -> list[tuple[bool, str]]:
     """Stop every run that this user may stop, or those of an arena, all at once; returns for each what ``stop`` does.
 
-    The own ones are asked before the files of other users are opened.
+    The own ones are asked before the files of other users are opened. Where there is no run on this computer, the
+    arena that it has joined is stopped.
     """
-    search = Search(name)
+    if (elsewhere := joined_arena(arena)) is not None:
+        return [stop(elsewhere)]
+    search = Search(arena)
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         answers = [pool.submit(stop, run) for run in search.own()]
         wait(answers, _OWN_FIRST_S)
         if os.geteuid() == 0:
             answers += [pool.submit(stop, run) for run in search.others()]
         if not answers:
-            return [(False, _not_yours(run)) for run in _others(search, name)]
+            return [(False, _not_yours(run)) for run in _others(search, arena)]
         _complain(search)
         return [answer.result() for answer in answers]
 
 
-def _others(search: Search, name: str | None) -> list[ArenaFile]:
+def _others(search: Search, arena: str | None) -> list[ArenaFile]:
     """Return the runs of others, where there is none that this user may stop; NoArenaError if nobody has one."""
     others = [*search.others()]
     _complain(search)
@@ -80,7 +120,7 @@ def _others(search: Search, name: str | None) -> list[ArenaFile]:
     if not everybody.runs:
         where = " or ".join(reversed(everybody.places)) or "any place"
         raise NoArenaError(f"no arena has a run in {where}: start one with `robofleet run CONFIG`")
-    raise NoArenaError(f"the arena {name} has no run: name one of {', '.join(run.arena for run in everybody.runs)}")
+    raise NoArenaError(f"the arena {arena} has no run: name one of {', '.join(run.arena for run in everybody.runs)}")
 
 
 def _complain(search: Search) -> None:
@@ -96,24 +136,41 @@ def _not_yours(run: ArenaFile) -> str:
     return f"{whose}, which is not yours: ask {run.user} or an administrator (`sudo robofleet stop {run.arena}`)"
 
 
-def stop(run: ArenaFile) -> tuple[bool, str]:
-    """Stop every robot at once and latch its gate; returns whether all have said so, and what happened.
+def stop(arena: Arena) -> tuple[bool, str]:
+    """Stop every robot at once and latch its gate; returns whether all have acknowledged, and what happened.
 
-    Where the bus does not answer, the launcher is told by signals to cut its processes' lifelines.
+    Where the bus of a run of this computer does not answer, the launcher is told by signals to cut its processes'
+    lifelines.
     """
     clock = WallClock()
     try:
-        with urgent(), reached(run, clock) as bus:
-            stopped = emergency_stop(bus, clock, run.units)
-            return not stopped.silent, f"emergency stop of {run.arena}: {stopped.describe()}"
-    except UnreachableError:
-        _signalled(run)
+        with urgent(), reached(arena, clock) as bus:
+            if isinstance(arena, ArenaFile):
+                stopped = emergency_stop(bus, clock, arena.units)
+                words = stopped.describe()
+            else:
+                stopped = emergency_stop(bus, clock, None)
+                words = by_supervisor(stopped)
+            return not stopped.silent, f"emergency stop of {arena.arena}: {words}"
+    except UnreachableError as error:
+        if isinstance(arena, JoinedArena):
+            return False, f"{error}: no robot has acknowledged: go and look"
+        _signalled(arena)
         clock.sleep_until(clock.now_ns() + _BETWEEN_NS)
-        _signalled(run)
+        _signalled(arena)
         return False, (
-            f"the bus of {run.arena} does not answer: the launcher was told to end every process; "
+            f"the bus of {arena.arena} does not answer: the launcher was told to end every process; "
             "no robot has acknowledged: go and look"
         )
+
+
+def by_supervisor(stopped: Stopped) -> str:
+    """Return in words what came of an emergency stop of which the supervisor alone says who has acknowledged."""
+    if not stopped.silent:
+        return f"every robot acknowledged, after {stopped.last_ms:.0f} ms"
+    if stopped.silent == (SUPERVISOR,):
+        return "the supervisor does not answer: go and look"
+    return f"{len(stopped.silent)} robots have not acknowledged: go and look"
 
 
 def _signalled(run: ArenaFile) -> None:
@@ -123,79 +180,86 @@ def _signalled(run: ArenaFile) -> None:
             os.kill(run.pid, signal.SIGTERM)
 
 
-def ask(run: ArenaFile, what: str) -> tuple[bool, str]:
+def ask(arena: Arena, what: str) -> tuple[bool, str]:
     """Ask the supervisor; returns whether it does so, and its answer."""
-    clock = WallClock()
+    clock, role = WallClock(), OPERATOR if isinstance(arena, ArenaFile) else arena.role
+    if isinstance(arena, JoinedArena) and role != OPERATOR and what.encode() not in SAFE:
+        who = f"{arena.credentials.name} is a {role} of {arena.arena}"
+        return False, f"{who}, who may ask for {SAFE_WORDS}: {what} is an operator's"
     try:
-        with reached(run, clock) as bus:
-            answer = asked(bus, clock, "supervisor", what.encode()).decode(errors="replace")
+        with reached(arena, clock) as bus:
+            answer = asked(bus, clock, SUPERVISOR, what.encode(), role=role).decode(errors="replace")
             return answer.startswith("ok"), answer
-    except UnreachableError as error:
-        return False, str(error)
-    except TimeoutError as error:
-        return False, f"{error}: end the run with Ctrl-C in its terminal, or with `kill {run.pid}`"
+    except (UnreachableError, TimeoutError) as error:
+        if isinstance(arena, JoinedArena):
+            return False, f"{error}: see at the computer of {arena.arena} whether a run is on"
+        if isinstance(error, UnreachableError):
+            return False, str(error)
+        return False, f"{error}: end the run with Ctrl-C in its terminal, or with `kill {arena.pid}`"
 
 
 def status(run: ArenaFile) -> dict[str, Any]:
     """Return what a run says of itself within a moment; None for what is silent."""
+    from robofleet.recording.state_words import state_words  # noqa: PLC0415 - it loads numpy
+
     clock = WallClock()
-    state: RunState | None = None
-    newest: dict[str, tuple[int, RobotStatus]] = {}
     with reached(run, clock) as bus:
-        names = {key(run.arena, STATUS, unit): robots for unit, robots in run.units.items()}
-        states, statuses = bus.newest(STATE), bus.stream(*names, capacity=16 * len(names))
+        observer = Observer(bus, [STATE, *((STATUS, unit) for unit in run.units)])
         end_ns = clock.now_ns() + _LISTEN_NS
         while (now_ns := clock.now_ns()) < end_ns:
-            if (payload := states.take()) is not None:
-                state = RUN_STATE.decode(payload) or state
-            for _, full, payload in statuses.drain():
-                if full in names and (message := UNIT_STATUS.decode(payload)) is not None:
-                    for robot, status in zip(names[full], message.robots, strict=False):
-                        newest[robot] = now_ns, status
+            observer.update(now_ns)
             clock.sleep_until(now_ns + _POLL_NS)
+    state: RunState | None = observer[STATE]
+    words = None if state is None else state_words(state, None, run.robots)
+    robots = robots_observed(observer, run.units, run.robots)
     return {
         "arena": run.arena,
         "folder": run.folder,
         "started": run.started,
         "pid": run.pid,
         "endpoint": run.endpoint,
-        "phase": None if state is None else named(Phase, state.phase),
-        "cause": None if state is None else advised(run_cause(state, run.robots), state.cause),
+        "phase": words and words.phase,
+        "cause": words and words.advice,
         "next": _SILENT if state is None else WAY_OUT.get(state.phase),
         "robots": [
-            _robot(robot, newest.get(robot), "" if state is None else halt_cause(state, row), clock.now_ns())
+            {"id": robot, **_robot(robots[row], now_ns), "halted": (halt_cause(state, row) if state else "") or None}
             for row, robot in enumerate(run.robots)
         ],
     }
 
 
-def _robot(robot: str, status: tuple[int, RobotStatus] | None, halted: str, now_ns: int) -> dict[str, Any]:
+def _robot(observed: RobotObserved, now_ns: int) -> dict[str, Any]:
+    status, arrival_ns = observed
     if status is None:
-        return {"id": robot, "gate": None, "latch": None, "battery": None, "age_ms": None, "halted": halted or None}
-    heard_ns, message = status
+        return {"gate": None, "latch": None, "battery": None, "age_ms": None}
     return {
-        "id": robot,
-        "gate": named(GateStatus, message.gate),
-        "latch": named(Latch, message.latch),
-        "battery": None if message.battery < 0.0 else round(message.battery, 3),
-        "age_ms": round((now_ns - heard_ns) / MS, 1),
-        "halted": halted or None,
+        "gate": named(GateStatus, status.gate),
+        "latch": named(Latch, status.latch),
+        "battery": None if status.battery < 0.0 else round(status.battery, 3),
+        "age_ms": round((now_ns - arrival_ns) / MS, 1),
     }
 
 
-@contextmanager
-def reached(run: ArenaFile, clock: WallClock) -> Iterator[ZenohBus]:
-    """Join a run's bus; UnreachableError where it does not answer."""
-    silent = f"the bus of {run.arena} at {run.endpoint} does not answer: end the run with `kill {run.pid}`"
-    with answering(silent, run.arena, run.endpoint, "operator", clock, _CONNECT_WITHIN_S) as bus:
-        yield bus
+def reached(arena: Arena, clock: WallClock) -> AbstractContextManager[ZenohBus]:
+    """Join an arena's bus; UnreachableError where it does not answer."""
+    if isinstance(arena, ArenaFile):
+        silent = f"the bus of {arena.arena} at {arena.endpoint} does not answer: end the run with `kill {arena.pid}`"
+        return answering(silent, arena.arena, arena.endpoint, clock)
+    at = ", ".join(arena.router)
+    silent = f"the router of {arena.arena} at {at} does not answer, or refuses this certificate"
+    return answering(
+        silent, arena.arena, arena.router, clock, _CONNECT_ELSEWHERE_WITHIN_S, arena.role, arena.credentials
+    )
 
 
 @contextmanager
-def answering(silent: str, *bus_of: Any, **more: Any) -> Iterator[ZenohBus]:
-    """Join a bus as ``joining.joined`` does; UnreachableError with these words where nobody answers."""
+def answering(
+    silent: str, arena: str, endpoint: str | Sequence[str], clock: WallClock, within_s: float = _CONNECT_WITHIN_S,
+    role: str = OPERATOR, credentials: Credentials | None = None,
+) -> Iterator[ZenohBus]:  # fmt: skip
+    """Join a bus; UnreachableError with the message ``silent`` where nobody answers."""
     try:
-        bus = joined(*bus_of, **more)
+        bus = joined(arena, endpoint, role, clock, within_s, credentials=credentials)
     except TimeoutError as error:
         raise UnreachableError(silent) from error
     with closing(bus):

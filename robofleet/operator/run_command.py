@@ -1,5 +1,6 @@
-"""The commands ``run`` and ``go``."""
+"""The commands ``run``, ``go`` and ``check``."""
 
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -7,14 +8,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
 from typer.core import TyperCommand
 
 from robofleet.bus.arena_file import ArenaBusyError, claimed
 from robofleet.bus.endpoint import check_router, settled
 from robofleet.bus.private_folder import PlaceError
 from robofleet.config.tree import Config
+from robofleet.config.yamlfile import printable
 from robofleet.core.clock import utc_now
-from robofleet.core.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra, new_file, new_folder, unkept
+from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra, new_file, new_folder, unkept
 from robofleet.hosts.network import network
 from robofleet.nodes.unit.keeping import FileKeeping
 from robofleet.operator import going
@@ -25,7 +28,10 @@ from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.page_address import LOOPBACK, listening
 from robofleet.operator.run import Result, in_lockstep, in_real_time
 from robofleet.operator.terminal.outlet import unhindered
-from robofleet.runs.check import load_checked
+from robofleet.operator.terminal.plain_terminal import as_shown
+from robofleet.reports.tables import proofs_table
+from robofleet.runs.check import load_checked, proofs
+from robofleet.runs.check_starts import warnings
 from robofleet.runs.companion import PageWanted
 
 
@@ -95,27 +101,25 @@ def run(
         changes.append(f"run.seed={seed}")
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}"
     with ExitStack() as held:
-        with bad_input():
-            page = _page(web, web_host, browser=not no_browser, lockstep=lockstep)
-            tree = load_checked(config, changes, faults, lockstep=lockstep)
-            if page is not None:
-                page_keys(tree.arena.name, page.host, "--web-host")
-            served = {viewers.FOXGLOVE: foxglove, viewers.RERUN: rerun}
-            shown = {viewer: at for viewer, at in served.items() if at is not None}
-            _refuse_viewers(shown, tree, lockstep=lockstep)
-            if strict and not tree.run.bounds.model_dump(exclude_none=True):
-                raise RefusedError(f"--strict: {config} has no bounds: write run.bounds, or leave --strict out")
-            if junit is not None:
-                new_file("--junit", junit)
-            if not lockstep:
-                _refuse_unattended(tree)
-                _refuse_forgetful(tree)
-                tree = _settled(tree)
-                held.enter_context(_claimed(tree, folder))
-            new_folder(folder)
+        page = _page(web, web_host, browser=not no_browser, lockstep=lockstep)
+        tree = load_checked(config, changes, faults, lockstep=lockstep)
+        if page is not None:
+            page_keys(tree.arena.name, page.host, "--web-host")
+        served = {viewers.FOXGLOVE: foxglove, viewers.RERUN: rerun}
+        shown = {viewer: at for viewer, at in served.items() if at is not None}
+        _refuse_viewers(shown, tree, lockstep=lockstep)
+        if strict and not tree.run.bounds.model_dump(exclude_none=True):
+            raise RefusedError(f"--strict: {config} has no bounds: write run.bounds, or leave --strict out")
+        if junit is not None:
+            new_file("--junit", junit)
+        if not lockstep:
+            _refuse_unattended(tree)
+            _refuse_forgetful(tree)
+            tree = _settled(tree)
+            held.enter_context(_claimed(tree, folder))
+        new_folder(folder)
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
-        with bad_input():
-            result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
+        result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     ending = Ending(tree, folder, result, as_json=as_json)
     ending.tell()
     if junit is not None:
@@ -137,9 +141,22 @@ def go(
 
     $ robofleet go configs/platoon.yaml r1=0.5,0.2,90 r2=-0.5,0.2,0 --lockstep
     """
-    with bad_input():
-        changes = [*overrides, *going.overrides(goals)]
+    changes = [*overrides, *going.overrides(goals)]
     run(config, lockstep=lockstep, overrides=changes, out=out, web=web, quiet=quiet)
+
+
+def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
+    """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved.
+
+    $ robofleet check configs/platoon.yaml --set groups.0.settings.path_rate=0.06
+    """
+    tree = load_checked(config, overrides, None, lockstep=False)
+    console = Console()
+    rows = [tuple(as_shown(cell, console.encoding) for cell in row) for row in proofs(tree)]
+    console.print(proofs_table(printable(f"{config} can run. What was proved:"), rows))
+    for warning in warnings(tree):
+        print(f"May take long: {warning}")
+    print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
 
 
 def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> PageWanted | None:

@@ -3,12 +3,9 @@
 from collections.abc import Iterable
 from typing import Any
 
-from robofleet.bus.messages import BUSY_MACHINE, BusyMachine, RunState
-from robofleet.recording.causes import run_cause
+from robofleet.bus.messages import BUSY_MACHINE, BusyMachine
 from robofleet.safety import busy
-from robofleet.safety.advice import advised
 from robofleet.safety.busy import DRIVERS, Lateness
-from robofleet.safety.supervisor import Phase
 
 _NAMES = "supervisor", "controller", "tracker"
 
@@ -16,21 +13,6 @@ _NAMES = "supervisor", "controller", "tracker"
 def notice(message: BusyMachine, robots: tuple[str, ...]) -> str:
     """Return what is said once in a run; ``robots`` are the ids in the group's order."""
     return f"this machine is busy: {_so_far(message, robots)}"
-
-
-def told(state: RunState, message: BusyMachine | None, robots: tuple[str, ...], *, advice: bool = True) -> str:
-    """Return what led to a run's state: with the machine's load where that explains it, and what to do about it."""
-    cause = run_cause(state, robots)
-    explained = message is not None and state.cause != 0 and message.cause == state.cause
-    if explained and message is not None:
-        late = busy.latest(Lateness(process.process, process.late_ns) for process in message.late if process.late_ns)
-        cause += f" (this machine was busy: {busy.words(late, message.load, message.cores, robots)})"
-    return advised(cause, state.cause, busy=explained) if advice else cause
-
-
-def goes_on(state: RunState, message: BusyMachine | None) -> bool:
-    """Return whether a run that is held goes on by itself."""
-    return message is not None and state.phase == Phase.HOLD and bool(message.goes_on)
 
 
 def figures(payloads: Iterable[bytes], robots: tuple[str, ...]) -> dict[str, Any] | None:

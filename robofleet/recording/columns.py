@@ -136,8 +136,11 @@ def own_table(part: GroupColumns, names: Sequence[str]) -> Array:
 def write_csv(parts: Iterable[Series], file: Path) -> None:
     """Write one row a tick and robot, of a run part by part; a value that is not known is empty."""
     with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
-        for k, part in enumerate(parts):
-            _write_rows(part, out, headed=k == 0)
+        headed = True
+        for part in parts:
+            _write_rows(part, out, headed=headed)
+            headed = False
+            del part  # before the next one is read
 
 
 def _write_rows(columns: Series, out: TextIO, *, headed: bool) -> None:

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.recording.distribution import Distribution
 from robofleet.recording.gauge import gauges
-from robofleet.recording.reduced import Delays, short
-from robofleet.recording.run import Array, Recording, Run
+from robofleet.recording.reduced import Delays
+from robofleet.recording.run import Array, Run
 
 
 def load_kernels(config: Config) -> None:
@@ -44,7 +45,7 @@ def exposure_to_wheel_ms(status: NDArray[Any]) -> Array:
 
 
 def delays(run: Run) -> Delays:
-    """Return the delays of every image, every tick, and every command that was applied while running [ns]."""
+    """Return the delays of every image, every tick, and every command that was applied while running."""
     if run.reduced is not None:
         return run.reduced.delays
     ticks, wheel = run.ticks, []
@@ -55,22 +56,23 @@ def delays(run: Run) -> Delays:
         wheel.append((chosen["applied_ns"] - chosen["applied_exposure_ns"])[chosen["applied_exposure_ns"] > 0])
     poses = np.array([frame.sent_ns - frame.exposure_ns for frame in run.frames], np.int64)
     tick = (ticks["stamp_ns"] - ticks["exposure_ns"])[ticks["exposure_ns"] > 0]
-    return Delays(short(poses), short(tick), short(np.concatenate(wheel) if wheel else np.empty(0, np.int64)))
+    wheels = np.concatenate(wheel) if wheel else np.empty(0, np.int64)
+    return Delays(Distribution.of(poses), Distribution.of(tick), Distribution.of(wheels))
 
 
-def delays_ms(run: Run) -> tuple[Array, Array, Array]:
-    """Return the same [ms]."""
-    poses, tick, wheel = delays(run)
-    return poses / 1e6, tick / 1e6, wheel / 1e6
+def compute(run: Run) -> Distribution:
+    """Return how long each tick computed."""
+    if run.recording.tick_durations_ns is not None:  # in lockstep no time passes on the controller's clock
+        return Distribution.of(run.recording.tick_durations_ns)
+    return computed(run) if run.reduced is None else run.reduced.compute
 
 
-def compute_us(run: Run, recording: Recording) -> Array:
-    """Return how long each tick computed [us]."""
-    if recording.tick_durations_ns is not None:  # in lockstep no time passes on the controller's clock
-        return np.array(recording.tick_durations_ns) / 1e3
-    return (run.ticks["compute_ns"][1:] if run.reduced is None else run.reduced.compute_ns[1:]) / 1e3
+def computed(run: Run) -> Distribution:
+    """Return how long the ticks of a run, or of a part of it, computed on the controller's clock: each but the last."""
+    begins = run.own.start_ns is None
+    return Distribution.of(run.ticks["compute_ns"][1 if begins else 0 :])  # of the tick before
 
 
-def lateness_us(run: Run) -> Array:
-    """Return how late each tick began [us]."""
-    return (run.ticks["lateness_ns"] if run.reduced is None else run.reduced.lateness_ns) / 1e3
+def lateness(run: Run) -> Distribution:
+    """Return how late each tick began."""
+    return Distribution.of(run.ticks["lateness_ns"]) if run.reduced is None else run.reduced.lateness

@@ -96,10 +96,10 @@ def parts(
             size += len(message.data)
             if not instants or at.ns >= instants[-1].ns + _STEP_NS:
                 instants.append(at)
-                while cut is None and instants[0].ns < at.ns - _AROUND_NS:
-                    instants.popleft()
             if cut is None and size >= together:
                 cut = at
+                while instants[0].ns < at.ns - _AROUND_NS:
+                    instants.popleft()
             elif cut is not None and (at.ns >= cut.ns + _AROUND_NS or size >= 2 * together):
                 _know_groups(recording, file, imports)
                 yield recording, Own(first, cut.place, last=False)

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Whole = NDArray[Any]  # of integers, as short as they can be
+from robofleet.recording.distribution import Distribution
 
-_SHORT = np.iinfo(np.int32)
+Array = NDArray[np.float64]
 
 
 class Moment(NamedTuple):
@@ -26,11 +25,11 @@ class Moment(NamedTuple):
 
 
 class Delays(NamedTuple):
-    """How long after mid-exposure [ns]: the poses were sent, a tick took them, a command of theirs reached a wheel."""
+    """How long after mid-exposure: the poses were sent, a tick took them, a command of theirs reached a wheel."""
 
-    poses: Whole
-    tick: Whole
-    wheel: Whole
+    poses: Distribution
+    tick: Distribution
+    wheel: Distribution
 
 
 class Mean(NamedTuple):
@@ -71,9 +70,9 @@ class Reduced:
     begun: bool  # whether the fleet ran in it, or before
     ticks: int
     delays: Delays
-    compute_ns: Whole
-    lateness_ns: Whole
-    work_ns: Whole  # of the trackers, for each image
+    compute: Distribution
+    lateness: Distribution
+    work: Distribution  # of the trackers, for each image
     overruns: Counted | None
     nearest_m: Array | None  # smallest distance of each pair of bodies (P,), NaN: not known; None: no truth was told
     obstacle_m: float  # smallest distance of a body from an obstacle, NaN: not known; infinite: there is none
@@ -103,13 +102,13 @@ def joined(parts: Sequence[Reduced]) -> Reduced:
         begun=parts[-1].begun,
         ticks=sum(part.ticks for part in parts),
         delays=Delays(
-            np.concatenate([part.delays.poses for part in counted]),
-            np.concatenate([part.delays.tick for part in parts]),
-            np.concatenate([part.delays.wheel for part in parts]),
+            Distribution.joined([part.delays.poses for part in counted]),
+            Distribution.joined([part.delays.tick for part in parts]),
+            Distribution.joined([part.delays.wheel for part in parts]),
         ),
-        compute_ns=np.concatenate([part.compute_ns for part in parts]),
-        lateness_ns=np.concatenate([part.lateness_ns for part in parts]),
-        work_ns=np.concatenate([part.work_ns for part in counted]),
+        compute=Distribution.joined([part.compute for part in parts]),
+        lateness=Distribution.joined([part.lateness for part in parts]),
+        work=Distribution.joined([part.work for part in counted]),
         overruns=_counted([part.overruns for part in parts]),
         nearest_m=np.minimum.reduce(known) if known else None,
         obstacle_m=float(np.min([part.obstacle_m for part in parts])),
@@ -126,12 +125,6 @@ def joined(parts: Sequence[Reduced]) -> Reduced:
         standing=standing,
         peaks={name: [own for part in parts for own in part.peaks[name]] for name in parts[0].peaks},
     )
-
-
-def short(values: NDArray[Any]) -> Whole:
-    """Return whole numbers in half the bytes, where they fit."""
-    fit = not len(values) or (values.min() >= _SHORT.min and values.max() <= _SHORT.max)
-    return values.astype(np.int32 if fit else np.int64)
 
 
 def _mean(parts: Sequence[Mean]) -> Mean:

@@ -6,6 +6,7 @@ A figure that several groups have is judged by the largest.
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.config.tree import Bounds
 
 Figures = dict[str, Any]
@@ -62,14 +63,10 @@ def _own_stops(figures: Figures) -> int | None:
 
 
 JUDGED = {  # by the keys of run.bounds
-    "control_error_mean_mm": Judged("control error, mean", "mm", of_groups("control_error_mm", "mean"), own=True),
-    "timed_error_mean_mm": Judged(
-        "leader's timed error, mean", "mm", of_groups("timed_error_mm", "per_robot_mean"), own=True
-    ),
-    "path_error_mean_mm": Judged("path error, mean", "mm", of_groups("path_error_mm", "mean"), own=True),
-    "spacing_max_deviation_mm": Judged(
-        "largest spacing error", "mm", of_groups("spacing_m", "max_deviation_mm"), own=True
-    ),
+    **{
+        figure.bound: Judged(figure.label, "mm", of_groups(figure.key, figure.statistic), own=True)
+        for figure in JUDGED_FIGURES
+    },
     "min_gap_mm": Judged("smallest gap of bodies", "mm", part("min_gap_mm"), at_least=True),
     "min_obstacle_gap_mm": Judged("smallest gap to an obstacle", "mm", part("min_obstacle_gap_mm"), at_least=True),
     "pose_error_rms_mm": Judged("pose error, rms", "mm", part("pose_error", "rms_mm")),
@@ -77,9 +74,7 @@ JUDGED = {  # by the keys of run.bounds
     "exposure_to_wheel_p99_ms": Judged("exposure to wheel, p99", "ms", part("latency_ms", "exposure_to_wheel", "p99")),
     "stops": Judged("stops of a robot by itself", "", _own_stops),
 }
-
-
-JUDGED_KEYS = "control_error_mm", "timed_error_mm", "path_error_mm", "spacing_m"  # of groups' figures
+JUDGED_KEYS = frozenset(figure.key for figure in JUDGED_FIGURES)  # of groups' figures
 
 
 def judged(figures: Figures, bounds: Bounds) -> list[Figures]:

@@ -20,7 +20,7 @@ from robofleet.config.yamlfile import printable
 from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.files import write_bytes
 from robofleet.core.plugins import PluginError, reach
-from robofleet.core.refusal import RefusedError, bad_input, how_to_install, new_file, new_place
+from robofleet.core.refusal import RefusedError, how_to_install, new_file, new_place
 from robofleet.nodes.controller import compile_kernels
 from robofleet.recording.reading import Imports, RecordingError, about, file_of, read
 from robofleet.recording.repair import repair as mend
@@ -258,8 +258,7 @@ def _keeping_garbage() -> Iterator[None]:
 @contextmanager
 def _readable() -> Iterator[None]:
     """Refuse a recording that cannot be read."""
-    with bad_input():
-        try:
-            yield
-        except RecordingError as error:
-            raise RefusedError(printable(str(error))) from error
+    try:
+        yield
+    except RecordingError as error:
+        raise RefusedError(printable(str(error))) from error

@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.core.figures import COLOURS, STYLE
 from robofleet.recording.gauge import Curve
 from robofleet.recording.run import Array
@@ -24,7 +25,7 @@ _SAME = 0.01  # a difference of a figure that is no difference, relative to the 
 _AS_BEFORE = "the same"
 _SHOWN = 60  # keys
 _COLOURS = COLOURS[:2]
-_MEANS_JUDGED = "control_error_mm", "path_error_mm", "spacing_m"  # by a bound
+_MEANS_JUDGED = [figure.key for figure in JUDGED_FIGURES if figure.statistic != "per_robot_mean"]  # by a bound
 
 _ALSO = (
     Judged("heading error, rms", "deg", part("pose_error", "heading_rms_deg")),

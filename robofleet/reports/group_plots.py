@@ -6,23 +6,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from robofleet.behaviours.described import JUDGED_FIGURES
+from robofleet.behaviours.interface import with_unit
 from robofleet.core.figures import robot_colours
 from robofleet.recording.gauge import Curve
 from robofleet.recording.run import Array, GroupColumns
 from robofleet.reports.canvas import RunView, level, lines, logarithmic, settling, strips, zoomed
-from robofleet.reports.paper import CONTROL_ERROR_MM, is_papers
+from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
 from robofleet.reports.plot import Legend, Plot, few
 
 _WIDE = 30.0  # times its median: a figure that is so much larger at times has a logarithmic axis
 _ESTIMATED = "estimated_"  # a figure that is so called is for the run itself: the report has the measure
-_BOUNDS = {  # by the figures' keys: which bound stands in the plot, and what it is of
-    "control_error_mm": ("control_error_mean_mm", "bound of the mean"),
-    "timed_error_mm": ("timed_error_mean_mm", "bound of the first robot's mean"),
-    "path_error_mm": ("path_error_mean_mm", "bound of the mean"),
-    "spacing_mm": ("spacing_max_deviation_mm", "bound"),
+_BOUNDS = {  # by the curves' keys: which bound stands in the plot, and what it is of
+    with_unit(figure.name, "mm"): (figure.bound, figure.level) for figure in JUDGED_FIGURES
 }
 NO_TRUTH = "true poses are known of simulated robots only."
-_PAPERS = {"control_error_mm": (CONTROL_ERROR_MM, "the paper's mean, on hardware")}
 
 
 def of_group(part: GroupColumns, *, alone: bool) -> list[Plot]:
@@ -66,8 +64,8 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
         settling(axes, settle_s)
         _lines(axes, view, part, curve, settle_s, bound)
         level(axes, bound, words)
-        if is_papers(view.config) and curve.key in _PAPERS:
-            level(axes, *_PAPERS[curve.key])
+        if curve.key == FIGURE_KEY and is_papers(view.config):
+            level(axes, CONTROL_ERROR_MM, "the paper's mean, on hardware")
         return figure
     figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
     lines(whole, view.series.t, curve.values, view.span, colours(view, part, curve))

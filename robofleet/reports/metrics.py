@@ -9,14 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.behaviours.described import COMMON_FIGURES
 from robofleet.bus.keys import BUSY, key
 from robofleet.bus.messages import FleetPoses
 from robofleet.config import obstacles
 from robofleet.config.tree import Config
+from robofleet.core.clock import MS, US
 from robofleet.recording import busy_machine, notes
 from robofleet.recording.causes import named
-from robofleet.recording.measures import compute_us, delays, delays_ms, pose_errors
-from robofleet.recording.reduced import Counted, Images, Mean, Reduced, short
+from robofleet.recording.distribution import Distribution
+from robofleet.recording.measures import compute, computed, delays, lateness, pose_errors
+from robofleet.recording.reduced import Counted, Images, Mean, Reduced
 from robofleet.recording.run import Array, Recording, Run
 from robofleet.reports.bounds import judged
 from robofleet.reports.remarks import remarks
@@ -26,15 +29,6 @@ from robofleet.tracking.events import NO_TAG, TrackerEvent
 from robofleet.vehicles.solids import distances
 
 Figures = dict[str, Any]
-
-# Figures of a group that stand beside those of the whole run, where one group alone has them, and what is in them.
-_HOISTED = {
-    "control_error_mm": {"mean", "max", "per_robot_mean"},
-    "timed_error_mm": {"mean", "max", "per_robot_mean"},
-    "path_error_mm": {"mean", "max", "per_robot_mean"},
-    "centre_error_mm": {"mean", "max", "per_robot_mean"},
-    "spacing_m": {"mean", "max_deviation_mm"},
-}
 
 
 def summary(
@@ -76,8 +70,8 @@ def summary(
         "min_obstacle_gap_mm": _rounded(whole.obstacle_m * 1e3) if np.isfinite(whole.obstacle_m) else None,
         "pose_error": _pose_error(whole),
         "tracker": _tracker(run, whole, recording),
-        "tick": _tick(run, whole, recording),
-        "latency_ms": _latency(run),
+        "tick": _tick(run, whole),
+        "latency_ms": _latency(whole),
         "saturated_fraction": _mean(whole.saturated),
         "filtered_fraction": _mean(whole.filtered),
         "recording": {"messages": recording.count, "dropped": recording.dropped},
@@ -104,9 +98,9 @@ def reduced(run: Run, *, peaks: bool = False) -> Reduced:
         begun=begun,
         ticks=len(ticks),
         delays=delays(run),
-        compute_ns=short(ticks["compute_ns"]),
-        lateness_ns=short(ticks["lateness_ns"]),
-        work_ns=short(np.array([frame.work_ns for frame in run.frames], np.int64)),
+        compute=computed(run),
+        lateness=lateness(run),
+        work=Distribution.of([frame.work_ns for frame in run.frames]),
         overruns=None if overruns is None else Counted(*overruns),
         nearest_m=_nearest(run),
         obstacle_m=_obstacle_gap(run),
@@ -137,11 +131,12 @@ def _groups(run: Run, recording: Recording) -> Figures:
 
 
 def _hoisted(groups: Figures) -> Figures:
+    """Return the common figures that one group alone has."""
     found: Figures = {}
-    for name, parts in _HOISTED.items():
-        values = [own.get(name) for own in groups.values()]
-        have = [own for own in values if isinstance(own, dict) and parts <= own.keys()]
-        found[name] = have[0] if len(have) == 1 else None
+    for figure in COMMON_FIGURES:
+        values = [own.get(figure.key) for own in groups.values()]
+        have = [own for own in values if isinstance(own, dict) and figure.statistics <= own.keys()]
+        found[figure.key] = have[0] if len(have) == 1 else None
     return found
 
 
@@ -212,16 +207,16 @@ def _pose_error(whole: Reduced) -> Figures | None:
 def _tracker(run: Run, whole: Reduced, recording: Recording) -> Figures:
     images = whole.images
     frames = sum(seen.frames for seen in images.values())
-    durations_ns = np.array(whole.work_ns)
+    work = whole.work
     if recording.tracker_durations_ns is not None:
-        durations_ns = np.sort(recording.tracker_durations_ns)[-frames:]  # the other steps had no image
+        work = Distribution.of(np.sort(recording.tracker_durations_ns)[-frames:])  # the other steps had no image
     return {
         "frames": frames,
         "measured_fraction": _measured_fraction(run, whole, frames) if frames else None,
         "false_ids": sum(seen.strange for seen in images.values()) if frames else None,
         "refused": sum(seen.refused for seen in images.values()) if frames else None,
         "events": _events(run) if frames else None,
-        "frame_ms": _percentiles(durations_ns / 1e6, (50, 99)),
+        "frame_ms": _percentiles(work, (50, 99), MS),
         **({"cameras": {name: _camera(seen) for name, seen in images.items()}} if len(images) > 1 else {}),
     }
 
@@ -276,25 +271,25 @@ def _events(run: Run) -> list[Figures]:
     ]
 
 
-def _tick(run: Run, whole: Reduced, recording: Recording) -> Figures:
+def _tick(run: Run, whole: Reduced) -> Figures:
     return {
         "period_ms": run.config.controller.tick_s * 1e3,
-        "compute_us": _percentiles(compute_us(run, recording), (50, 99, 100)),
-        "lateness_us": _percentiles(whole.lateness_ns / 1e3, (50, 99, 100)),
+        "compute_us": _percentiles(compute(run), (50, 99, 100), US),
+        "lateness_us": _percentiles(whole.lateness, (50, 99, 100), US),
         "overruns": None if whole.overruns is None else whole.overruns.newest - whole.overruns.first,
     }
 
 
-def _latency(run: Run) -> Figures | None:
+def _latency(whole: Reduced) -> Figures | None:
     """Mid-exposure to wheel of every command that was applied while running, and where that time went."""
-    poses, tick, wheel = delays_ms(run)
+    poses, tick, wheel = whole.delays
     if not len(wheel):
         return None
     return {
-        "exposure_to_wheel": _percentiles(wheel, (50, 99, 100)),
+        "exposure_to_wheel": _percentiles(wheel, (50, 99, 100), MS),
         "stages": {
-            "exposure_to_poses": _percentiles(poses, (50, 99)),
-            "exposure_to_tick": _percentiles(tick, (50, 99)),
+            "exposure_to_poses": _percentiles(poses, (50, 99), MS),
+            "exposure_to_tick": _percentiles(tick, (50, 99), MS),
         },
     }
 
@@ -307,10 +302,10 @@ def _rejected(run: Run, status: NDArray[Any]) -> Counted | None:
     return Counted(int(status["rejected"][before]), int(status["rejected"][-1]))
 
 
-def _percentiles(values: Array, percents: tuple[int, ...]) -> Figures | None:
-    if not len(values):
+def _percentiles(durations: Distribution, percents: tuple[int, ...], unit_ns: int) -> Figures | None:
+    if not len(durations):
         return None
-    found = np.percentile(values, percents)
+    found = durations.percentiles(percents) / unit_ns
     return {"max" if p == 100 else f"p{p}": _rounded(v) for p, v in zip(percents, found, strict=True)}
 
 

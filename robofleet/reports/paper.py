@@ -10,6 +10,7 @@ from robofleet.behaviours.paths import PathFile
 from robofleet.config.names import SHIPPED
 from robofleet.config.tree import Config
 
+FIGURE_KEY = "control_error_mm"  # of the figure that the paper tells
 CONTROL_ERROR_MM = 5.0  # IV-C: mean of the four robots after 1.4 s, on hardware
 SPACING_M = 0.25  # IV-C: d
 _PATH = SHIPPED / "paths" / "platoon.yaml"
@@ -28,8 +29,8 @@ def is_papers(config: Config) -> bool:
     used = settings.get("spacing_m"), settings.get("path_rate"), law.tick_s, law.alpha, law.horizon_s, law.point_ahead_m
     papers = SPACING_M, _PATH_RATE, _TICK_S, _ALPHA, _HORIZON_S, _POINT_AHEAD_M
     same = all(
-        isinstance(ours, int | float) and math.isclose(ours, papers_value)
-        for ours, papers_value in zip(used, papers, strict=True)
+        isinstance(ours, int | float) and math.isclose(ours, paper_value)
+        for ours, paper_value in zip(used, papers, strict=True)
     )
     return same and len(group.robots) == _ROBOTS and settings.get("path") == _path()
 

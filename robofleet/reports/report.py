@@ -8,6 +8,7 @@ from typing import Any
 
 import matplotlib as mpl
 
+from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.behaviours.interface import scale
 from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
@@ -157,7 +158,7 @@ def _bounds(page: Page, summary: Summary) -> None:
     if not summary["bounds"]:
         page.note("To have runs judged, write bounds into the configuration, e.g.")
         has = {key for group in summary["groups"].values() for key in group}
-        own = "control_error_mean_mm: 1.0, " if "control_error_mm" in has else ""
+        own = next((f"{figure.bound}: 1.0, " for figure in JUDGED_FIGURES if figure.key in has), "")
         page.listing(f"run:\n  bounds: {{{own}min_gap_mm: 10, stops: 0}}")
         return
     completed = summary["outcome"] == "completed"

@@ -43,7 +43,6 @@ class Sampled(Run):
         self.own, self.every = Own(), 1
         self._count = 0  # ticks so far
         self._kept: list[_Ticks] = []
-        self._reduced: list[Reduced] = []
         self._known: list[NDArray[np.bool_]] = []
         self._ends: list[NDArray[Any]] = []  # first and last tick, also of those in which the fleet was not running
         self._instants: list[tuple[NDArray[Any], NDArray[Any]]] = []
@@ -53,7 +52,7 @@ class Sampled(Run):
 
     def add(self, run: Run, reduced: Reduced) -> None:
         """Take the next part, and its figures."""
-        self._reduced.append(reduced)
+        self.reduced = reduced if self.reduced is None else joined([self.reduced, reduced])
         self.recording, self.config = run.recording, run.config
         self.start_ns, self.began = run.start_ns, run.began
         self._add_ticks(run)
@@ -88,8 +87,6 @@ class Sampled(Run):
         kept, self._kept = self._kept, []
         if self._count and (self._count - 1) % self.every:
             kept.append(self._newest)
-        self.reduced = joined(self._reduced)
-        self._reduced = []
         count, self.recording = self.recording.count, self.recording.emptied()
         for full, payload in self._messages:
             self.recording.add(full, payload)
@@ -117,6 +114,7 @@ def look(run: Path, imports: Imports = nothing_imported, together: int = TOGETHE
         if part.own == Own(0):
             return part
         sampled.add(part, reduced(part, peaks=True))
+        del part  # before the next one is read
     sampled.close()
     return sampled
 
@@ -129,3 +127,4 @@ def looks(run: Path, imports: Imports = nothing_imported, together: int = TOGETH
         part = Run(recording, own=own._replace(start_ns=start_ns, began=began))
         start_ns, began = part.start_ns, part.began
         yield part
+        del part, recording  # before the next one is read

@@ -12,7 +12,7 @@ from robofleet.behaviours.interface import scale
 from robofleet.config.tree import Config
 from robofleet.reports.fitting import Fitting
 from robofleet.reports.own_figures import asked, heading, own_figures
-from robofleet.reports.paper import CONTROL_ERROR_MM, is_papers
+from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
 from robofleet.reports.stops import together
 
 Summary = dict[str, Any]
@@ -91,7 +91,7 @@ def _errors(s: Summary, config: Config) -> Iterator[_Row]:
         if len(s["groups"]) > 1:
             yield _Row(heading(name, group["behaviour"]), "", "", group["robots"])
         for figure in own_figures(group):
-            paper = papers if figure.key == "control_error_mm" else "-"
+            paper = papers if figure.key == FIGURE_KEY else "-"
             should = asked(group, figure)
             if figure.mean is None:
                 yield _Row(figure.title, "not measured", paper)

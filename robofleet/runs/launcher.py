@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from robofleet.bus.arena_file import twin_port
 from robofleet.bus.bus import Answer
 from robofleet.bus.keys import BUSY, NEWS, POSES, REQUEST, STATE, STATUS, TICK, key
-from robofleet.bus.messages import BUSY_MACHINE, RUN_STATE, TICK_RECORD, BusyMachine, RunState
+from robofleet.bus.messages import BusyMachine, RunState
 from robofleet.bus.requests import asked, on
 from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config import slices
@@ -19,8 +18,8 @@ from robofleet.core.clock import MS, S, WallClock
 from robofleet.core.errors import RobofleetError
 from robofleet.core.files import write_text
 from robofleet.nodes.machine import Silence
-from robofleet.recording import busy_machine
 from robofleet.recording.run import SHOWN, Recording, Watch
+from robofleet.recording.state_words import state_words
 from robofleet.runs import table
 from robofleet.runs.child_faults import ChildFaults
 from robofleet.runs.children import Children, RunError
@@ -89,8 +88,7 @@ class Launcher:
         self.recording = Recording(config)
         self.began = False  # every process was ready: there is something to read and to judge
         self._arena, self._robots = config.arena.name, config.ids
-        self._state_key, self._tick_key = key(self._arena, STATE), key(self._arena, TICK)
-        self._busy_key = key(self._arena, BUSY)
+        self._state_key = key(self._arena, STATE)
         started = table.started_by("run", config)
         self._trackers = tuple(config.trackers) if len(config.trackers) > 1 else ()  # one of them may die
         # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
@@ -221,7 +219,7 @@ class Launcher:
                 if self._phase == "running":
                     self._faults.begin()
                     began_ns = began_ns or self._clock.now_ns()
-                    tick = self._newest(self._tick_key, TICK_RECORD)
+                    tick = self.recording.newest(TICK)
                     if tick is not None and tick.run_tick >= last_tick and not over:
                         if self._config.run.end != "park":
                             return "completed", None
@@ -250,7 +248,7 @@ class Launcher:
             self._phase, self._console.note = phase, ""
 
     def _outcome(self, state: RunState) -> Outcome:
-        cause = busy_machine.told(state, self._load_behind(state), self._robots)
+        cause = state_words(state, self._load_behind(state), self._robots).advice
         if state.phase == Phase.ESTOP:
             self._listen()  # it may be our own operator's
             raise EmergencyError(cause)
@@ -272,16 +270,16 @@ class Launcher:
 
     def _held(self) -> str:
         """Return why the fleet stands on hold; an empty string where it does not."""
-        state = self._newest(self._state_key, RUN_STATE)
+        state = self.recording.newest(STATE)
         held = state is not None and state.phase == Phase.HOLD
-        busy = self._newest(self._busy_key, BUSY_MACHINE)
-        return f"; the fleet was on hold: {busy_machine.told(state, busy, self._robots, advice=False)}" if held else ""
+        words = state_words(state, self.recording.newest(BUSY), self._robots) if held else None
+        return f"; the fleet was on hold: {words.cause}" if words else ""
 
     def _load_behind(self, state: RunState) -> BusyMachine | None:
         """Return what is known of the machine's load; where that may explain how the run ended, it may come late."""
         deadline_ns = self._clock.now_ns() + _LOAD_WITHIN_NS
         while True:
-            busy: BusyMachine | None = self._newest(self._busy_key, BUSY_MACHINE)
+            busy: BusyMachine | None = self.recording.newest(BUSY)
             explained = busy is None or state.cause not in SPOILT or busy.cause == state.cause
             if explained or self._clock.now_ns() > deadline_ns:
                 return busy
@@ -347,7 +345,7 @@ class Launcher:
             companion.look()
         self._hear_of_silence()
         self._watch(self.recording, self._phase)
-        state: RunState | None = self._newest(self._state_key, RUN_STATE)
+        state: RunState | None = self.recording.newest(STATE)
         return state
 
     def _hear_of_silence(self) -> None:
@@ -404,10 +402,6 @@ class Launcher:
         if self._config.run.attended and self._console.present and now_ns - self._attended_ns >= _ATTENDED_NS:
             self._attended_ns = now_ns
             self._bus.ask(REQUEST, "supervisor", b"attended")
-
-    def _newest(self, full: str, layout: Any) -> Any:
-        messages = self.recording.messages.get(full)
-        return layout.decode(messages[-1]) if messages else None
 
     def _stopped_at_gates(self) -> bool:
         """Whether an emergency stop has reached a gate."""

@@ -172,7 +172,8 @@ class Lockstep:
         ``until`` lets time pass until something is true; ``over``: the phases that end the run.
         """
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
-        until(lambda: self.status.phase in (*over, Phase.PARKING) or self._run_tick >= last_tick)
+        ends = frozenset({*over, Phase.PARKING})
+        until(lambda: self._run_tick >= last_tick or self.status.phase in ends)
         if self._config.run.end == "park" and self.status.phase is Phase.RUNNING:
             self.request(b"park")
             answered_ns = self.clock.now_ns() + _ANSWER_WITHIN_NS

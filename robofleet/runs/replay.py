@@ -191,7 +191,7 @@ class _Player:
         self._clock.advance_to(grid.origin_ns)
         bus = MemoryBus(config.arena.name, self._clock, 0)
         self._ticks = bus.newest(TICK)
-        self._give = [(input_, bus.publisher(input_.topic, input_.name)) for input_ in takings]
+        self._give = [(taking, bus.publisher(taking.topic, taking.name)) for taking in takings]
         self._given = [NO_NAME] * len(takings)
         self._late: frozenset[int] = frozenset()
         rng = slices.generator(config.run.seed, "replay")
@@ -210,9 +210,9 @@ class _Player:
         """
         self._clock.advance_to(self._grid.instant(index))
         self._late = late
-        for k, (input_, publish) in enumerate(self._give):
+        for k, (taking, publish) in enumerate(self._give):
             if taken[k] != self._given[k] and (k < _ALWAYS or taken[k] != NO_NAME):
-                payload = input_.of(taken[k])
+                payload = taking.of(taken[k])
                 if payload is None:
                     return None
                 publish(payload)

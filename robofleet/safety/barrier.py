@@ -33,6 +33,7 @@ keeps h >= 0. A robot that is not seen for longer grows by its top speed until i
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,15 @@ def _fastest(keepout: Keepout, body: Body) -> float:
     d = body.drive
     omega = 2 * d.wheel_radius * d.max_wheel_speed / d.wheel_base
     return d.max_speed + omega * (keepout.ahead + d.max_speed * d.motor_lag)
+
+
+class Filtered(NamedTuple):
+    """What the barrier lets through."""
+
+    wheels: Array  # (N, 2) [rad/s]
+    u: Array  # (N, 2) velocities of the points p [m/s; world]
+    change: Instants  # (N,) LEFT_ALONE, CHANGED or NO_ANSWER: then the robot stands
+    blocked: NDArray[np.bool_]  # (N,) who will not get on by itself
 
 
 class Barrier:
@@ -107,25 +117,25 @@ class Barrier:
         wheels: Array,
         u: Array,
         pushed: Array | None = None,
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Change what robots are asked for, where they must be: ``wheels`` and ``u`` are written over.
+    ) -> Filtered:
+        """Return what robots are asked for, changed where it must be.
 
         poses (M, 3): x, y [m], psi [rad] when the commands act; turning (M, 2): the wheels' speeds then [rad/s]; unseen
         (M,): age of the newest image of each body [s], infinite for one that never was seen and is nowhere.
         pushed (M, 2): velocity of each bystander [m/s; world], 0 of a robot, whose wheels tell it; None: all stand.
         driving (N,): the others stand, whatever is near. wheels (N, 2) [rad/s] and u (N, 2) [m/s; world]: the commands,
-        and the velocity of the points p that they are. Returns for each robot LEFT_ALONE, CHANGED or NO_ANSWER (it
-        stands); and whether it is blocked: it will not get on by itself.
+        and the velocity of the points p that they are.
         """
         k = self._keepout
-        how, blocked = np.zeros(len(wheels), dtype=np.int64), np.empty(len(wheels), dtype=np.bool_)
-        pushed = self._still if pushed is None else pushed
+        n = len(wheels)
+        wheels, u, pushed = wheels.copy(), u.copy(), self._still if pushed is None else pushed
+        change, blocked = np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
         _filter(
             poses, turning, unseen, pushed, driving, self._bodies, self._between, self._half, self._edges, self._rings,
             self._floors, k.ahead, k.rate, k.point_ahead, k.age, k.lost_after, k.tick, wheels, u, self._times,
-            self._patience, how, blocked, self._memory, self._lately, self._deadlocks,
+            self._patience, change, blocked, self._memory, self._lately, self._deadlocks,
         )  # fmt: skip
-        return how, blocked
+        return Filtered(wheels, u, change, blocked)
 
 
 @kernel
@@ -133,7 +143,7 @@ def _filter(
     poses: Array, turning: Array, unseen: Array, pushed: Array, driving: NDArray[np.bool_], bodies: Array,
     between: tuple[float, float], half: Array, edges: Array, rings: Array, floors: int, ahead: float,
     rate: float, l: float, age: float, lost_after: float, tick: float, wheels: Array, u: Array,
-    times: tuple[int, int, int, int], patience: tuple[int, int], how: Instants, blocked: NDArray[np.bool_],
+    times: tuple[int, int, int, int], patience: tuple[int, int], change: Instants, blocked: NDArray[np.bool_],
     memory: Instants, lately: Array, deadlocks: Array,
 ) -> None:  # fmt: skip
     n = len(poses)
@@ -178,9 +188,9 @@ def _filter(
         v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
         along, across = _answer(v, l * omega, rows[:count], first, whose, bodies[i, _TOP], asking, times, i, memory)
         if along != v or across != l * omega:
-            how[i] = CHANGED
+            change[i] = CHANGED
             if not np.isfinite(along + across):
-                how[i], along, across = NO_ANSWER, 0.0, 0.0
+                change[i], along, across = NO_ANSWER, 0.0, 0.0
             wheels[i, 0], wheels[i, 1] = _wheels_from_body(along, across / l, bodies[i, _WHEEL], bodies[i, _BASE])
             c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
             u[i, 0], u[i, 1] = c * along - s * across, s * along + c * across

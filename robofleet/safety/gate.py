@@ -11,14 +11,23 @@ robot that stops stays on its arc and neither wheel reverses.
 
 A gate that let its wheels turn and was then not stepped for 120 ms does not go on from there: its robot has long been
 stopped by other means. Its output is zero at once, and what was issued before counts no more.
+
+``step`` is plain Python: a robot's small computer runs it on a ``GateState`` and needs no numba. ``step_row`` is the
+same source, compiled: simulated robots run it on rows of arrays. There the ids that the wire brings are unsigned, and
+those that a gate counts are signed: for numba, the sum of an unsigned number and 1 is a float.
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Annotated, Any, TypeVar
 
+import numpy as np
+
+from robofleet.core.kernels import kernel_of_plain
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import STOP, WheelSpeeds
+from robofleet.vehicles.interface import WheelSpeeds
 
 VALID_NS = 120_000_000
 LAPSE_NS = 1_000_000_000  # a lease whose holder gave no command for so long is free, if the robot is at rest
@@ -27,6 +36,11 @@ UNKNOWN = -1  # a stop's figure before the first stop, or when the clock was set
 LONGEST_RAMP_NS = 20_000_000  # what a process that was held up may catch up with in one step
 TOLERANCE = 1.01  # of a limit; more is refused, not clamped
 NEVER = -VALID_NS  # as a nonce: too old at every instant
+NEVER_NS = (1 << 63) - 1  # as a deadline: none
+NOT_ASKED = -1  # as the answer to a lease request: there was none
+
+T = TypeVar("T")
+Unsigned = Annotated[int, "<u8"]  # an id as the wire carries it
 
 
 class GateStatus(IntEnum):
@@ -60,207 +74,251 @@ class LeaseAction(IntEnum):
     RELEASE = 3
 
 
-class Command(NamedTuple):
-    """A decoded motion command."""
+@dataclass(slots=True, kw_only=True)
+class Inputs:
+    """What came since the last step; a flag says whether there is a command, a permission, a lease request."""
 
-    epoch: int
-    session: int
-    seq: int
-    boot_id: int
-    nonce: int
-    wheels: WheelSpeeds
-
-
-class Permission(NamedTuple):
-    """A decoded enable."""
-
-    epoch: int
-    seq: int
-    boot_id: int
-    nonce: int
-    latch: Latch
-    clear: int  # latch id
-    limit: float  # fastest wheel [rad/s]; 0: none
-
-
-class Inputs(NamedTuple):
-    """What came since the last step."""
-
-    command: Command | None = None
-    permission: Permission | None = None
-    lease: tuple[int, LeaseAction] | None = None  # a session, and what it asks
-    latch: Latch = Latch.NONE  # the robot's own reason to stop, while it lasts
+    command: bool = False
+    command_epoch: Unsigned = 0
+    command_session: Unsigned = 0
+    command_seq: Unsigned = 0
+    command_boot_id: Unsigned = 0
+    command_nonce: int = 0
+    command_left: float = 0.0
+    command_right: float = 0.0
+    permission: bool = False
+    permission_epoch: Unsigned = 0
+    permission_seq: Unsigned = 0
+    permission_boot_id: Unsigned = 0
+    permission_nonce: int = 0
+    permission_latch: int = Latch.NONE
+    permission_clear: Unsigned = 0  # latch id
+    permission_limit: float = 0.0  # fastest wheel [rad/s]; 0: none
+    lease: bool = False
+    lease_session: Unsigned = 0
+    lease_action: int = LeaseAction.ACQUIRE
+    latch: int = Latch.NONE  # the robot's own reason to stop, while it lasts
     turning: bool = False  # a wheel turns, as measured
 
 
-class GateState(NamedTuple):
-    """What the gate remembers. Instants and nonces [driver's clock, ns]; wheels [rad/s]."""
+@dataclass(slots=True, kw_only=True)
+class GateState:
+    """What the gate remembers, and what it decided last. Instants and nonces [driver's clock, ns]; wheels [rad/s].
+
+    It is not frozen: a step changes it in place, as it changes a row of an array.
+    """
 
     boot_id: int
     epoch: int = 0  # of the lease; survives a restart
-    latch: Latch = Latch.NONE  # survives a restart, but for a drill
+    latch: int = Latch.NONE  # survives a restart, but for a drill
     latch_id: int = 0  # survives a restart
-    session: int = 0  # of the controller that holds the lease; 0: nobody
+    session: Unsigned = 0  # of the controller that holds the lease; 0: nobody
     heard_ns: int = 0  # when the holder was granted the lease, or gave a command
-    seq: int = 0  # of the command accepted last, in this epoch
+    seq: Unsigned = 0  # of the command accepted last, in this epoch
     command_nonce: int = NEVER
-    wheels: WheelSpeeds = STOP
-    enabled: tuple[int, int] = (NEVER, 0)  # nonce and sequence number of the permission accepted last
+    left: float = 0.0
+    right: float = 0.0
+    enabled_nonce: int = NEVER  # of the permission accepted last
+    enabled_seq: Unsigned = 0
     limit: float = 0.0
-    target: WheelSpeeds = STOP
-    output: WheelSpeeds = STOP
+    target_left: float = 0.0
+    target_right: float = 0.0
+    output_left: float = 0.0
+    output_right: float = 0.0
     at_ns: int = 0  # of the last step
     since_ns: int = NEVER  # what was issued before counts no more: the gate was held up
     moved_by: int = NEVER  # older one of the two nonces by which the target was last not zero
     target_after_ns: int = UNKNOWN  # last stop: that nonce's issue to zero target
     output_after_ns: int = UNKNOWN  # and to zero output
     refused: int = 0
+    status: int = GateStatus.NO_LEASE
+    deadline_ns: int = 0  # nothing changes before, unless something comes
+
+    @property
+    def wheels(self) -> WheelSpeeds:
+        """Return the command accepted last."""
+        return WheelSpeeds(self.left, self.right)
+
+    @property
+    def target(self) -> WheelSpeeds:
+        """Return what is allowed now."""
+        return WheelSpeeds(self.target_left, self.target_right)
+
+    @property
+    def output(self) -> WheelSpeeds:
+        """Return what the wheels are given."""
+        return WheelSpeeds(self.output_left, self.output_right)
 
 
-class GateOutput(NamedTuple):
-    """What the wheels are given, and why; what to answer; when to ask again at the latest."""
-
-    output: WheelSpeeds
-    target: WheelSpeeds
-    status: GateStatus
-    granted: bool | None  # the answer to a lease request; None: there was none
-    deadline_ns: int | None  # nothing changes before, unless something comes
+def _row_type(record: type) -> np.dtype[Any]:
+    """Return the type of a row with the fields of a record."""
+    kinds: dict[Any, str] = {bool: "<i8", int: "<i8", float: "<f8", Unsigned: "<u8"}
+    return np.dtype([(field.name, kinds[field.type]) for field in fields(record)])
 
 
-def step(state: GateState, drive: DifferentialDrive, inputs: Inputs, now_ns: int) -> tuple[GateState, GateOutput]:
-    """Take what arrived since the last step and return the wheel speeds that are allowed now."""
-    if now_ns < state.at_ns:
-        state = _started_anew(state, now_ns)
-    elif now_ns - state.at_ns > VALID_NS and not state.output == STOP == state.target:
-        state = _held_up(state, now_ns)
-    at_rest = state.output == STOP and not inputs.turning
-    if inputs.latch:
-        state = _latched(state, inputs.latch)
-    if inputs.permission is not None:
-        state = _take_permission(state, inputs.permission, at_rest and not inputs.latch, now_ns)
-    granted = None
-    if inputs.lease is not None:
-        state, granted = _take_lease(state, inputs.lease, at_rest, now_ns)
-    if inputs.command is not None:
-        state = _take_command(state, drive, inputs.command, now_ns)
-    target, status, until_ns = _target(state, now_ns)
-    state = _follow(state, target, drive.max_wheel_acceleration, now_ns)
-    if state.output != target:
-        until_ns = now_ns + RAMP_NS if until_ns is None else min(now_ns + RAMP_NS, until_ns)
-    return state, GateOutput(state.output, target, status, granted, until_ns)
+INPUT, GATE = _row_type(Inputs), _row_type(GateState)
+DRIVE = np.dtype([(field.name, "<f8") for field in fields(DifferentialDrive)])
 
 
-def _started_anew(state: GateState, now_ns: int) -> GateState:
+def record_of(record: Callable[..., T], row: np.void) -> T:
+    """Return a row of INPUT or GATE as a record."""
+    return record(**dict(zip(row.dtype.names or (), row.item(), strict=True)))
+
+
+def step(g: GateState, drive: DifferentialDrive, i: Inputs, now_ns: int) -> int:
+    """Take what arrived since the last step, and decide what the wheels are given now.
+
+    Returns:
+        Whether a lease was granted, 1 or 0; NOT_ASKED where none was asked for.
+    """
+    if now_ns < g.at_ns:
+        _start_anew(g, now_ns)
+    elif now_ns - g.at_ns > VALID_NS and not (_at_zero(g) and g.target_left == 0.0 and g.target_right == 0.0):
+        _stop_held_up(g, now_ns)
+    at_rest = _at_zero(g) and not i.turning
+    if i.latch:
+        _close(g, i.latch)
+    if i.permission:
+        _take_permission(g, i, at_rest and not i.latch, now_ns)
+    granted = NOT_ASKED
+    if i.lease:
+        granted = int(_take_lease(g, i.lease_session, i.lease_action, at_rest, now_ns))
+    if i.command:
+        _take_command(g, drive, i, now_ns)
+    left, right, g.status, g.deadline_ns = _target(g, now_ns)
+    _follow(g, left, right, drive.max_wheel_acceleration, now_ns)
+    if g.output_left != left or g.output_right != right:
+        g.deadline_ns = min(now_ns + RAMP_NS, g.deadline_ns)
+    return granted
+
+
+def _at_zero(g: GateState) -> bool:
+    return g.output_left == 0.0 and g.output_right == 0.0
+
+
+def _start_anew(g: GateState, now_ns: int) -> None:
     """The clock was set back: no nonce that was given out before says anything any more."""
-    forgetting = state._replace(
-        boot_id=state.boot_id + 1, heard_ns=now_ns, command_nonce=NEVER, enabled=(NEVER, 0), moved_by=NEVER
-    )
-    return forgetting._replace(since_ns=NEVER)
+    g.boot_id += 1
+    g.heard_ns = now_ns
+    g.command_nonce = g.enabled_nonce = g.moved_by = g.since_ns = NEVER
+    g.enabled_seq = 0
 
 
-def _held_up(state: GateState, now_ns: int) -> GateState:
+def _stop_held_up(g: GateState, now_ns: int) -> None:
     """Nobody asked the gate while it let its wheels turn: they stand now, and no nonce of before is valid."""
-    return _follow(state, STOP, math.inf, now_ns)._replace(since_ns=now_ns)
+    _follow(g, 0.0, 0.0, math.inf, now_ns)
+    g.since_ns = now_ns
 
 
-def _latched(state: GateState, latch: Latch) -> GateState:
+def _close(g: GateState, latch: int) -> None:
     """Latch, unless something at least as grave holds the gate already."""
-    return state if latch <= state.latch else state._replace(latch=latch, latch_id=state.latch_id + 1)
+    if latch > g.latch:
+        g.latch = latch
+        g.latch_id += 1
 
 
-def _take_permission(state: GateState, permission: Permission, clearable: bool, now_ns: int) -> GateState:
-    accepted = (
-        _fresh(state, permission, now_ns)
-        and (permission.epoch == state.epoch or permission.latch)  # an e-stop needs no lease
-        and (permission.nonce, permission.seq) > state.enabled
-    )
-    if not accepted:
-        return state._replace(refused=state.refused + 1)
-    state = state._replace(enabled=(permission.nonce, permission.seq), limit=permission.limit)
-    if permission.latch:
-        return _latched(state, permission.latch)._replace(limit=0.0)
-    if state.latch and clearable and permission.clear and permission.clear == state.latch_id:
-        return state._replace(latch=Latch.NONE, limit=0.0)  # a reset moves nothing: that takes another permission
-    return state
+def _take_permission(g: GateState, i: Inputs, clearable: bool, now_ns: int) -> None:
+    if not (
+        _fresh(g, i.permission_boot_id, i.permission_nonce, now_ns)
+        and (i.permission_epoch == g.epoch or i.permission_latch)  # an e-stop needs no lease
+        and (i.permission_nonce, i.permission_seq) > (g.enabled_nonce, g.enabled_seq)
+    ):
+        g.refused += 1
+        return
+    g.enabled_nonce, g.enabled_seq, g.limit = i.permission_nonce, i.permission_seq, i.permission_limit
+    if i.permission_latch:
+        _close(g, i.permission_latch)
+        g.limit = 0.0
+    elif g.latch and clearable and i.permission_clear and i.permission_clear == g.latch_id:
+        g.latch, g.limit = Latch.NONE, 0.0  # a reset moves nothing: that takes another permission
 
 
-def _take_lease(state: GateState, lease: tuple[int, LeaseAction], at_rest: bool, now_ns: int) -> tuple[GateState, bool]:
-    session, action = lease
+def _take_lease(g: GateState, session: int, action: int, at_rest: bool, now_ns: int) -> bool:
     if session == 0:
-        return state, False
-    if action is LeaseAction.RELEASE:
-        return (state._replace(session=0), True) if session == state.session else (state, False)
-    if session == state.session:
-        return state, True
-    lapsed = now_ns - state.heard_ns >= LAPSE_NS
-    if not (at_rest and (state.session == 0 or lapsed or action is LeaseAction.TAKE_OVER)):
-        return state, False
-    epoch = state.epoch + 1
-    own = state._replace(epoch=epoch, session=session, heard_ns=now_ns, seq=0, command_nonce=NEVER, limit=0.0)
-    return own, True
+        return False
+    if action == LeaseAction.RELEASE:
+        if session != g.session:
+            return False
+        g.session = 0
+        return True
+    if session == g.session:
+        return True
+    lapsed = now_ns - g.heard_ns >= LAPSE_NS
+    if not (at_rest and (g.session == 0 or lapsed or action == LeaseAction.TAKE_OVER)):
+        return False
+    g.epoch += 1
+    g.session, g.heard_ns, g.seq, g.command_nonce, g.limit = session, now_ns, 0, NEVER, 0.0
+    return True
 
 
-def _take_command(state: GateState, drive: DifferentialDrive, command: Command, now_ns: int) -> GateState:
-    accepted = (
-        _fresh(state, command, now_ns)
-        and command.epoch == state.epoch
-        and command.session == state.session != 0
-        and command.seq > state.seq
-        and _within(drive, command.wheels)
-    )
-    if not accepted:
-        return state._replace(refused=state.refused + 1)
-    return state._replace(seq=command.seq, command_nonce=command.nonce, wheels=command.wheels, heard_ns=now_ns)
+def _take_command(g: GateState, drive: DifferentialDrive, i: Inputs, now_ns: int) -> None:
+    if not (
+        _fresh(g, i.command_boot_id, i.command_nonce, now_ns)
+        and i.command_epoch == g.epoch
+        and i.command_session == g.session
+        and g.session != 0
+        and i.command_seq > g.seq
+        and _within(drive, i.command_left, i.command_right)
+    ):
+        g.refused += 1
+        return
+    g.seq, g.command_nonce, g.heard_ns = i.command_seq, i.command_nonce, now_ns
+    g.left, g.right = i.command_left, i.command_right
 
 
-def _fresh(state: GateState, message: Command | Permission, now_ns: int) -> bool:
-    newest = state.since_ns <= message.nonce <= now_ns < message.nonce + VALID_NS
-    return message.boot_id == state.boot_id and newest
+def _fresh(g: GateState, boot_id: int, nonce: int, now_ns: int) -> bool:
+    return boot_id == g.boot_id and g.since_ns <= nonce <= now_ns < nonce + VALID_NS
 
 
-def _within(drive: DifferentialDrive, wheels: WheelSpeeds) -> bool:
+def _within(drive: DifferentialDrive, left: float, right: float) -> bool:
     """Return whether the robot can do that; it cannot do what is not a number."""
-    body = drive.wheel_radius * abs(wheels.left + wheels.right) / 2.0
+    body = drive.wheel_radius * abs(left + right) / 2.0
     fastest = TOLERANCE * drive.max_wheel_speed
-    return body <= TOLERANCE * drive.max_speed and abs(wheels.left) <= fastest and abs(wheels.right) <= fastest
+    return body <= TOLERANCE * drive.max_speed and abs(left) <= fastest and abs(right) <= fastest
 
 
-def _target(state: GateState, now_ns: int) -> tuple[WheelSpeeds, GateStatus, int | None]:
-    """Return what is allowed now, why, and until when that holds."""
-    if state.latch:
-        return STOP, GateStatus.LATCHED, None
-    if state.session == 0:
-        return STOP, GateStatus.NO_LEASE, None
-    enabled_until_ns = state.enabled[0] + VALID_NS
-    if now_ns >= enabled_until_ns or not state.limit > 0.0:
-        return STOP, GateStatus.NO_ENABLE, None
-    command_until_ns = state.command_nonce + VALID_NS
+def _target(g: GateState, now_ns: int) -> tuple[float, float, GateStatus, int]:
+    """Return what is allowed now (left, right), why, and until when that holds."""
+    if g.latch:
+        return 0.0, 0.0, GateStatus.LATCHED, NEVER_NS
+    if g.session == 0:
+        return 0.0, 0.0, GateStatus.NO_LEASE, NEVER_NS
+    enabled_until_ns = g.enabled_nonce + VALID_NS
+    if now_ns >= enabled_until_ns or not g.limit > 0.0:
+        return 0.0, 0.0, GateStatus.NO_ENABLE, NEVER_NS
+    command_until_ns = g.command_nonce + VALID_NS
     if now_ns >= command_until_ns:
-        return STOP, GateStatus.NO_COMMAND, enabled_until_ns
+        return 0.0, 0.0, GateStatus.NO_COMMAND, enabled_until_ns
     until_ns = min(enabled_until_ns, command_until_ns)
-    if max(abs(state.wheels.left), abs(state.wheels.right)) > TOLERANCE * state.limit:
-        return STOP, GateStatus.NO_ENABLE, until_ns
-    return state.wheels, GateStatus.OPEN, until_ns
+    if max(abs(g.left), abs(g.right)) > TOLERANCE * g.limit:
+        return 0.0, 0.0, GateStatus.NO_ENABLE, until_ns
+    return g.left, g.right, GateStatus.OPEN, until_ns
 
 
-def _follow(state: GateState, target: WheelSpeeds, acceleration: float, now_ns: int) -> GateState:
+def _follow(g: GateState, target_left: float, target_right: float, acceleration: float, now_ns: int) -> None:
     """Move the output towards the target, and time a stop."""
     # on its way it catches up with time that was lost; at rest on its target it had nothing to catch up with
-    longest_ns = RAMP_NS if state.output == state.target else LONGEST_RAMP_NS
-    reach = acceleration * max(0, min(now_ns - state.at_ns, longest_ns)) * 1e-9
-    left, right = target.left - state.output.left, target.right - state.output.right
+    on_target = g.output_left == g.target_left and g.output_right == g.target_right
+    longest_ns = RAMP_NS if on_target else LONGEST_RAMP_NS
+    reach = acceleration * max(0, min(now_ns - g.at_ns, longest_ns)) * 1e-9
+    left, right = target_left - g.output_left, target_right - g.output_right
     furthest = max(abs(left), abs(right))
-    output = target
+    stood = g.target_left == 0.0 and g.target_right == 0.0
+    rested = stood and _at_zero(g)
     if furthest > reach:
         ratio = reach / furthest
-        output = WheelSpeeds(state.output.left + ratio * left, state.output.right + ratio * right)
-    if target != STOP:
-        moved_by = min(state.command_nonce, state.enabled[0])
-        return state._replace(target=target, output=output, at_ns=now_ns, moved_by=moved_by)
-    moved = state._replace(target=target, output=output, at_ns=now_ns)
-    after_ns = UNKNOWN if state.moved_by == NEVER else now_ns - state.moved_by
-    if state.target != STOP:
-        moved = moved._replace(target_after_ns=after_ns, output_after_ns=UNKNOWN)
-    if output == STOP and not state.target == STOP == state.output:
-        moved = moved._replace(output_after_ns=after_ns)
-    return moved
+        g.output_left, g.output_right = g.output_left + ratio * left, g.output_right + ratio * right
+    else:
+        g.output_left, g.output_right = target_left, target_right
+    g.target_left, g.target_right, g.at_ns = target_left, target_right, now_ns
+    if target_left != 0.0 or target_right != 0.0:
+        g.moved_by = min(g.command_nonce, g.enabled_nonce)
+        return
+    after_ns = UNKNOWN if g.moved_by == NEVER else now_ns - g.moved_by
+    if not stood:
+        g.target_after_ns, g.output_after_ns = after_ns, UNKNOWN
+    if _at_zero(g) and not rested:
+        g.output_after_ns = after_ns
+
+
+step_row = kernel_of_plain(step)

@@ -1,24 +1,32 @@
-"""What the supervisor makes of what it sees: a fleet's view becomes events of the run. No I/O.
+"""The rules: what of a fleet's view is an event of the run. No I/O.
+
+A rule is one condition, with its threshold, that yields its event; it stands here and nowhere else. Rules about
+processes look at the view, rules about robots at its rows, compiled. Where a condition of a robot holds, Python adds
+what it needs beyond one view: for how long it has held, and each fault by its name.
 
 An event is told again as long as what it tells of lasts, so a run cannot be resumed into it. Only changes are told
 once: a restart, ticks that were overrun, the tracker's news.
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from itertools import combinations
-from math import hypot
-from typing import NamedTuple
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from robofleet.core.kernels import kernel
 from robofleet.safety import runaway
 from robofleet.safety.distances import CLOSEST_M
 from robofleet.safety.gate import Latch
-from robofleet.safety.runaway import Rolling
+from robofleet.safety.runaway import TURNING_RAD_S, Rolling
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
-from robofleet.safety.view import NEVER, FleetView, RobotView
+from robofleet.safety.view import NEVER, ROBOT, FleetView, Rows, rests
 from robofleet.vehicles.interface import RobotFault
-from robofleet.vehicles.solids import Solid, distances
+from robofleet.vehicles.solids import Outlines, Solid, away, outlines
 
 _MS = 1_000_000
 _S = 1_000_000_000
@@ -54,9 +62,17 @@ _FAULTS = {
 }
 _PRESSED = int(RobotFault.WIRED_STOP)  # a plain number: a flag's own `&` costs fifty times as much
 _NAMED = sum(_FAULTS) + _PRESSED
+_NOBODY = np.uint64(0)  # as a session, or as the boot of a driver
+_INFEASIBLE = 2  # of RobotView.filtered
+_ROUNDING_M = 1e-9
 
 
-class MonitorSettings(NamedTuple):
+BODY = np.dtype((np.record, [("radius", "<f8"), ("max_speed", "<f8"), ("elsewhere", "?")]))
+_LASTING_NS = {Event.FILTER_INFEASIBLE: INFEASIBLE_NS, Event.WHEEL_STALLED: STALLED_NS}  # before they are told
+
+
+@dataclass(frozen=True, kw_only=True)
+class MonitorSettings:
     """What is known of the fleet beforehand; the group's robots in its order, then the bystanders."""
 
     build: int  # of every process
@@ -67,6 +83,17 @@ class MonitorSettings(NamedTuple):
     elsewhere: frozenset[int] = frozenset()  # rows of robots whose drivers run on computers of their own
     floors: tuple[Solid, ...] = ()  # what lies outside a floor that is a polygon
 
+    @cached_property
+    def bodies(self) -> NDArray[Any]:
+        """The robots as the compiled rules read them (N,)."""
+        elsewhere = [row in self.elsewhere for row in range(len(self.body_radius))]
+        return np.array([*zip(self.body_radius, self.max_speed, elsewhere, strict=True)], BODY)
+
+    @cached_property
+    def outlines(self) -> Outlines:
+        """The floors as the compiled rules read them."""
+        return outlines(self.floors)
+
 
 class MonitorState(NamedTuple):
     """What one view does not tell."""
@@ -74,86 +101,66 @@ class MonitorState(NamedTuple):
     view: FleetView | None = None  # the one before
     phase: Phase = Phase.IDLE
     since_ns: int = 0  # when it began
-    sessions: tuple[int, ...] = ()  # that held the robots' leases when they were proved
-    infeasible_ns: tuple[int, ...] = ()  # since when the filter finds no answer; NEVER: it does
-    stalled_ns: tuple[int, ...] = ()  # since when a wheel stands that is told to turn; NEVER: none does
-    rolling: tuple[Rolling, ...] = ()  # of robots that are told to stand
-
-
-class Suspects(NamedTuple):
-    """Where something may be wrong in a view. Who is not named here is well."""
-
-    robots: tuple[int, ...]
-    pairs: tuple[tuple[int, int], ...]  # that may be too close, in the order of their rows
-    infeasible: bool  # the filter finds no answer for some robot, or found none before
-    stalled: bool  # a wheel of some robot stands that is told to turn
-    rolling: bool  # some robot without encoders is told to stand
+    sessions: NDArray[np.uint64] = np.zeros(0, np.uint64)  # that held the robots' leases when they were proved
+    lasting_ns: Mapping[tuple[Event, int], int] = MappingProxyType({})  # since when a condition holds of a robot
+    rolling: Mapping[int, Rolling] = MappingProxyType({})  # of robots that are judged by their poses
 
 
 def watch(
-    memory: MonitorState, settings: MonitorSettings, phase: Phase, view: FleetView, *, proved: bool = False,
-    suspects: Suspects | None = None,
-) -> tuple[MonitorState, tuple[Happening, ...]]:  # fmt: skip
+    memory: MonitorState, settings: MonitorSettings, phase: Phase, view: FleetView, *, proved: bool = False
+) -> tuple[MonitorState, tuple[Happening, ...]]:
     """Return what happened since the last view and what still stands; processes first, then robot by robot.
 
-    ``proved``: the checks of a fleet that is armed are passed, and it waits for its start. ``suspects``: where to look;
-    None: everywhere.
+    ``proved``: the checks of a fleet that is armed are passed, and it waits for its start.
     """
-    now_ns, before, count = view.now_ns, memory.view or view, len(view.robots)
-    running, checking = phase in MOVING, phase is Phase.ARMED and not proved
-    infeasible_ns: tuple[int, ...] = ()
-    stalled_ns: tuple[int, ...] = ()
-    if running and (suspects is None or suspects.infeasible):
-        infeasible_ns = _since(memory.infeasible_ns, view, lambda robot: robot.filtered == 2)
-    if running and (suspects is None or suspects.stalled):
-        stalled_ns = _since(memory.stalled_ns, view, _stalled)
-    started = phase in (Phase.HOLD, *MOVING)
-    sessions = memory.sessions if started and memory.sessions else tuple(robot.session for robot in view.robots)
-    rolling: tuple[Rolling, ...] = ()
-    if suspects is None or suspects.rolling:
-        radii = settings.body_radius
-        rolling = tuple(map(runaway.watch, memory.rolling or (Rolling(),) * count, view.robots, radii))
+    now_ns, before = view.now_ns, memory.view or view
+    rows, checking = Rows.of(view.robots).array, phase is Phase.ARMED and not proved
+    started = phase in (Phase.HOLD, *MOVING) and len(memory.sessions) > 0
+    sessions = memory.sessions if started else np.ascontiguousarray(rows["session"])
     since_ns = memory.since_ns if phase is memory.phase else now_ns
-    memory = MonitorState(view, phase, since_ns, sessions, infeasible_ns, stalled_ns, rolling)
-    happenings = [
+    (length, width), bodies = settings.arena, settings.bodies
+    conditions = _of_robots(
+        rows, Rows.of(before.robots).array, sessions, bodies, *settings.outlines, length / 2.0, width / 2.0,
+        settings.build, now_ns, int(phase), phase in MOVING,
+    )  # fmt: skip
+    lasting_ns, rolling, robots = _over_time(conditions, memory, view, settings.body_radius)
+    memory = MonitorState(view, phase, since_ns, sessions, lasting_ns, rolling)
+    return memory, (
         *_host(before, memory, settings, view, checking=checking),
         *_controller(before, settings, phase, view),
         *_tracker(before, settings, view, checking=checking),
-        *(_told(happening, view) for happening in view.news),
-    ]
-    for row in range(count) if suspects is None else suspects.robots:
-        robot = view.robots[row]
-        if not robot.driven:
-            happenings += _bystander(row, before.robots[row], robot, settings, phase)
-            continue
-        driver_events = _driver(row, before.robots[row], sessions[row], settings.build, robot, now_ns)
-        happenings += _over_the_network(driver_events, robot) if row in settings.elsewhere else driver_events
-        happenings += _body(row, robot, phase, runs=bool(rolling) and rolling[row].runs)
-        happenings += _jump(row, before.robots[row], robot, settings)
-        happenings += _place(row, robot, settings)
-        if infeasible_ns and infeasible_ns[row] and now_ns - infeasible_ns[row] >= INFEASIBLE_NS:
-            happenings.append(Happening(Event.FILTER_INFEASIBLE, row))
-        if stalled_ns and stalled_ns[row] and now_ns - stalled_ns[row] >= STALLED_NS:
-            happenings.append(Happening(Event.WHEEL_STALLED, row))
-        if running and robot.blocked:
-            happenings.append(Happening(Event.DEADLOCKED, row))
-        if running and robot.failed:
-            happenings.append(Happening(Event(robot.failed), row))
-    return memory, (*happenings, *_neighbours(settings, view, None if suspects is None else suspects.pairs))
+        *(_of_bystanders(happening, view) for happening in view.news),
+        *robots,
+        *sorted(Happening(*pair) for pair in _of_pairs(rows, bodies)),
+    )
 
 
-def _since(before_ns: tuple[int, ...], view: FleetView, lasts: Callable[[RobotView], bool]) -> tuple[int, ...]:
-    """Return since when something lasts, of each robot; NEVER: it does not."""
-    known = zip(before_ns or (NEVER,) * len(view.robots), view.robots, strict=True)
-    return tuple((at_ns or view.now_ns) if lasts(robot) else NEVER for at_ns, robot in known)
-
-
-def _stalled(robot: RobotView) -> bool:
-    """Return whether a wheel stands that is told to turn; of a robot that counts nothing nobody knows it."""
-    counts = robot.left_angle or robot.right_angle or robot.left_speed or robot.right_speed
-    wheels = (robot.left_output, robot.left_speed), (robot.right_output, robot.right_speed)
-    stands = any(abs(commanded) >= STALLED_RAD_S and abs(seen) <= runaway.TURNING_RAD_S for commanded, seen in wheels)
-    return bool(counts) and stands
+def _over_time(
+    conditions: Iterable[tuple[Event, int, float]],
+    memory: MonitorState,
+    view: FleetView,
+    body_radius: tuple[float, ...],
+) -> tuple[dict[tuple[Event, int], int], dict[int, Rolling], list[Happening]]:
+    """Return since when conditions hold, how robots roll, and the events of what has held for long enough."""
+    happenings: list[Happening] = []
+    lasting_ns: dict[tuple[Event, int], int] = {}
+    rolling: dict[int, Rolling] = {}
+    for event, row, detail in conditions:
+        if event in _LASTING_NS:
+            lasting_ns[event, row] = since_ns = memory.lasting_ns.get((event, row), view.now_ns)
+            if view.now_ns - since_ns >= _LASTING_NS[event]:
+                happenings.append(Happening(event, row))
+        elif event is Event.RUNAWAY:
+            rolling[row] = runaway.watch(memory.rolling.get(row, Rolling()), view.robots[row], body_radius[row])
+            if detail or rolling[row].runs:
+                happenings.append(Happening(event, row))
+        elif event is Event.ROBOT_FAULT:
+            happenings += (Happening(fault, row, own) for fault, own in faults_told(int(detail)))
+        elif event is Event.BEHAVIOUR_RAISED:
+            happenings.append(Happening(Event(int(detail)), row))
+        else:
+            happenings.append(Happening(event, row, detail))
+    return lasting_ns, rolling, happenings
 
 
 def _host(
@@ -204,78 +211,11 @@ def _tracker(before: FleetView, settings: MonitorSettings, view: FleetView, *, c
         yield Happening(Event.OTHER_BUILD)
 
 
-def _driver(
-    row: int, before: RobotView, session: int, build: int, robot: RobotView, now_ns: int
-) -> Iterator[Happening]:
-    if robot.heard_ns == NEVER:
-        return
-    if now_ns - robot.heard_ns > SILENT_NS:
-        yield Happening(Event.DRIVER_SILENT, row)
-    if before.boot_id not in (0, robot.boot_id):
-        yield Happening(Event.DRIVER_RESTARTED, row)
-    if robot.build != build:
-        yield Happening(Event.OTHER_BUILD, row)
-    if robot.session != session:
-        yield Happening(Event.LEASE_LOST, row)
-
-
-def _over_the_network(happenings: Iterable[Happening], robot: RobotView) -> Iterator[Happening]:
-    """Take silence of a computer of its own for what it is: a radio comes back, and then the run goes on."""
-    for happening in happenings:
-        nobody = happening.event is Event.LEASE_LOST and robot.session == 0
-        away = nobody or happening.event in (Event.DRIVER_SILENT, Event.DRIVER_RESTARTED)
-        yield happening._replace(event=Event.LINK_LOST) if away else happening
-
-
-def _body(row: int, robot: RobotView, phase: Phase, *, runs: bool) -> Iterator[Happening]:
-    """Look at what a robot says of itself; ``runs``: by its poses it rolls though it is told to stand."""
-    pressed = _pressed(robot, phase)
-    if pressed:
-        yield Happening(Event.WIRED_STOP, row)
-    turns = _turns(robot, phase)
-    if turns or runs:
-        yield Happening(Event.RUNAWAY, row)
-    causes = faults_told(robot.faults)
-    yield from (Happening(event, row, detail) for event, detail in causes)
-    if robot.latch and not (pressed or turns or causes or (robot.latch == Latch.DRILL and phase is Phase.ARMED)):
-        # before a start a latch waits for its reset, and in an emergency stop it is what was asked for
-        past = robot.latch == Latch.EMERGENCY_STOP and phase not in (Phase.IDLE, Phase.ESTOP)
-        yield Happening(Event.STOPPED_AT_GATE if past else Event.GATE_LATCHED, row, robot.latch)
-    if 0.0 <= robot.battery < LOWEST_BATTERY:
-        yield Happening(Event.BATTERY_LOW, row, robot.battery)
-
-
-def _pressed(robot: RobotView, phase: Phase) -> bool:
-    """Return whether a robot's own e-stop is pressed."""
-    # What was short is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
-    return bool(robot.faults & _PRESSED) or (robot.latch == Latch.WIRED_STOP and phase is not Phase.IDLE)
-
-
-def _turns(robot: RobotView, phase: Phase) -> bool:
-    """Return whether a robot's gate has latched as a wheel turned by itself."""
-    return robot.latch == Latch.RUNAWAY and (phase is not Phase.IDLE or not robot.at_rest)
-
-
-def _told(happening: Happening, view: FleetView) -> Happening:
-    """Return the tracker's word: one of a bystander that was carried ends no run."""
+def _of_bystanders(happening: Happening, view: FleetView) -> Happening:
+    """Return the tracker's news: one of a bystander that was carried ends no run."""
     moved = happening.event is Event.POSE_JUMPED and happening.robot < len(view.robots)
     bystander = moved and not view.robots[happening.robot].driven
     return happening._replace(event=Event.BYSTANDER_MOVED) if bystander else happening
-
-
-def _bystander(
-    row: int, before: RobotView, robot: RobotView, settings: MonitorSettings, phase: Phase
-) -> Iterator[Happening]:
-    """Look at a robot that only stands there. Its e-stop stops the run as everybody's, and so do wheels that turn by
-    themselves; what else it says of itself, its driver and the arena's edge concern nobody."""
-    if _pressed(robot, phase):
-        yield Happening(Event.WIRED_STOP, row)
-    if _turns(robot, phase):
-        yield Happening(Event.RUNAWAY, row)
-    for jumped in _jump(row, before, robot, settings):
-        yield jumped._replace(event=Event.BYSTANDER_MOVED)
-    if robot.unseen_ns >= LOST_NS and not robot.camera_out:
-        yield Happening(Event.BYSTANDER_LOST, row)
 
 
 def faults_told(faults: int) -> tuple[tuple[Event, float], ...]:
@@ -287,43 +227,124 @@ def faults_told(faults: int) -> tuple[tuple[Event, float], ...]:
     return (*fault_events, (Event.ROBOT_FAULT, own)) if own else fault_events
 
 
-def _jump(row: int, before: RobotView, robot: RobotView, settings: MonitorSettings) -> Iterator[Happening]:
-    """Notice a place where it cannot have driven, off by its own body: exchanged tags are further apart than that."""
-    if before.seen_ns == NEVER:
-        return
-    (x, y, _), (x_before, y_before, _) = robot.pose, before.pose
-    jump = hypot(x - x_before, y - y_before)
-    driven = settings.max_speed[row] * abs(robot.seen_ns - before.seen_ns) / _S
-    if jump > settings.body_radius[row] + driven:
-        yield Happening(Event.POSE_JUMPED, row, jump)
+_rests, _counts, _is_seen_standing = map(kernel, (rests, runaway.counts, runaway.is_seen_standing))
 
 
-def _place(row: int, robot: RobotView, settings: MonitorSettings) -> Iterator[Happening]:
-    """Look at where a robot is; where it was seen long ago says nothing of the walls."""
-    if robot.seen_ns == NEVER:
-        return
-    if robot.unseen_ns >= LOST_NS:
-        out = robot.camera_out  # where only that one looks it is not lost: it stands, and the others drive
-        yield Happening(Event.CAMERA_OUT, row, out - 1) if out else Happening(Event.TAG_LOST, row)
-    elif robot.unseen_ns >= LATE_NS or robot.lost:
-        yield Happening(Event.TAG_LATE, row)
-    else:
-        (x, y, _), (length, width), radius = robot.pose, settings.arena, settings.body_radius[row]
-        off = bool(settings.floors) and distances(settings.floors, np.array([(x, y)])).min() < radius
-        if abs(x) + radius > length / 2 or abs(y) + radius > width / 2 or off:
-            yield Happening(Event.OUTSIDE_ARENA, row)
+@kernel
+def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each rule
+    rows, before, sessions, bodies, edges, rings, half_length, half_width, build, now_ns, phase, moving
+):
+    """Yield the conditions that hold: event, robot, detail; in the order in which they are told of a robot.
+
+    A bystander only stands there. Its e-stop stops the run as everybody's, and so do wheels that turn by themselves;
+    what else it says of itself, its driver and the arena's edge concern nobody.
+    """
+    for k in range(len(rows)):
+        r, b, body = rows[k], before[k], bodies[k]
+        driven, idle, counts = r.driven != 0, phase == Phase.IDLE, _counts(r)
+
+        # its driver; a radio comes back, and then the run goes on
+        reports = driven and r.heard_ns != NEVER
+        if reports and now_ns - r.heard_ns > SILENT_NS:
+            yield Event.LINK_LOST if body.elsewhere else Event.DRIVER_SILENT, k, 0.0
+        if reports and b.boot_id not in (_NOBODY, r.boot_id):
+            yield Event.LINK_LOST if body.elsewhere else Event.DRIVER_RESTARTED, k, 0.0
+        if reports and r.build != build:
+            yield Event.OTHER_BUILD, k, 0.0
+        if reports and r.session != sessions[k]:
+            yield Event.LINK_LOST if body.elsewhere and r.session == _NOBODY else Event.LEASE_LOST, k, 0.0
+
+        # what it says of itself
+        # What was short is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
+        pressed = r.faults & _PRESSED != 0 or (r.latch == Latch.WIRED_STOP and not idle)
+        if pressed:
+            yield Event.WIRED_STOP, k, 0.0
+        turns = r.latch == Latch.RUNAWAY and not (idle and _rests(r))
+        if turns or (driven and not counts and _is_seen_standing(r)):
+            yield Event.RUNAWAY, k, 1.0 if turns else 0.0
+        faulty = driven and r.faults & ~_PRESSED != 0
+        if faulty:
+            yield Event.ROBOT_FAULT, k, float(r.faults)
+        drilled = r.latch == Latch.DRILL and phase == Phase.ARMED
+        if driven and r.latch != Latch.NONE and not (pressed or turns or faulty or drilled):
+            # before a start a latch waits for its reset, and in an emergency stop it is what was asked for
+            past = r.latch == Latch.EMERGENCY_STOP and not idle and phase != Phase.ESTOP
+            yield Event.STOPPED_AT_GATE if past else Event.GATE_LATCHED, k, float(r.latch)
+        if driven and 0.0 <= r.battery < LOWEST_BATTERY:
+            yield Event.BATTERY_LOW, k, r.battery
+
+        # a pose where it cannot have driven, off by its own body: exchanged tags are further apart than that
+        jump = math.hypot(r.x - b.x, r.y - b.y)
+        if b.seen_ns != NEVER and jump > body.radius + body.max_speed * abs(r.seen_ns - b.seen_ns) / _S:
+            yield Event.POSE_JUMPED if driven else Event.BYSTANDER_MOVED, k, jump
+
+        # where it is; where it was seen long ago says nothing of the walls
+        lost, seen = r.unseen_ns >= LOST_NS, driven and r.seen_ns != NEVER
+        late = seen and not lost and (r.unseen_ns >= LATE_NS or r.lost != 0)
+        if seen and lost and r.camera_out != 0:  # where only that camera looks it stands, and the others drive
+            yield Event.CAMERA_OUT, k, r.camera_out - 1.0
+        if lost and r.camera_out == 0 and (seen or not driven):
+            yield Event.TAG_LOST if driven else Event.BYSTANDER_LOST, k, 0.0
+        if late:
+            yield Event.TAG_LATE, k, 0.0
+        if seen and not lost and not late and _is_outside(r, body, edges, rings, half_length, half_width):
+            yield Event.OUTSIDE_ARENA, k, 0.0
+
+        # what becomes of its commands
+        if driven and moving and r.filtered == _INFEASIBLE:
+            yield Event.FILTER_INFEASIBLE, k, 0.0
+        if driven and moving and counts and _is_stalled(r):  # of one that counts nothing nobody knows it
+            yield Event.WHEEL_STALLED, k, 0.0
+        if driven and moving and r.blocked != 0:
+            yield Event.DEADLOCKED, k, 0.0
+        if driven and moving and r.failed != 0:
+            yield Event.BEHAVIOUR_RAISED, k, float(r.failed)
 
 
-def _neighbours(
-    settings: MonitorSettings, view: FleetView, pairs: Iterable[tuple[int, int]] | None
-) -> Iterator[Happening]:
-    """Look at every two robots but two bystanders; one that is not seen now may still stand where it was last."""
-    if pairs is None:
-        pairs = combinations((row for row, robot in enumerate(view.robots) if robot.seen_ns != NEVER), 2)
-    for first, other in pairs:
-        if not view.robots[first].driven:
-            break  # it and all who follow are bystanders
-        (x, y, _), (other_x, other_y, _) = view.robots[first].pose, view.robots[other].pose
-        bodies = settings.body_radius[first] + settings.body_radius[other]
-        if hypot(x - other_x, y - other_y) - bodies < CLOSEST_M:
-            yield Happening(Event.TOO_CLOSE, first, other)
+@kernel
+def _is_stalled(r):  # type: ignore[no-untyped-def]
+    """Whether a wheel stands that is told to turn."""
+    left = abs(r.left_output) >= STALLED_RAD_S and abs(r.left_speed) <= TURNING_RAD_S
+    right = abs(r.right_output) >= STALLED_RAD_S and abs(r.right_speed) <= TURNING_RAD_S
+    return left or right
+
+
+@kernel
+def _is_outside(r, body, edges, rings, half_length, half_width):  # type: ignore[no-untyped-def]
+    """Whether a robot's body is beyond the arena's sides or off a floor that is a polygon."""
+    off = abs(r.x) + body.radius > half_length or abs(r.y) + body.radius > half_width
+    for ring in rings:
+        off = off or away(edges, ring, r.x, r.y) < body.radius
+    return off
+
+
+@kernel
+def _of_pairs(rows, bodies):  # type: ignore[no-untyped-def]
+    """Yield the robots that are too close, by a sweep along x: two bystanders may be; one that is not seen now may
+    still stand where it was last."""
+    n, widest = len(rows), 0.0
+    x = np.empty(n)
+    for k in range(n):
+        x[k] = rows[k].x if rows[k].seen_ns != NEVER else math.inf
+        widest = max(widest, bodies[k].radius)
+    order = np.argsort(x)
+    for i in range(n):
+        if math.isinf(x[order[i]]):
+            break
+        j = i + 1
+        while j < n and x[order[j]] - x[order[i]] - bodies[order[i]].radius - widest < CLOSEST_M + _ROUNDING_M:
+            first, other = min(order[i], order[j]), max(order[i], order[j])
+            gap = math.hypot(rows[first].x - rows[other].x, rows[first].y - rows[other].y)
+            if gap - (bodies[first].radius + bodies[other].radius) < CLOSEST_M and rows[first].driven != 0:
+                yield Event.TOO_CLOSE, first, float(other)
+            j += 1
+
+
+KERNELS = (_of_robots, _of_pairs)
+
+
+def compile_kernels() -> None:
+    """Compile, or load from the cache, by a look at one robot."""
+    rows, bodies = np.zeros(1, ROBOT), np.zeros(1, BODY)
+    [*_of_robots(rows, rows, np.zeros(1, np.uint64), bodies, *outlines(()), 1.0, 1.0, 0, 1, 0, False)]
+    [*_of_pairs(rows, bodies)]

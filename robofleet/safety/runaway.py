@@ -55,10 +55,19 @@ class Rolling(NamedTuple):
         return abs(self.windows) >= WINDOWS
 
 
+def counts(robot: RobotView) -> bool:
+    """Whether the encoders of a robot, or of a row, have counted anything."""
+    return robot.left_angle != 0.0 or robot.right_angle != 0.0 or robot.left_speed != 0.0 or robot.right_speed != 0.0
+
+
+def is_seen_standing(robot: RobotView) -> bool:
+    """Whether a robot, or a row, is seen and told to stand."""
+    return robot.left_output == 0.0 and robot.right_output == 0.0 and robot.seen_ns != NEVER
+
+
 def watch(before: Rolling, robot: RobotView, radius: float) -> Rolling:
     """Return what the newest view adds; ``radius`` of the body [m]."""
-    counts = robot.left_angle or robot.right_angle or robot.left_speed or robot.right_speed
-    if counts or robot.left_output or robot.right_output or robot.seen_ns == NEVER:
+    if counts(robot) or not is_seen_standing(robot):
         return Rolling()
     since_ns = robot.seen_ns - before.seen_ns
     if before.seen_ns == NEVER or not 0 <= since_ns < 2 * WINDOW_NS:

@@ -125,7 +125,7 @@ class Reason(NamedTuple):
 
     behind: int
     other: int
-    order: tuple[int, ...] | None  # then ``one`` stands ahead of ``other``, which it is to follow
+    order: tuple[int, ...] | None  # then ``behind`` stands ahead of ``other``, which it is to follow
 
 
 def reason(ways: Ways, poses: tuple[Pose, ...]) -> Reason | None:

@@ -27,6 +27,7 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Dots, Line, WishKind
 from robofleet.behaviours.script import journey
 from robofleet.bus import sensors
+from robofleet.bus.keys import SENSORS, STATUS
 from robofleet.bus.messages import NOTE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, Note, NoteKind, RobotTick
 from robofleet.config import groups, slices
 from robofleet.config.load import ConfigError
@@ -272,7 +273,7 @@ class Fleet:
         rows = {robot: row for row, robot in enumerate(self.robots)}
         for unit, members in self._config.units.items():
             mine = [(rows[robot], index) for index, robot in enumerate(members) if robot in rows]
-            payload = self._running.unit_status(unit) if mine else None
+            payload = self._running.newest(STATUS, unit) if mine else None
             if payload is None or (status := UNIT_STATUS.view(payload)) is None or len(status[1]) != len(members):
                 continue
             for row, index in mine:
@@ -286,7 +287,7 @@ class Fleet:
         """
         found: dict[str, SensorReading] = {}
         for unit in self.config.sensing:
-            payload = self._running.unit_sensors(unit)
+            payload = self._running.newest(SENSORS, unit)
             message = None if payload is None else sensors.decoded(payload)
             if message is not None:
                 members = self._config.units[unit]

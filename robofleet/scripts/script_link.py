@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
 from robofleet.behaviours.script import Script
+from robofleet.bus.keys import Topic
 from robofleet.config import groups
 from robofleet.config.tree import Bounds, Config, Group
 from robofleet.core.errors import RobofleetError
@@ -36,11 +37,8 @@ class Link(Protocol):
     def next_tick(self) -> bytes:
         """Wait for the next tick, and return its record; FleetError where none comes any more."""
 
-    def unit_status(self, unit: str) -> bytes | None:
-        """Return the newest status of a unit."""
-
-    def unit_sensors(self, unit: str) -> bytes | None:
-        """Return what the sensors of a unit's robots said last."""
+    def newest(self, topic: Topic, unit: str) -> bytes | None:
+        """Return the newest message of a unit: its STATUS, or its SENSORS."""
 
     def wish(self, payload: bytes) -> None:
         """Send a wish."""

@@ -9,7 +9,6 @@ import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,9 @@ from robofleet.behaviours import described
 from robofleet.bus.arena_file import ArenaFile, running
 from robofleet.bus.credentials import Credentials
 from robofleet.bus.joining import joined
-from robofleet.bus.keys import NOTE, SENSORS, STATE, STATUS, TICK, WISH
+from robofleet.bus.keys import NOTE, SENSORS, STATE, STATUS, TICK, WISH, Topic
 from robofleet.bus.messages import RUN_STATE, TICK_RECORD
+from robofleet.bus.observer import Observer, Source
 from robofleet.bus.permissions import SCRIPT
 from robofleet.bus.requests import asked
 from robofleet.config import groups
@@ -55,31 +55,27 @@ class LiveLink:
         """Join; FleetError where nobody answers, or where the run has other robots than the configuration."""
         self.config, self._clock = config, WallClock()
         self._came = threading.Condition()
-        self._tick, self._ticks = b"", 0  # the newest one, and how many came
-        self._taken = 0
-        self._state: RunStatus | None = None  # as the supervisor said last
-        self._statuses: dict[str, bytes] = {}
-        self._sensors: dict[str, bytes] = {}
+        self._taken_ns = 0  # arrival of the tick that ``next_tick`` returned last
         try:
             self._bus = joined(config.arena.name, endpoint, SCRIPT, self._clock, within_s, self._check, credentials)
         except TimeoutError as error:
             raise FleetError(f"the run of {config.arena.name}: {error}") from error
         try:
-            self._bus.listen(TICK, "", self._heard_tick)
-            self._bus.listen(STATE, "", self._heard_state)
-            for unit in config.units:
-                self._bus.listen(STATUS, unit, partial(self._heard_status, unit))
-            for unit in config.sensing:
-                self._bus.listen(SENSORS, unit, partial(self._heard_sensors, unit))
+            self._ticks = Observer(self._bus, wake=self._wake)
+            self._ticks.declare([TICK], self._own_tick)
+            self._observer = Observer(self._bus)
+            self._observer.declare([STATE], _status)
+            units = [(STATUS, unit) for unit in config.units] + [(SENSORS, unit) for unit in config.sensing]
+            self._observer.declare(units, bytes)
             self._publish = self._bus.publisher(WISH, group)
             self.wish = self._publish
             self.note = self._bus.publisher(NOTE, group)
-            if not self._until(lambda: bool(self._tick) and self._state is not None, within_s):
+            if not self._until(lambda: self._has_new_tick() and self._newest(STATE) is not None, within_s):
                 raise FleetError(f"the run of {config.arena.name} says nothing: see its logs")
             wanted = TICK_RECORD.dtype(
                 len(config.members), described.size(groups.descriptions(config), len(config.camera_names))
             )
-            if len(self._tick) != wanted.itemsize:
+            if len(self.tick) != wanted.itemsize:
                 raise FleetError(f"the run of {config.arena.name} has other robots than this configuration")
         except BaseException:
             self._bus.close()
@@ -98,30 +94,28 @@ class LiveLink:
     @property
     def status(self) -> RunStatus:
         """Where the run is."""
-        return self._state or RunStatus()
+        return self._newest(STATE) or RunStatus()
 
     @property
     def tick(self) -> bytes:
         """The newest tick's record."""
-        return self._tick
+        self._has_new_tick()
+        return bytes(self._ticks[TICK])
 
     def next_tick(self) -> bytes:
         """Wait for a tick that was not returned yet; of several the newest."""
         with self._came:
-            came = self._came.wait_for(lambda: self._ticks > self._taken, _WORD_WITHIN_S)
-            self._taken = self._ticks
+            came = self._came.wait_for(self._has_new_tick, _WORD_WITHIN_S)
         self._check()
-        if not came or (TICK_RECORD.head_of(self._tick, "run_tick") < 0 and self.status.phase in _OVER):
+        tick, self._taken_ns = self.tick, self._ticks.arrival_ns(TICK)
+        if not came or (TICK_RECORD.head_of(tick, "run_tick") < 0 and self.status.phase in _OVER):
             raise ended(self.status, self.config)
-        return self._tick
+        return tick
 
-    def unit_status(self, unit: str) -> bytes | None:
-        """Return the newest status of a unit."""
-        return self._statuses.get(unit)
-
-    def unit_sensors(self, unit: str) -> bytes | None:
-        """Return what the sensors of a unit's robots said last."""
-        return self._sensors.get(unit)
+    def newest(self, topic: Topic, unit: str) -> bytes | None:
+        """Return the newest message of a unit."""
+        payload: bytes | None = self._newest((topic, unit))
+        return payload
 
     def ask(self, what: bytes) -> None:
         """Ask the supervisor."""
@@ -165,22 +159,27 @@ class LiveLink:
     def _pause(self) -> None:
         self._clock.sleep_until(self._clock.now_ns() + round(_POLL_S * S))
 
-    def _heard_tick(self, _at_ns: int, payload: bytes) -> None:
-        if TICK_RECORD.view(payload) is not None and len(payload) == len(self._tick or payload):
-            with self._came:
-                self._tick = payload
-                self._ticks += 1
-                self._came.notify_all()
+    def _newest(self, source: Source) -> Any:
+        self._observer.update(self._clock.now_ns(), [source])
+        return self._observer[source]
 
-    def _heard_status(self, unit: str, _at_ns: int, payload: bytes) -> None:
-        self._statuses[unit] = payload
+    def _has_new_tick(self) -> bool:
+        self._ticks.update(self._clock.now_ns())
+        return self._ticks.arrival_ns(TICK) != self._taken_ns
 
-    def _heard_sensors(self, unit: str, _at_ns: int, payload: bytes) -> None:
-        self._sensors[unit] = payload
+    def _own_tick(self, payload: bytes) -> bytes | None:
+        """Return a tick that is as large as the first one."""
+        known = self._ticks[TICK] or payload
+        return payload if TICK_RECORD.view(payload) is not None and len(payload) == len(known) else None
 
-    def _heard_state(self, _at_ns: int, payload: bytes) -> None:
-        if (state := RUN_STATE.decode_head(payload)) is not None:
-            self._state = RunStatus.read(state.phase, state.cause, state.robot, state.detail) or self._state
+    def _wake(self, _at_ns: int) -> None:
+        with self._came:
+            self._came.notify_all()
+
+
+def _status(payload: bytes) -> RunStatus | None:
+    state = RUN_STATE.decode_head(payload)
+    return None if state is None else RunStatus.read(state.phase, state.cause, state.robot, state.detail)
 
 
 class OwnRun:

@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from robofleet.bus.keys import NOTE, SENSORS, STATUS, TICK, WISH, key
+from robofleet.bus.keys import NOTE, TICK, WISH, Topic, key
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, stopwatch_ns, utc_now
@@ -92,14 +92,9 @@ class LockstepLink:
             raise ended(run.status, self.config)
         return ticks[-1]
 
-    def unit_status(self, unit: str) -> bytes | None:
-        """Return the newest status of a unit."""
-        payloads = self._messages.get(key(self.config.arena.name, STATUS, unit))
-        return payloads[-1] if payloads else None
-
-    def unit_sensors(self, unit: str) -> bytes | None:
-        """Return what the sensors of a unit's robots said last."""
-        payloads = self._messages.get(key(self.config.arena.name, SENSORS, unit))
+    def newest(self, topic: Topic, unit: str) -> bytes | None:
+        """Return the newest message of a unit."""
+        payloads = self._messages.get(key(self.config.arena.name, topic, unit))
         return payloads[-1] if payloads else None
 
     def ask(self, what: bytes) -> None:

@@ -13,7 +13,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import utc_now
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import RefusedError, new_folder
-from robofleet.operator.requests import NoArenaError, chosen
+from robofleet.operator.requests import NoArenaError, chosen, joined_arena
 from robofleet.runs.check import load_checked
 from robofleet.scripts.script_link import FleetError, Link, first, scripted
 from robofleet.vehicles.interface import DriverError
@@ -84,7 +84,6 @@ def _in_real_time(config: Config, group: str, name: str, folder: Path | None) ->
 
 def _joined(arena: str, group: str | None, copy: str | Path | None) -> Link:
     """Return a run of this user on this computer, or of an arena of another computer that this one has joined."""
-    from robofleet.operator.elsewhere import joined_arena  # noqa: PLC0415
     from robofleet.scripts.script_live import LiveLink  # noqa: PLC0415
 
     access = joined_arena(arena)

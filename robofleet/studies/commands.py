@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from robofleet.core.clock import S, WallClock, utc_now
-from robofleet.core.refusal import bad_input, how_to_install
+from robofleet.core.refusal import how_to_install
 from robofleet.core.valid_json import dumps
 from robofleet.operator.terminal.terminal import hangup_interrupts
 from robofleet.runs.check import load_checked
@@ -44,13 +44,12 @@ def storm(
     A failure is printed with the command that plays its seed again.
     """
     source = "camera" if pixels else "truth"
-    with bad_input():
-        tree = load_checked(config, [f"tracker.source={source}"], None, lockstep=True)
-        replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
-        with hangup_interrupts(), engine.opened(on, jobs) as where:
-            started_ns = WallClock().now_ns()
-            with storm_report.progress(seeds, replay) as watch:
-                tally = workers.storm(tree, range(first, first + seeds), where, watch)
+    tree = load_checked(config, [f"tracker.source={source}"], None, lockstep=True)
+    replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
+    with hangup_interrupts(), engine.opened(on, jobs) as where:
+        started_ns = WallClock().now_ns()
+        with storm_report.progress(seeds, replay) as watch:
+            tally = workers.storm(tree, range(first, first + seeds), where, watch)
     if not storm_report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
         raise typer.Exit(1)
 
@@ -72,7 +71,7 @@ def sweep(
     --out goes on from there. Exit 1: some run did not complete, and is named with the command that replays it.
     """
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{sweep.stem}"
-    with bad_input(), hangup_interrupts():
+    with hangup_interrupts():
         study = load(sweep, lambda total: bar("checks", total))
         with engine.opened(on, jobs) as where, journal.opened(folder, study) as kept:
             try:

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.tracking.estimator import COLUMNS
 from robofleet.tracking.joined import Seen
-from robofleet.tracking.measured import COLUMNS
 
 Array = NDArray[np.float64]
 

@@ -33,6 +33,9 @@ FilterState = tuple[NDArray[Any], ...]
 
 UNUSED, USED, CARRIED = 0, 1, 2  # CARRIED: a kidnapped robot, which somebody carried away
 
+COLUMNS = 9  # of a measurement: x, y [m], psi [rad] and their covariance
+_TAGS = 1 << 16  # that a message can tell apart
+_NOBODY = -1
 _HISTORY = 64  # commands
 _KNOWN_S = 0.5  # since a robot was measured: an older expectation says nothing
 _CARRIED_AFTER = 5  # outliers in a row that agree with each other
@@ -96,7 +99,7 @@ class FleetFilter:
     def observe(self, instants_ns: Instants, poses: Array) -> NDArray[np.int64]:
         """Use an image: ``poses`` (N, 3), NaN where a robot was not seen, each at its own mid-exposure (N,).
 
-        With nine columns, the others are the measurements' covariances, as ``measured.placed`` writes them. Where they
+        With nine columns, the others are the measurements' covariances, as ``measurements`` writes them. Where they
         are 0, or not there, the filter's own noise counts.
 
         Returns for each robot UNUSED, USED, or CARRIED (used, and the filter started anew). What is older than the
@@ -228,4 +231,37 @@ def ages(measured_ns: Instants, now_ns: int) -> Array:
     return found
 
 
-KERNELS = (ages, _observe, reckoning.predict, reckoning.disturbance)  # that are called from Python
+def rows_of(tags: dict[int, int]) -> Instants:
+    """Return the row of each tag, for ``measurements``; ``tags``: the robots' rows by their tags."""
+    rows = np.full(_TAGS, _NOBODY)
+    rows[list(tags)] = list(tags.values())
+    return rows
+
+
+@kernel
+def measurements(
+    tag_poses: NDArray[Any], rows: Instants, exposure_ns: int, latest_ns: int, poses: Array, instants_ns: Instants
+) -> None:
+    """Write what an image measured, TagPose (K,), into poses (M, 9), NaN where nothing was, and the robots'
+    own mid-exposures (M,). What is predicted, or later than ``latest_ns``, is no measurement.
+
+    Columns: x, y [m], psi [rad], and their covariance in the message's order; zeros where nobody knows it.
+    """
+    for row in range(len(poses)):
+        for k in range(COLUMNS):
+            poses[row, k] = np.nan
+        instants_ns[row] = exposure_ns
+    for tag_pose in tag_poses:
+        row, instant_ns = rows[tag_pose["tag"]], exposure_ns + tag_pose["after_ns"]
+        if row != _NOBODY and tag_pose["coasted_ns"] == 0 and instant_ns <= latest_ns:
+            poses[row, 0], poses[row, 1], poses[row, 2] = tag_pose["x_m"], tag_pose["y_m"], tag_pose["psi_rad"]
+            poses[row, 3], poses[row, 4], poses[row, 5] = tag_pose["xx_m2"], tag_pose["xy_m2"], tag_pose["yy_m2"]
+            poses[row, 6], poses[row, 7], poses[row, 8] = (
+                tag_pose["xpsi_m_rad"],
+                tag_pose["ypsi_m_rad"],
+                tag_pose["psipsi_rad2"],
+            )
+            instants_ns[row] = instant_ns
+
+
+KERNELS = (ages, measurements, _observe, reckoning.predict, reckoning.disturbance)  # that are called from Python

@@ -48,9 +48,7 @@ class Excited:
         decision = self.behaviour.decide(
             Situation(t=t, poses=poses, driving=driving, disturbance=np.zeros((n, 2)), others=np.empty((0, 3)))
         )
-        u, commands, points, saturated = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
-        wheels.commanded(
-            decision.velocities, np.full(n, decision.of == "body"), poses, AHEAD, self._limits, driving,
-            u, commands, saturated, points,
-        )  # fmt: skip
-        return commands, np.broadcast_to(np.asarray(decision.figures["held"], dtype=np.float64), n).copy()
+        request = wheels.limited(
+            decision.velocities, np.full(n, decision.of == "body"), poses, AHEAD, self._limits, driving
+        )
+        return request.wheels, np.broadcast_to(np.asarray(decision.figures["held"], dtype=np.float64), n).copy()

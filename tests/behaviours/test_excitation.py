@@ -92,6 +92,7 @@ def test_nothing_is_touched_in_the_platoon(platoon: Floor) -> None:
     assert platoon.gap > 0.02
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_is_touched_anywhere(seed: int) -> None:
     """A crowd in a corner: robots a few centimetres apart, and at the edge."""

@@ -13,7 +13,7 @@ from robofleet.behaviours.interface import Past, Situation, Team
 from robofleet.config import groups
 from robofleet.safety.supervisor import Event
 from robofleet.vehicles.differential_drive import arc, body_from_wheels, feasible_ratio, wheels_from_body
-from tests.behaviours.go_to_trials import configuration, go, places
+from tools.measure.behaviours.go_to_trials import configuration, go, places
 
 Array = np.ndarray
 Poses = list[tuple[float, float, float]]

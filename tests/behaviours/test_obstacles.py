@@ -1,10 +1,11 @@
-"""A few seeds of ``tests.behaviours.obstacles``, whose command drives 200."""
+"""A few seeds of ``tools.measure.behaviours.obstacle_trials``, whose command drives 200."""
 
 import pytest
 
-from tests.behaviours import obstacles
+from tools.measure.behaviours import obstacle_trials as obstacles
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("behaviour", "seed"), [("go_to", 2), ("cyclic_pursuit", 1), ("cyclic_pursuit", 14)])
 def test_robots_among_obstacles_arrive_and_keep_their_gap(behaviour: str, seed: int) -> None:
     """In seed 14 a robot must come out of an obstacle's notch, to the left."""

@@ -59,6 +59,7 @@ def test_the_point_ahead_keeps_the_papers_bounds() -> None:
     assert 0.3 * T * T / 2 * bend < off < T * T / 2 * bend + control_error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["point_ahead", "unicycle"])
 def test_a_told_disturbance_leaves_no_offset(law: str) -> None:
     straight = {"waypoints_m": [[-1.0, 0.0], [1.0, 0.0]], "speed_m_s": 0.1, "acceleration_m_s2": 1.0}

@@ -422,6 +422,7 @@ def configs(draw: st.DrawFn) -> Config:
     return Config.model_validate(tree)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(config=configs())
 def test_the_resolved_configuration_is_read_back_equal(

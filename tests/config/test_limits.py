@@ -135,7 +135,7 @@ def _general(key: str) -> str:
     return ".".join("*" if part.isdigit() else part for part in key.split("."))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("key", KEYS)
 @pytest.mark.filterwarnings("error")
 def test_what_is_just_possible_is_refused_in_words_or_can_be_checked(key: str) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.config.mutated import attack
+from tools.measure.runs.mutated import attack
 
 
 def _hold(folder: Path, files: int, patch: pytest.MonkeyPatch) -> None:
@@ -15,10 +15,11 @@ def _hold(folder: Path, files: int, patch: pytest.MonkeyPatch) -> None:
     assert figures.refused.total() > files / 2
 
 
+@pytest.mark.slow
 def test_mutated_settings_are_refused_in_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _hold(tmp_path, 100, monkeypatch)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_thousand_mutated_settings_are_refused_in_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _hold(tmp_path, 2000, monkeypatch)

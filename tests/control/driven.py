@@ -39,10 +39,8 @@ class Platoon(PlatoonLaw):
     ) -> Array:  # (N, 11), columns as in Column
         """Return what all robots do in the next tick."""
         decided = super().tick(t, poses, driving, disturbance)
-        n = len(poses)
-        u, commands, points, saturated = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
-        wheels.commanded(
-            decided[:, :2].copy(), np.zeros(n, dtype=np.bool_), poses, self.settings.point_ahead,
-            wheels.limits(self.vehicles), driving, u, commands, saturated, points,
+        request = wheels.limited(
+            decided[:, :2].copy(), np.zeros(len(poses), dtype=np.bool_), poses, self.settings.point_ahead,
+            wheels.limits(self.vehicles), driving,
         )  # fmt: skip
-        return np.column_stack([u, decided[:, 2:6], points, commands, saturated])
+        return np.column_stack([request.u, decided[:, 2:6], request.points, request.wheels, request.saturated])

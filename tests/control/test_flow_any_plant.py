@@ -46,7 +46,7 @@ def moved(x: Array, u: float, dt: float, push: float = 0.0) -> Array:
     st.floats(1, 100), st.floats(0.1, 2), st.floats(1e-3, 0.019), st.sampled_from(("exact", "euler")),
     st.tuples(*[st.floats(-2, 2)] * 6),
 )  # fmt: skip
-@pytest.mark.slow
+@pytest.mark.long
 def test_eq_31_is_the_flow_of_a_point(
     alpha: float, T: float, step: float, integrator: Integrator, numbers: tuple[float, ...]
 ) -> None:
@@ -61,7 +61,7 @@ def test_eq_31_is_the_flow_of_a_point(
 
 @EXACT
 @given(st.floats(1, 60), st.floats(0.1, 2), st.floats(1e-3, 0.1), st.floats(-1, 1), st.floats(-1, 1))
-@pytest.mark.slow
+@pytest.mark.long
 def test_exact_solves_the_linear_flow(alpha: float, T: float, step: float, velocity: float, r: float) -> None:
     x, u, n = np.array([0.2, velocity]), 0.3, 400
     after = NewtonRaphsonFlow(DOUBLE, FlowSettings(alpha, T, step), [u]).update(x, np.array([r]))
@@ -75,7 +75,7 @@ def test_exact_solves_the_linear_flow(alpha: float, T: float, step: float, veloc
     assert after[0] == pytest.approx(u, rel=2e-3, abs=1e-3 * max(1, 1 / T**2))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_limits_hold_and_do_not_wind_up() -> None:
     flow = NewtonRaphsonFlow(DOUBLE, FlowSettings(20.0, 0.5, 0.02, lower=(-1.0,), upper=(2.0,)), [0.0])
     for _ in range(50):
@@ -89,6 +89,7 @@ def test_limits_hold_and_do_not_wind_up() -> None:
     assert u.tolist() == [-1.0]
 
 
+@pytest.mark.slow
 def test_what_was_applied_is_where_the_flow_goes_on() -> None:
     flow = NewtonRaphsonFlow(DOUBLE, FlowSettings(20.0, 0.5, 0.02), [0.0])
     given_back = flow.update(np.zeros(2), np.array([1.0]))
@@ -145,7 +146,7 @@ def test_offset_free_leaves_the_law_of_a_right_model_alone() -> None:
         x = moved(x, u[0], 0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_prediction_steps_grow_as_the_bicycle_slows_down() -> None:
     flow = NewtonRaphsonFlow(bicycle_plant(FALCONE_2007), FlowSettings(30.0, 0.5, 0.01), np.zeros(2))
     steps = []
@@ -157,7 +158,7 @@ def test_prediction_steps_grow_as_the_bicycle_slows_down() -> None:
     assert steps == sorted(steps) and steps[-1] >= 0.5 * 209 / 2.7
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_diverging_prediction_names_its_step() -> None:
     flow = NewtonRaphsonFlow(SWITCHED, FlowSettings(30.0, 0.5, 0.01, prediction_steps=100), np.zeros(2))
     with pytest.raises(FlowError, match=r"the prediction is not finite in step \d+ of 100") as error:
@@ -169,7 +170,7 @@ def test_a_diverging_prediction_names_its_step() -> None:
 @pytest.mark.parametrize(
     ("k", "limit", "fine"), [(1.0, 1e6, True), (1e-9, 1e6, True), (1.0, 3.9, False), (0.0, 1e6, False)]
 )
-@pytest.mark.slow
+@pytest.mark.long
 def test_singular_is_refused_whatever_the_units(k: float, limit: float, fine: bool) -> None:
     flow = NewtonRaphsonFlow(SWITCHED, FlowSettings(30.0, 0.5, 0.01, max_condition=limit), np.zeros(2))
     x, r = np.array([0.1, 0.0, 1.0, 1.0, k]), np.array([0.2, 0.1])
@@ -181,7 +182,7 @@ def test_singular_is_refused_whatever_the_units(k: float, limit: float, fine: bo
         assert flow.u.tolist() == [0.0, 0.0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_functions_may_return_a_part_of_what_they_are_given() -> None:
     flow = NewtonRaphsonFlow(Plant(lambda x, u: u, lambda x: x, 1, 1), FlowSettings(20.0, 0.5, 0.01), [0.3])
     by_hand = point_update(0.3, 0.1, 0.6, 0.5, integrator_gain(20.0, 0.01, "exact"))
@@ -190,7 +191,7 @@ def test_functions_may_return_a_part_of_what_they_are_given() -> None:
     assert memoryless.update(np.array([0.6])) == pytest.approx([0.6 - 0.3 * math.exp(-0.2)], rel=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_memoryless_without_jacobian_solves_g() -> None:
     def g(u: Array) -> Array:
         return np.array([u[0] ** 3 + u[0] + 0.5 * u[1], u[1] - 0.5 * np.sin(u[0])])

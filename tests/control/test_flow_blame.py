@@ -24,6 +24,7 @@ def _models() -> ModuleType:
 BAD = _models()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("role", "function", "source", "cause"),
     [
@@ -35,9 +36,9 @@ BAD = _models()
             "multiplies_integers",
             "MIX @ x",
             "'@' arguments must all have the same dtype",
-            marks=pytest.mark.slow,
+            marks=pytest.mark.long,
         ),
-        pytest.param("g", "asks_too_much", "np.full(", "it knows no full(", marks=pytest.mark.slow),
+        pytest.param("g", "asks_too_much", "np.full(", "it knows no full(", marks=pytest.mark.long),
     ],
 )
 def test_function_line_and_cause_are_named(role: str, function: str, source: str, cause: str) -> None:

@@ -57,7 +57,7 @@ def by_complex_step(x, u, T, steps, euler=False) -> tuple[Array, Array]:
 
 @EXACT
 @given(STATES, INPUTS, st.floats(0.05, 0.6))
-@pytest.mark.slow
+@pytest.mark.long
 def test_by_hand_and_with_jacobians_are_exact(x: Array, u: Array, T: float) -> None:
     g, sensitivity = by_complex_step(x, u, T, 12)
     y, dg = np.empty(2), np.empty((2, 2))
@@ -76,7 +76,7 @@ compiled_by_hand = compiled(BY_HAND.fused)
 
 @EXACT
 @given(STATES, INPUTS, st.floats(0.05, 0.6), st.booleans())
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_jacobians_each_column_is_right_to_1e_6(x: Array, u: Array, T: float, euler: bool) -> None:
     steps = 100 if euler else 12
     g, sensitivity = by_complex_step(x, u, T, steps, euler)
@@ -86,6 +86,7 @@ def test_without_jacobians_each_column_is_right_to_1e_6(x: Array, u: Array, T: f
     assert (np.abs(dg - sensitivity).max(axis=0) <= 1e-6 * np.abs(sensitivity).max(axis=0)).all()
 
 
+@pytest.mark.slow
 def test_five_steps_are_within_half_a_millimetre_of_500_of_the_papers() -> None:
     x, u, y, dg = np.array([0.0, 0, 19, 0.1, 0.05, 0.1]), np.array([0.3, 0.02]), np.empty(2), np.empty((2, 2))
     assert compiled_by_hand(x, u, 0.5, 5, y, dg) == 0
@@ -93,7 +94,7 @@ def test_five_steps_are_within_half_a_millimetre_of_500_of_the_papers() -> None:
     assert np.abs(y - fine).max() < 5e-4
 
 
-@pytest.mark.parametrize("predict", ["by hand", pytest.param("general", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("predict", ["by hand", pytest.param("general", marks=pytest.mark.long)])
 def test_an_eigenvalue_that_grows_on_the_way_asks_for_more_steps(predict: str) -> None:
     x, u, y, dg = np.array([0.0, 0, 10, 0, 0, 0]), np.array([-15.0, 0.0]), np.empty(2), np.empty((2, 2))
     general = compile_plant(BY_HAND).predict

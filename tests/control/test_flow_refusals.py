@@ -46,6 +46,7 @@ def test_crossed_limits() -> None:
         NewtonRaphsonFlow(BICYCLE, replace(GOOD, lower=(0.0, 2.0), upper=(1.0, 1.0)), np.zeros(2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [2 / 30, 0.1])
 def test_euler_that_diverges(step: float) -> None:
     with pytest.raises(FlowError, match=r"alpha \* step is .* take a step below 0.0667 s, or integrator exact"):

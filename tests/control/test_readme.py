@@ -11,7 +11,7 @@ import robofleet
 README = Path(robofleet.__file__).parent / "control" / "README.md"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_example_of_ones_own_model_follows_its_reference() -> None:
     (example,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     names: dict[str, object] = {"__name__": "example"}

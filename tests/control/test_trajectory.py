@@ -100,7 +100,7 @@ def test_what_a_circle_demands(ahead: float) -> None:
     assert np.hypot(*centre.T) == pytest.approx(math.sqrt(0.4**2 - ahead**2), rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_unicycles_arc_is_what_the_general_prediction_integrates() -> None:
     """By hand and by RK4 with the equations, eqs 11 to 13, 24 and 25, the flow takes the same step."""
     plant = unicycle_plant()

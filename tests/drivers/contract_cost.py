@@ -48,6 +48,7 @@ class Cost:
         self.assert_nothing_left(self.subject, OPENINGS)
 
     @pytest.mark.slow
+    @pytest.mark.long
     def test_nothing_is_left_of_a_hundred_that_were_closed(self) -> None:
         self.assert_nothing_left(self.subject, 100)
 
@@ -80,6 +81,7 @@ class Cost:
         assert grown <= LEFT_BYTES * loops
 
     @pytest.mark.slow
+    @pytest.mark.long
     def test_its_memory_does_not_grow_in_an_hour(self) -> None:
         with self.driving() as bench:
             before = _resident_bytes()

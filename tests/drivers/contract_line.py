@@ -19,7 +19,7 @@ from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.nodes.unit.keeping import MemoryKeeping
 from robofleet.safety.gate import Latch
 from robofleet.vehicles.interface import DriverError, RobotFault, WheelSpeeds
-from tests.comms.alone import ROBOT_STATUS
+from tests.bus.alone import ROBOT_STATUS
 from tests.drivers.contract_bench import LOOP_NS, Bench, Moment, Subject
 from tests.drivers.contract_motion import EVEN_S, OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out, travel
 

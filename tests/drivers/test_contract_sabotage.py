@@ -10,6 +10,8 @@ import pytest
 from tests.drivers import broken
 from tests.drivers.contract import Contract, Subject
 
+pytestmark = pytest.mark.slow
+
 # Which checks notice what is broken; the first is the one that it is made for.
 NOTICED = {
     "Reversed": ["test_each_wheel_turns_as_it_is_told"],
@@ -70,7 +72,7 @@ def checks() -> dict[str, Any]:
 
 
 def slow(check: str) -> bool:
-    return any(mark.name == "slow" for mark in getattr(checks()[check], "pytestmark", []))
+    return any(mark.name == "long" for mark in getattr(checks()[check], "pytestmark", []))
 
 
 def cases(check: Any) -> Iterator[dict[str, Any]]:
@@ -103,7 +105,7 @@ def test_the_check_notices_the_driver_that_breaks_it(driver: str) -> None:
     assert notices(driver, NOTICED[driver][0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("driver", NOTICED)
 def test_no_other_check_notices_it(driver: str) -> None:
     others = [check for check in checks() if check not in NOTICED[driver] and not slow(check)]

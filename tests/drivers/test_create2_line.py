@@ -111,6 +111,7 @@ def test_a_stream_that_ends_is_begun_again(bench: Bench, opcode: int) -> None:
     assert bench.hardware.command == pytest.approx((3.0, 3.0), abs=SHORT)
 
 
+@pytest.mark.slow
 def test_a_line_that_spoils_every_tenth_frame_never_makes_angles_jump() -> None:
     rng = np.random.default_rng(3)
     bench = Bench()

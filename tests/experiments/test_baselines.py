@@ -27,7 +27,7 @@ def installed(*modules):
     return pytest.mark.skipif(bool(missing), reason=f"pip install -e '.[bench]': {missing}")
 
 
-pytestmark = pytest.mark.slow  # the peers' controllers, not ours
+pytestmark = pytest.mark.long  # the peers' controllers, not ours
 
 
 @pytest.fixture(scope="module")

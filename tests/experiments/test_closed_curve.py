@@ -59,6 +59,7 @@ def test_the_track_is_run_at_unit_speed_between_its_samples_too(track: Reference
     assert moved == pytest.approx(s[1] - s[0], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_errors_of_points_beside_the_track_are_their_offsets(track: Reference) -> None:
     s = np.linspace(0.0, 1.5 * track.length, 500)  # over the seam
     near = track.position(s)
@@ -73,7 +74,7 @@ def test_errors_of_points_beside_the_track_are_their_offsets(track: Reference) -
 
 
 @pytest.mark.parametrize(("speed", "lateral", "heading"), [(15, 2.0, 3.0), (25, 5.0, 2.8), (35, 8.0, 2.2)])
-@pytest.mark.slow
+@pytest.mark.long
 def test_table_1_is_met_within_a_centimetre_and_a_third_of_a_degree(
     result: Result, speed: float, lateral: float, heading: float
 ) -> None:
@@ -86,7 +87,7 @@ def test_table_1_is_met_within_a_centimetre_and_a_third_of_a_degree(
     assert found["here"] == pytest.approx(heading, abs=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_paper_s_control_error_acceleration_and_transient(result: Result) -> None:
     found = rows(result, "transient")
     speeds = ("15 km/h", "25 km/h", "35 km/h")
@@ -97,7 +98,7 @@ def test_the_paper_s_control_error_acceleration_and_transient(result: Result) ->
 
 
 @pytest.mark.parametrize("known", [0.0, 0.03])
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_compiled_loop_is_the_controller_between_steps_of_the_plant(track: Reference, known: float) -> None:
     plant, settings = bicycle_plant(ZHOU_2017), FlowSettings(30.0, 0.3, 0.01, delay=known)
     found = drive(plant, settings, LOOP, track, 9.0)
@@ -118,14 +119,14 @@ def test_the_compiled_loop_is_the_controller_between_steps_of_the_plant(track: R
             x = x + 0.001 / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_drive_that_diverges_says_when_and_gives_no_numbers(track: Reference) -> None:
     settings = FlowSettings(30.0, 0.15, 0.01)
     with pytest.raises(DivergedError, match=r"^t = \d+\.\d\d s: "):
         drive(bicycle_plant(ZHOU_2017), settings, replace(LOOP, duration=60.0, computing_delay=0.15), track, 10.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_corners_radius_decides_the_figures_and_that_is_said(result: Result) -> None:
     table = rows(result, "radius of the corners")
     fastest = {radius: row["cm, 35 km/h"] for radius, row in table.items()}

@@ -60,13 +60,13 @@ def test_an_open_curve_is_not_extrapolated() -> None:
         ("minus sign", [7.5, 15.6, 23.9], [2.4, 2.35, 2.2]),
     ],
 )
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_readings(result: Result, reading: str, lateral: list[float], heading: list[float]) -> None:
     assert column(result, "lateral", reading) == pytest.approx(lateral, abs=0.5)
     assert column(result, "heading", reading) == pytest.approx(heading, abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_minus_sign_is_near_table_2(result: Result) -> None:
     assert column(result, "lateral", "paper") == [7.0, 16.0, 25.0]
     assert column(result, "lateral", "minus sign") == pytest.approx([7.0, 16.0, 25.0], abs=1.5)
@@ -74,7 +74,7 @@ def test_the_minus_sign_is_near_table_2(result: Result) -> None:
     assert column(result, "lateral", "Falcone 07") == [96.0, 125.0, 158.0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_control_error_and_acceleration_are_the_paper_s(result: Result) -> None:
     for reading in ("as printed", "minus sign"):
         assert max(row(result, "transient", "control error, later, cm", reading)) < 10.0
@@ -82,14 +82,14 @@ def test_control_error_and_acceleration_are_the_paper_s(result: Result) -> None:
         assert max(row(result, "transient", "acceleration, start, m/s²", reading)) == pytest.approx(1.5, abs=0.25)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_control_error_peaks_where_the_curve_turns_sharply(result: Result) -> None:
     at = result.data["control_error_peaks_at_z1_m"]["as printed"]
     for z1 in (52.0, 85.0):  # III-B
         assert min(abs(found - z1) for found in at) < 3.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_own_setting_is_below_a_centimetre_with_and_without_delay(result: Result) -> None:
     without = row(result, "delay", "own", "no delay", "lateral, cm")
     rolled = row(result, "delay", "own", "100 ms, known", "lateral, cm")
@@ -103,7 +103,7 @@ def test_own_setting_is_below_a_centimetre_with_and_without_delay(result: Result
 
 
 @pytest.mark.parametrize("known", [True, False])
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_delay_of_70_ms_is_harmless_where_it_is_known_and_fatal_where_not(
     known: bool,
 ) -> None:
@@ -119,14 +119,14 @@ def test_a_delay_of_70_ms_is_harmless_where_it_is_known_and_fatal_where_not(
             drive(bicycle_plant(FALCONE_2007), settings, loop, road, speed, start)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_the_paper_does_not_give_is_said(result: Result) -> None:
     notes = " ".join(note for table in result.tables for note in table.notes)
     assert "the paper gives no computing delay" in notes
     assert "70 ms that it is not told of make it diverge" in notes
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_number_that_is_not_finite(result: Result) -> None:
     for figure in result.figures:
         for panel in figure.panels:

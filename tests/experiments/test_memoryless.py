@@ -14,7 +14,7 @@ from robofleet.experiments.parameters import SHIPPED
 SHIPPED_PARAMETERS = load_parameters(MemorylessParameters, SHIPPED / "memoryless.yaml")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_error_is_within_the_bound_and_near_it() -> None:
     p = SHIPPED_PARAMETERS
     result = run(p)
@@ -30,7 +30,7 @@ def test_the_error_is_within_the_bound_and_near_it() -> None:
         assert share == pytest.approx(limsup / bound)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_flow_that_is_too_slow_for_the_claim_would_be_seen() -> None:
     times, errors = error_of(SHIPPED_PARAMETERS, 3.0, "exact")
     assert errors[times >= 10].max() > SHIPPED_PARAMETERS.circle_radius / 10  # of alpha = 10's bound

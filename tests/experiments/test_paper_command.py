@@ -29,7 +29,7 @@ def robofleet(*arguments: str) -> Result:
     return CliRunner().invoke(cli.app, ["paper", *arguments], env={"COLUMNS": "80"})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tables_on_the_terminal_figures_and_numbers_in_the_folder(folder: Path) -> None:
     result = robofleet("closed-curve", "--out", "new")
     assert result.exit_code == 0, result.output
@@ -46,7 +46,7 @@ def test_tables_on_the_terminal_figures_and_numbers_in_the_folder(folder: Path) 
         assert "<svg" in (folder / "new" / f"{stem}.svg").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_json_is_one_object_and_nothing_else(folder: Path) -> None:
     result = robofleet("closed-curve", "--json")
     assert result.exit_code == 0, result.output
@@ -144,7 +144,7 @@ def test_what_ends_without_a_result_ends_the_command_with_its_cause(
     assert result.stderr == "closed-curve: t = 1.25 s: diverged, the control error is 4e+03 m\n"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_drive_that_diverges_ends_the_command_with_its_cause(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copy = Path(shutil.copytree(SHIPPED, folder / "paper"))
     text = (copy / "closed-curve.yaml").read_text()

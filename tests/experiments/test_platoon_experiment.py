@@ -37,7 +37,7 @@ def test_euler_amplifies_what_is_fast() -> None:
     assert euler[1] > 1.2 > exact[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_noise_stays_small_along_sixteen_robots_with_exact_and_not_with_euler() -> None:
     small = PARAMETERS.model_copy(
         update={

@@ -38,7 +38,7 @@ def test_the_real_controller_has_the_exact_eigenvalues(
 
 @EXACT
 @given(st.floats(0.5, 200))
-@pytest.mark.slow
+@pytest.mark.long
 def test_t_alpha_is_one_over_alpha(alpha: float) -> None:
     def radius(T: float) -> float:
         return spectral_radius(DOUBLE_INTEGRATOR, FlowSettings(alpha, T, 0.002 / alpha), REST)
@@ -61,7 +61,7 @@ def test_no_boundary_is_nan() -> None:
     assert np.isnan(boundary(lambda T: 0.5, 1.0, 2.0))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_experiment() -> None:
     p = load_parameters(StabilityParameters, SHIPPED / "stability.yaml").model_copy(update={"points": 4})
     result = run(p)

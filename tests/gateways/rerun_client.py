@@ -10,7 +10,7 @@ from typing import Any
 
 from rerun.chunk import McapReader, RrdReader
 
-from tests.processes.realrun import wait
+from tests.runs.realrun import wait
 
 Rows = dict[str, list[dict[str, Any]]]  # by entity
 _WITHIN_S = 60.0

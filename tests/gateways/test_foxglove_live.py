@@ -12,9 +12,9 @@ from mcap.reader import make_reader
 from websockets.exceptions import ConnectionClosed
 
 from tests.gateways.foxglove_client import Viewer, viewer
-from tests.processes.realrun import RealRun, of_robots
+from tests.runs.realrun import RealRun, of_robots
 
-pytestmark = pytest.mark.slow  # beside it the fast test of every channel, message by message: test_foxglove.py
+pytestmark = pytest.mark.long  # beside it the fast test of every channel, message by message: test_foxglove.py
 AT = re.compile(r"ws://127\.0\.0\.1:\d+")
 DRAWN = 0.97  # of what is drawn ten times a second: a process that was late misses one
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.gateways.originals import compared, scripts, version
+from tools.measure.originals import compared, scripts, version
 
 _CHECKOUTS = "ROBOTARIUM", "ROBOTARIUM_1"  # of version 2 and 1
 _QUICK = "go_to_point_uni", "go_to_pose_clf", "leader_follower", "uni_go_to_pose_clf", "si_go_to_point"

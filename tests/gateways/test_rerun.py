@@ -77,6 +77,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     return Seen(tmp_path_factory.mktemp("rerun"))
 
 
+@pytest.mark.slow
 def test_a_viewer_gets_what_rerun_reads_in_the_recording(seen: Seen) -> None:
     drawn = {path: rows for path, rows in seen.recorded.items() if not path.startswith("/rf") and path not in TEXT}
     assert {"/tf", "/tf_static", "/log", "/camera/image", "/camera/calibration", "/robots/r1/pose"} <= set(drawn)
@@ -135,6 +136,7 @@ def test_a_shape_that_is_taken_away_or_loses_a_part_is_not_shown_any_more(server
     assert not any("Ellipsoids3D:centers" in row for row in rows if row[TIMELINE].value > 1)
 
 
+@pytest.mark.slow
 def test_who_comes_late_sees_what_the_limit_of_memory_has_cost(server: Server, tmp_path: Path) -> None:
     draw, again_ns = Random(1), EPOCH_NS + 60 * 10**9
     server.step(EPOCH_NS)

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.gateways.rerun_client import Saving, imported
-from tests.processes.realrun import RealRun, of_robots
+from tests.runs.realrun import RealRun, of_robots
 
-pytestmark = pytest.mark.slow  # beside it the fast test of every row: test_rerun.py
+pytestmark = pytest.mark.long  # beside it the fast test of every row: test_rerun.py
 AT = re.compile(r"rerun\+http://127\.0\.0\.1:\d+/proxy")
 DRAWN = 0.97  # of what is drawn ten times a second: a process that was late misses one
 

@@ -148,6 +148,7 @@ def by_the_original(steps: int, law: str = LAW) -> np.ndarray:
     return np.asarray(x)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the matrix subclass")  # np.mat is what scripts of version 1 say
 @pytest.mark.parametrize(("script", "report"), [(SCRIPT_2, "debug: 400 steps"), (SCRIPT_1, "call_at_scripts_end: 400")])
 def test_a_script_of_either_version_runs_and_ends_where_the_original_ends(
@@ -373,7 +374,7 @@ def test_what_names_both_versions_is_asked_about() -> None:
 
 
 @pytest.mark.usefixtures("alone")
-@pytest.mark.slow
+@pytest.mark.long
 def test_in_real_time_a_script_that_is_late_goes_on(place: Path) -> None:
     goals, near = "[[0.4, -0.5, -0.6], [-0.5, -0.2, 0.4]]", "[[-0.5, 0.5, 0.0], [-0.4, 0.3, 0.3]]"
     law = LAW.replace(goals, near)

@@ -33,16 +33,16 @@ def test_a_run_is_over_when_another_supervisor_is_heard() -> None:
     served = Served(lambda: False, 0)
     assert not served.is_over(S)
     for at_s in range(1, 9):
-        served.take(state(1), at_s * S)
+        served.take(1, at_s * S)
         assert not served.is_over(at_s * S)
-    served.take(state(2), 9 * S)
+    served.take(2, 9 * S)
     assert served.is_over(9 * S)
 
 
 @pytest.mark.parametrize("ended", [False, True])
 def test_a_run_that_is_silent_is_over_if_it_has_ended(ended: bool) -> None:
     served = Served(lambda: ended, 0)
-    served.take(state(1), S)
+    served.take(1, S)
     assert not served.is_over(3 * S) and served.is_over(5 * S) == ended
 
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from tests.hosts.network import Host, Network
-from tests.processes.realrun import PLATOON, newest, wait
+from tests.runs.realrun import PLATOON, newest, wait
 
 PORT = 7447
 ALONE = "desk", "phone"

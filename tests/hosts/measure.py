@@ -36,8 +36,8 @@ from robofleet.safety.supervisor import Event, Phase
 from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network
 from tests.hosts.radio import PATTERNS
-from tests.processes.realrun import wait
 from tests.recording.recorded import in_order
+from tests.runs.realrun import wait
 
 ROBOTS = "r1", "r2", "r3", "r4"
 RADIO = "air"

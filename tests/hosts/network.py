@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.processes.realrun import own_folders
+from tests.runs.realrun import own_folders
 
 _NUMBER = 77  # of the private network 10.77.0.0/24, which nothing outside the namespaces sees
 

@@ -12,7 +12,7 @@ from robofleet.recording.reading import read
 from robofleet.safety.gate import Latch
 from tests.hosts.fleet import ALONE, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network, unavailable
-from tests.processes.realrun import wait, was_busy
+from tests.runs.realrun import wait, was_busy
 
 
 @pytest.fixture
@@ -30,6 +30,7 @@ def network(alone: None, tmp_path: Path) -> Iterator[Callable[..., Network]]:
         yield made
 
 
+@pytest.mark.slow
 def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
     network: Callable[..., Network],
 ) -> None:
@@ -74,7 +75,7 @@ def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
         assert all(daemon.poll() is None for daemon in fleet.daemons.values())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_robot_refuses_what_its_own_file_does_not_allow_and_the_run_says_so(network: Callable[..., Network]) -> None:
     net = network("r1")
     own = net["r1"].folder / "config" / "robofleet" / "robot.yaml"
@@ -87,7 +88,7 @@ def test_a_robot_refuses_what_its_own_file_does_not_allow_and_the_run_says_so(ne
         assert "robot.yaml on this robot does not allow wheels of 12.5 rad/s (allowed: 5)" in fleet.log("run")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_router_that_stays_shows_robots_that_wait_and_shuts_out_who_is_revoked(
     network: Callable[..., Network],
 ) -> None:

@@ -10,9 +10,9 @@ from rich.console import Console
 from robofleet.bus.keys import BUSY, key
 from robofleet.bus.messages import BUSY_MACHINE, BusyMachine, Late, RobotState, RunState
 from robofleet.core.clock import MS
-from robofleet.recording import busy_machine
 from robofleet.recording.lines import Level, busy_line
 from robofleet.recording.run import Recording
+from robofleet.recording.state_words import state_words
 from robofleet.reports.report import write
 from robofleet.reports.tables import summary_table
 from robofleet.safety.busy import DRIVERS, SUPERVISOR, TRACKER
@@ -60,20 +60,20 @@ def test_the_report_and_the_table_say_it(busy: Recording, figures: Make, tmp_pat
 
 
 def test_a_stop_that_load_explains_says_so_instead_of_pointing_to_a_log() -> None:
-    assert busy_machine.told(HELD, BUSY_NOW, ROBOTS) == (
+    assert state_words(HELD, BUSY_NOW, ROBOTS).advice == (
         "the tracker went silent (this machine was busy: load 6.1 on 2 cores, the tracker was late by 250 ms): "
         "end other programs that keep this machine busy"
     )
-    assert busy_machine.goes_on(HELD, BUSY_NOW)
+    assert state_words(HELD, BUSY_NOW, ROBOTS).goes_on
 
 
 @pytest.mark.parametrize("message", [None, BUSY_NOW._replace(cause=Event.NOTHING, goes_on=0)])
 def test_a_stop_that_load_does_not_explain_is_told_as_ever(message: BusyMachine | None) -> None:
-    assert busy_machine.told(HELD, message, ROBOTS) == "the tracker went silent: its log is in the run's folder"
-    assert not busy_machine.goes_on(HELD, message)
+    assert state_words(HELD, message, ROBOTS).advice == "the tracker went silent: its log is in the run's folder"
+    assert not state_words(HELD, message, ROBOTS).goes_on
     by_hand = HELD._replace(cause=Event.POSE_JUMPED, robot=1)
-    assert busy_machine.told(by_hand, BUSY_NOW, ROBOTS) == "r2: it was moved by hand: put it back at its start"
-    assert not busy_machine.goes_on(HELD._replace(phase=Phase.RUNNING), BUSY_NOW)
+    assert state_words(by_hand, BUSY_NOW, ROBOTS).advice == "r2: it was moved by hand: put it back at its start"
+    assert not state_words(HELD._replace(phase=Phase.RUNNING), BUSY_NOW, ROBOTS).goes_on
 
 
 def test_the_log_says_it_once_as_a_warning() -> None:

@@ -24,7 +24,7 @@ from robofleet.recording.provenance import Provenance
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
 from robofleet.safety.supervisor import NOBODY, Phase
-from tests.comms.alone import ROBOT_STATUS, RobotStatus
+from tests.bus.alone import ROBOT_STATUS, RobotStatus
 from tests.recording import recorded
 from tests.recording.recorded import in_order, room_for
 

@@ -18,11 +18,11 @@ from robofleet.bus.messages import TICK_RECORD, TRACKER_NEWS, RobotTick
 from robofleet.core.valid_json import dumps, finite
 from robofleet.recording.run import Recording
 from robofleet.reports import comparison, report
-from tests.comms.alone import ROBOT_STATUS
-from tests.comms.alone import TRUTH as TRUTH_LAYOUT
-from tests.recording.conftest import Story
+from tests.bus.alone import ROBOT_STATUS
+from tests.bus.alone import TRUTH as TRUTH_LAYOUT
+from tests.recording_fixtures import Story
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 Make = Callable[..., Any]
 VALUES = (math.nan, math.inf, -math.inf, 1e308, -1e308)

@@ -56,7 +56,7 @@ def look(
     return viewer, np.asarray(pixels)
 
 
-@pytest.mark.parametrize("zoom", [1.0, pytest.param(1.5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("zoom", [1.0, pytest.param(1.5, marks=pytest.mark.long)])
 def test_outlines_are_around_the_tags_that_are_to_be_seen(story: Make, zoom: float) -> None:
     config = story(*larger(zoom)).config
     image = scene_renderer(config, np.random.default_rng(1)).render(np.array(starts_of(config)))

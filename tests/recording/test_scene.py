@@ -17,7 +17,7 @@ from robofleet.safety.distances import apart
 from robofleet.safety.gate import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.tracking.events import NO_TAG, TrackerEvent
-from tests.comms.alone import ROBOT_STATUS
+from tests.bus.alone import ROBOT_STATUS
 from tests.recording.viewer import START_NS, TICK_NS, Viewer, heading, in_order, instant_ns
 
 Make = Callable[..., Any]

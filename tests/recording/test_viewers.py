@@ -56,6 +56,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     return Written(tmp_path_factory.mktemp("viewers") / "run.mcap")
 
 
+@pytest.mark.slow
 def test_every_message_of_the_bus_is_in_the_file_and_beside_it_what_viewers_draw(written: Written) -> None:
     counts = {topic: count for topic, count in written.counts.items() if count}
     assert {topic for topic in counts if not topic.startswith("rf/")} == set(DECODED)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import daqp
 import numpy as np
 
-from robofleet.safety.barrier import Barrier
+from robofleet.safety.barrier import Barrier, Filtered
 from robofleet.safety.distances import Body, Keepout, apart, from_edge
 from robofleet.vehicles.differential_drive import arc, body_from_wheels, wheels_from_body
 from tests.robots import GTERNAL
@@ -33,15 +33,6 @@ class Scene(NamedTuple):
         return len(self.poses)
 
 
-class Answer(NamedTuple):
-    """What the barrier makes of it."""
-
-    wheels: Array
-    u: Array
-    how: Array
-    blocked: Array
-
-
 def body(wheels: Array) -> tuple[float, float]:
     return body_from_wheels(*wheels.tolist(), GTERNAL.wheel_radius, GTERNAL.wheel_base)
 
@@ -63,14 +54,12 @@ def scene(seed: int, n: int = 5, reach: float = 0.35) -> Scene:
 
 def answer(
     s: Scene, barrier: Barrier | None = None, unseen: Array | None = None, driving: Array | None = None
-) -> Answer:
+) -> Filtered:
     barrier = barrier or Barrier(KEEPOUT, (BODY,) * s.n)
-    wheels, u = s.wheels.copy(), velocities(s.poses, s.wheels)
-    how, blocked = barrier.filter(
+    return barrier.filter(
         s.poses, s.turning, np.zeros(s.n) if unseen is None else unseen,
-        np.ones(s.n, dtype=np.bool_) if driving is None else driving, wheels, u,
+        np.ones(s.n, dtype=np.bool_) if driving is None else driving, s.wheels, velocities(s.poses, s.wheels),
     )  # fmt: skip
-    return Answer(wheels, u, how, blocked)
 
 
 def velocities(poses: Array, wheels: Array) -> Array:

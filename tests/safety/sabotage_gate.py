@@ -10,7 +10,7 @@ from typing import Any
 
 from robofleet.safety import gate
 from tests.safety import test_gate, test_gate_latches, test_gate_stopping
-from tests.safety.gated import Step
+from tests.safety.gated import Step, plain
 
 _TESTS = (test_gate, test_gate_stopping, test_gate_latches)
 
@@ -32,8 +32,7 @@ def sabotaged(old: str, new: str) -> Step:
     exec(compile(source.replace(old, new), gate.__name__, "exec"), module)
     types = {name: kind for name, kind in vars(gate).items() if isinstance(kind, type)}
     module.update(types)  # an IntEnum's member is compared by identity
-    step: Step = module["step"]
-    return step
+    return plain(module["step"])
 
 
 def cases() -> Iterator[tuple[str, Callable[[Step], None]]]:

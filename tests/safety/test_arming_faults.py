@@ -23,6 +23,7 @@ def named(lab: Lab) -> Happening:
     return happening
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("exchange", ["tags", "bodies"])
 def test_every_pair_of_exchanged_robots_is_named(exchange: str) -> None:
     """Ten robots need five rounds: most pairs share one, and many begin in one."""
@@ -57,6 +58,7 @@ def _accepted(lab: Lab, wired: dict[int, Event]) -> Accepted:
     return said
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("exchange", ["tags", "bodies"])
 @given(data=st.data())
 @settings(max_examples=30, deadline=None)

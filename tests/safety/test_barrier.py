@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier
+from robofleet.safety.barrier import CHANGED, LEFT_ALONE, NO_ANSWER, Barrier, Filtered
 from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from tests.robots import GTERNAL
@@ -16,7 +16,6 @@ from tests.safety import barrier_scenes
 from tests.safety.barrier_scenes import (
     BODY,
     KEEPOUT,
-    Answer,
     D,
     L,
     Rows,
@@ -45,7 +44,7 @@ def test_the_answer_is_the_nearest_that_keeps_all_rows(seed: int) -> None:
         assert expected is not None
         got_v, got_omega = body(given_.wheels[i])
         assert (got_v, L * got_omega) == pytest.approx(expected.tolist(), abs=2e-4)
-        assert given_.how[i] in (LEFT_ALONE, CHANGED)
+        assert given_.change[i] in (LEFT_ALONE, CHANGED)
 
 
 @settings(deadline=None, derandomize=True, max_examples=100)
@@ -53,7 +52,7 @@ def test_the_answer_is_the_nearest_that_keeps_all_rows(seed: int) -> None:
 def test_what_is_safe_is_left_alone_to_the_bit(seed: int) -> None:
     s = scene(seed, reach=0.8)
     got = answer(s)
-    untouched = got.how == LEFT_ALONE
+    untouched = got.change == LEFT_ALONE
     assert np.array_equal(got.wheels[untouched], s.wheels[untouched])
     assert np.array_equal(got.u[untouched], velocities(s.poses, s.wheels)[untouched])
     again = answer(s._replace(wheels=got.wheels))
@@ -61,7 +60,7 @@ def test_what_is_safe_is_left_alone_to_the_bit(seed: int) -> None:
 
 
 def test_the_scenes_have_robots_of_both_kinds() -> None:
-    counts = np.bincount(np.concatenate([answer(scene(seed)).how for seed in range(50)]), minlength=3)
+    counts = np.bincount(np.concatenate([answer(scene(seed)).change for seed in range(50)]), minlength=3)
     assert counts[LEFT_ALONE] > 40
     assert counts[CHANGED] > 40
     assert counts[NO_ANSWER] == 0
@@ -108,7 +107,7 @@ def test_asked_to_stand_at_a_safe_distance_it_stands(seed: int) -> None:
     assert (np.abs(at) < np.array(KEEPOUT.arena) / 2 - from_edge(KEEPOUT, BODY)).all()
     got = answer(s._replace(wheels=np.zeros((s.n, 2))))
     assert not got.wheels.any()
-    assert not got.how.any()
+    assert not got.change.any()
 
 
 def test_within_the_distance_a_robot_withdraws() -> None:
@@ -122,7 +121,7 @@ def test_a_robot_between_two_that_are_too_near_goes_to_neither() -> None:
     s = face_to_face(D - 0.005, 3)
     got = answer(s)
     v, _ = body(got.wheels[1])
-    assert got.how[1] == CHANGED
+    assert got.change[1] == CHANGED
     assert v == pytest.approx(0.0, abs=1e-6)
 
 
@@ -130,7 +129,7 @@ def test_who_does_not_drive_stands_whatever_is_near() -> None:
     s = face_to_face(D - 0.03)
     got = answer(s._replace(wheels=np.zeros((2, 2))), driving=np.zeros(2, dtype=np.bool_))
     assert not got.wheels.any()
-    assert not got.how.any()
+    assert not got.change.any()
 
 
 def test_a_robot_that_is_not_seen_grows_until_it_must_stand_and_one_never_seen_is_nowhere() -> None:
@@ -153,14 +152,14 @@ def test_what_is_not_a_number_makes_a_robot_stand(what: str, bad: float) -> None
     array = getattr(s, what).copy()
     array[0, 0] = bad
     with np.errstate(invalid="ignore"):
-        wheels, u = (array if what == "wheels" else s.wheels).copy(), np.ones((2, 2))
+        wheels, u = array if what == "wheels" else s.wheels, np.ones((2, 2))
         poses, turning = (array if name == what else getattr(s, name) for name in ("poses", "turning"))
         drive = np.ones(2, dtype=np.bool_)
-        how, _ = Barrier(KEEPOUT, (BODY,) * 2).filter(poses, turning, np.zeros(2), drive, wheels, u)
-    assert how[0] == NO_ANSWER
-    assert not wheels[0].any()
-    assert not u[0].any()
-    assert np.isfinite(wheels).all()
+        got = Barrier(KEEPOUT, (BODY,) * 2).filter(poses, turning, np.zeros(2), drive, wheels, u)
+    assert got.change[0] == NO_ANSWER
+    assert not got.wheels[0].any()
+    assert not got.u[0].any()
+    assert np.isfinite(got.wheels).all()
 
 
 def test_the_distance_counts_bodies_gap_points_errors_and_a_robot_that_stands_unnoticed() -> None:
@@ -196,7 +195,7 @@ def test_who_is_near_enough_to_matter_is_not_overlooked_at_top_speed(
         distance = apart(keepout, *bodies) + 2 * share * speed / rate
         poses = np.array([(0.0, 0.0, 0.0), (distance * way[0], distance * way[1], 0.0)])
         s = Scene(poses, np.zeros((2, 2)), np.array([wheels, (0.0, 0.0)]))
-        assert answer(s, Barrier(keepout, bodies)).how[0] == how
+        assert answer(s, Barrier(keepout, bodies)).change[0] == how
 
 
 @pytest.mark.parametrize("unseen_s", [0.0, 0.233])
@@ -224,7 +223,7 @@ def test_who_stands_excuses_nobody_after_it() -> None:
     s = face_to_face(D - 0.005, 3)
     s.wheels[0] = 0.0
     got = answer(s, driving=np.array([False, True, True]))
-    assert list(got.how) == [LEFT_ALONE, CHANGED, CHANGED]
+    assert list(got.change) == [LEFT_ALONE, CHANGED, CHANGED]
 
 
 def test_two_robots_in_one_place_are_given_an_answer() -> None:
@@ -232,7 +231,7 @@ def test_two_robots_in_one_place_are_given_an_answer() -> None:
     s = Scene(np.array([(0.0, 0.0, 0.3), (0.0, 0.0, 0.3)]), np.zeros((2, 2)), np.full((2, 2), 5.0))
     got = answer(s)
     assert np.isfinite(got.wheels).all()
-    assert (got.how == LEFT_ALONE).all()
+    assert (got.change == LEFT_ALONE).all()
 
 
 def test_of_slow_motors_too_it_is_known_where_they_stop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,7 +243,7 @@ def test_of_slow_motors_too_it_is_known_where_they_stop(monkeypatch: pytest.Monk
         got = answer(s, Barrier(KEEPOUT, (Body(slow, 0.055, 0.002),)))
         v, omega = body(s.wheels[0])
         expected = nearest(rows(s, 0), np.array([v, L * omega]))
-        if got.how[0] == CHANGED and expected is not None:
+        if got.change[0] == CHANGED and expected is not None:
             changed += 1
             got_v, got_omega = body(got.wheels[0])
             assert (got_v, L * got_omega) == pytest.approx(expected.tolist(), abs=2e-4)
@@ -253,15 +252,14 @@ def test_of_slow_motors_too_it_is_known_where_they_stop(monkeypatch: pytest.Monk
 
 def among_bystanders(
     s: Scene, robots: int, pushed: np.ndarray | None = None, unseen: np.ndarray | None = None
-) -> Answer:
-    """Return the answer of a barrier whose last bodies are bystanders: only what is asked of robots is written over."""
-    wheels, u = s.wheels[:robots].copy(), velocities(s.poses, s.wheels)[:robots]
+) -> Filtered:
+    """Return the answer of a barrier whose last bodies are bystanders: only of robots something is asked."""
+    wheels, u = s.wheels[:robots], velocities(s.poses, s.wheels)[:robots]
     turning = s.turning.copy()
     turning[robots:] = 0.0
     seen = np.zeros(s.n) if unseen is None else unseen
     drive = np.ones(robots, dtype=np.bool_)
-    how, blocked = Barrier(KEEPOUT, (BODY,) * s.n).filter(s.poses, turning, seen, drive, wheels, u, pushed)
-    return Answer(wheels, u, how, blocked)
+    return Barrier(KEEPOUT, (BODY,) * s.n).filter(s.poses, turning, seen, drive, wheels, u, pushed)
 
 
 @settings(deadline=None, derandomize=True, max_examples=40)
@@ -272,7 +270,7 @@ def test_a_bystander_that_stands_is_as_a_robot_that_stands(seed: int) -> None:
     expected = answer(s, driving=np.arange(s.n) < 3)
     for pushed in (None, np.zeros((s.n, 2))):
         got = among_bystanders(s, 3, pushed)
-        assert len(got.how) == len(got.blocked) == 3
+        assert len(got.change) == len(got.blocked) == 3
         assert np.array_equal(got.wheels, expected.wheels[:3])
         assert np.array_equal(got.u, expected.u[:3])
 

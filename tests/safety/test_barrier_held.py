@@ -35,7 +35,7 @@ def test_who_turns_aside_keeps_its_rows_too(bearing_deg: float) -> None:
     for _ in range(40):
         got = answer(s, barrier)
         v, omega = body(got.wheels[0])
-        assert got.how[0] == CHANGED
+        assert got.change[0] == CHANGED
         assert (r.a @ (v, L * omega) <= r.b + 1e-5).all()
 
 

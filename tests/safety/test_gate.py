@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from robofleet.safety.gate import (
+    NEVER_NS,
     VALID_NS,
     GateState,
     GateStatus,
@@ -24,7 +25,7 @@ def test_it_is_120_ms() -> None:
 def test_it_starts_disarmed(step: Step) -> None:
     gate = Gate(step)
     assert gate.out == (STOP, STOP, GateStatus.NO_LEASE, None, None)
-    assert gate.state == GateState(BOOT, at_ns=NOW)
+    assert gate.state == GateState(boot_id=BOOT, at_ns=NOW, deadline_ns=NEVER_NS)
 
 
 @pytest.mark.parametrize(("lease", "enable", "command", "latch"), list(product((False, True), repeat=4)))

@@ -33,7 +33,7 @@ def test_a_latch_closes_at_once_and_holds(step: Step, latch: Latch, own: bool) -
 
 @pytest.mark.parametrize(("held", "latch"), list(product(LATCHES, LATCHES)))
 def test_the_gravest_latch_holds_and_each_has_its_number(step: Step, held: Latch, latch: Latch) -> None:
-    gate = Gate(step, GateState(BOOT, latch=held, latch_id=5))
+    gate = Gate(step, GateState(boot_id=BOOT, latch=held, latch_id=5))
     gate.give(latch=latch)
     assert (gate.state.latch, gate.state.latch_id) == ((latch, 6) if latch > held else (held, 5))
 
@@ -43,7 +43,7 @@ def test_an_e_stop_needs_no_lease(step: Step, epoch: int) -> None:
     gate = opened(step)
     gate.wait(MS)
     gate.enable(latch=Latch.EMERGENCY_STOP, epoch=epoch)
-    assert gate.state.latch is Latch.EMERGENCY_STOP
+    assert gate.state.latch == Latch.EMERGENCY_STOP
     assert gate.out.target == STOP
 
 
@@ -69,9 +69,9 @@ def test_a_reset_clears_a_latch_and_moves_nothing(step: Step) -> None:
     ],
 )
 def test_who_may_not_clears_nothing(step: Step, hindered: dict[str, int]) -> None:
-    gate = Gate(step, GateState(BOOT, latch=Latch.EMERGENCY_STOP, latch_id=5))
+    gate = Gate(step, GateState(boot_id=BOOT, latch=Latch.EMERGENCY_STOP, latch_id=5))
     gate.enable(**hindered)
-    assert gate.state.latch is Latch.EMERGENCY_STOP
+    assert gate.state.latch == Latch.EMERGENCY_STOP
 
 
 def test_nothing_is_cleared_in_motion_or_while_it_is_asked_for(step: Step) -> None:
@@ -79,29 +79,29 @@ def test_nothing_is_cleared_in_motion_or_while_it_is_asked_for(step: Step) -> No
     gate.give(latch=Latch.WIRED_STOP)
     gate.wait(5 * MS)
     gate.enable(clear=1)
-    assert gate.state.latch is Latch.WIRED_STOP  # the output is on its way
+    assert gate.state.latch == Latch.WIRED_STOP  # the output is on its way
     gate.wait(100 * MS)
     gate.turning = True
     gate.enable(clear=1)
-    assert gate.state.latch is Latch.WIRED_STOP  # a wheel turns
+    assert gate.state.latch == Latch.WIRED_STOP  # a wheel turns
     gate.turning, gate.held = False, Latch.WIRED_STOP
     gate.enable(clear=1)
     assert (gate.state.latch, gate.state.latch_id) == (Latch.WIRED_STOP, 1)  # still pressed
     gate.held = Latch.NONE
     gate.enable(clear=1)
-    assert gate.state.latch is Latch.NONE
+    assert gate.state.latch == Latch.NONE
 
 
 def test_a_latch_without_a_number_is_not_cleared_by_those_who_clear_nothing(step: Step) -> None:
-    gate = Gate(step, GateState(BOOT, latch=Latch.EMERGENCY_STOP))
+    gate = Gate(step, GateState(boot_id=BOOT, latch=Latch.EMERGENCY_STOP))
     gate.enable(clear=0)
-    assert gate.state.latch is Latch.EMERGENCY_STOP
+    assert gate.state.latch == Latch.EMERGENCY_STOP
 
 
 def test_an_e_stop_that_clears_is_an_e_stop(step: Step) -> None:
-    gate = Gate(step, GateState(BOOT, latch=Latch.DRILL, latch_id=1))
+    gate = Gate(step, GateState(boot_id=BOOT, latch=Latch.DRILL, latch_id=1))
     gate.enable(clear=1, latch=Latch.EMERGENCY_STOP)
-    assert gate.state.latch is Latch.EMERGENCY_STOP
+    assert gate.state.latch == Latch.EMERGENCY_STOP
 
 
 def test_after_a_latch_from_the_bus_an_old_permission_is_gone(step: Step) -> None:
@@ -112,7 +112,7 @@ def test_after_a_latch_from_the_bus_an_old_permission_is_gone(step: Step) -> Non
 
 
 def test_a_lease_raises_the_epoch_and_is_its_holder_s_alone(step: Step) -> None:
-    gate = Gate(step, GateState(BOOT, epoch=4))
+    gate = Gate(step, GateState(boot_id=BOOT, epoch=4))
     assert gate.lease() is True
     assert (gate.state.epoch, gate.state.session) == (5, SESSION)
     assert gate.lease(OTHER) is False

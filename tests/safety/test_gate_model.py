@@ -1,17 +1,19 @@
 """The gate beside a model that states its rules anew and remembers everything it was ever sent."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
-from robofleet.safety.gate import Command, GateState, GateStatus, Inputs, Latch, LeaseAction, Permission, step
+from robofleet.safety import gate
+from robofleet.safety.gate import GateState, GateStatus, Latch, LeaseAction
 from robofleet.vehicles.interface import STOP, WheelSpeeds
-from tests.safety.gated import BOOT, DRIVE, MS, NOW, OTHER, SESSION, S
+from tests.safety.gated import BOOT, DRIVE, MS, NOW, OTHER, SESSION, Arrived, Command, Permission, S, plain
 
+step = plain(gate.step)
 FRESH_NS, RAMP_S = 120 * MS, 12.5 * 1.01 / 150.0
 AGES = st.sampled_from([-1, 0, 0, 0, 1, 40 * MS, FRESH_NS - 1, FRESH_NS]) | st.integers(-5, FRESH_NS + 5)
 MOSTLY_RIGHT = st.sampled_from([0, 0, 0, 0, 0, 0, 1, -1])
@@ -56,7 +58,7 @@ class GateMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.now, self.told, self.state = NOW, Told(), GateState(BOOT)
+        self.now, self.told, self.state = NOW, Told(), GateState(boot_id=BOOT)
         self.pressed, self.turning = Latch.NONE, False
         self.deadline: int | None = None
         self.was_open, self.closed_since = False, NOW
@@ -198,11 +200,11 @@ class GateMachine(RuleBasedStateMachine):
         """Step the gate and hold what it did against the rules."""
         before, told = self.state, self.told
         self.hold(self.pressed)
-        inputs = Inputs(latch=self.pressed, turning=self.turning)
+        inputs = Arrived(latch=self.pressed, turning=self.turning)
         self.state, out = step(before, DRIVE, inputs._replace(**arrived), self.now)
         if refused:
             alone, _ = step(before, DRIVE, inputs, self.now)
-            assert self.state == alone._replace(refused=before.refused + 1)
+            assert self.state == replace(alone, refused=before.refused + 1)
         assert (out.target, out.status) == self.expected()
         state = self.state
         assert (state.boot_id, state.epoch, state.session) == (told.boot, told.epoch, told.holder)

@@ -3,12 +3,13 @@
 import pytest
 
 from robofleet.safety import gate
+from tests.safety.gated import plain
 from tests.safety.sabotage_gate import SABOTAGES, cases, noticed_by, sabotaged
 
 
 def test_the_gate_as_it_is_passes_all_of_its_tests() -> None:
     assert sum(1 for _ in cases()) > 100
-    assert noticed_by(gate.step) is None
+    assert noticed_by(plain(gate.step)) is None
 
 
 @pytest.mark.parametrize("what", list(SABOTAGES))

@@ -10,11 +10,10 @@ from robofleet.safety.gate import (
     UNKNOWN,
     VALID_NS,
     GateStatus,
-    Inputs,
     Latch,
 )
 from robofleet.vehicles.interface import STOP, WheelSpeeds
-from tests.safety.gated import BOOT, DRIVE, FAST, MS, NOW, OTHER, WHEELS, Gate, Step, opened, written
+from tests.safety.gated import BOOT, DRIVE, FAST, MS, NOW, OTHER, WHEELS, Arrived, Gate, Step, opened, written
 
 
 @pytest.mark.parametrize("wheels", [WHEELS, FAST, WheelSpeeds(10.0, 10.0), WheelSpeeds(-7.0, 0.0)])
@@ -286,4 +285,4 @@ def test_an_instant_twice_is_no_clock_that_was_set_back(step: Step) -> None:
     gate = opened(step)
     gate.give()
     assert gate.state.boot_id == BOOT
-    assert step(gate.state, DRIVE, Inputs(), gate.now)[1].target == WHEELS
+    assert step(gate.state, DRIVE, Arrived(), gate.now)[1].target == WHEELS

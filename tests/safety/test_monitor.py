@@ -1,6 +1,7 @@
 """What the supervisor makes of what it sees: each threshold from both sides, and what must raise nothing."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -17,8 +18,10 @@ MS = 1_000_000
 S = 1000 * MS
 NOW = 1000 * S
 BUILD, SESSION = 77, 5
-SETTINGS = MonitorSettings(BUILD, (0.05, 0.06, 0.05), (3.0, 2.0), (0.5, 0.5, 0.5), attended=True)
-UNATTENDED = SETTINGS._replace(attended=False)
+SETTINGS = MonitorSettings(
+    build=BUILD, body_radius=(0.05, 0.06, 0.05), arena=(3.0, 2.0), max_speed=(0.5, 0.5, 0.5), attended=True
+)
+UNATTENDED = replace(SETTINGS, attended=False)
 ACTIVE = (Phase.ARMED, Phase.RUNNING, Phase.HOLD)
 
 Change = Callable[[FleetView], FleetView]
@@ -130,7 +133,7 @@ def test_a_tag_that_is_unseen_for_two_seconds_is_lost_and_no_longer_late() -> No
 @pytest.mark.parametrize(("x_m", "outside"), [(-0.0501, False), (-0.0499, True), (0.7, True)])
 def test_a_robot_off_a_floor_that_is_a_polygon_is_outside(x_m: float, outside: bool) -> None:
     corners = ((-1.5, -1.0), (1.5, -1.0), (1.5, 0.3), (0.0, 0.3), (0.0, 1.0), (-1.5, 1.0))
-    settings = SETTINGS._replace(floors=(Solid("floor", corners, floor=True),))
+    settings = replace(SETTINGS, floors=(Solid("floor", corners, floor=True),))
     view = robot(0, pose=(x_m, 0.6, 0.0))(healthy(NOW))
     memory, _ = monitor.watch(MonitorState(), settings, Phase.RUNNING, view)
     _, happenings = monitor.watch(memory, settings, Phase.RUNNING, view)
@@ -166,7 +169,7 @@ def test_two_are_too_close_wherever_they_are(y: float) -> None:
 
 
 def test_two_that_are_just_as_far_apart_as_they_must_be_are_not_too_close() -> None:
-    points = SETTINGS._replace(body_radius=(0.0, 0.0, 0.0))
+    points = replace(SETTINGS, body_radius=(0.0, 0.0, 0.0))
 
     def apart(view: FleetView) -> FleetView:
         return robot(1, pose=(0.005, 0.0, 0.0))(robot(2, pose=(0.0, 0.0, 0.0))(view))
@@ -214,7 +217,7 @@ def test_a_robot_that_is_seen_where_it_cannot_have_driven_was_moved(way: tuple[f
 
 
 def test_a_jump_as_far_as_a_body_is_none() -> None:
-    exact = SETTINGS._replace(body_radius=(0.05, 0.0625, 0.05))
+    exact = replace(SETTINGS, body_radius=(0.05, 0.0625, 0.05))
     shown_again = robot(1, pose=(0.0625, 0.0, 0.0), seen_ns=NOW - 40 * MS)
     assert told(shown_again, settings=exact) == []
 
@@ -255,7 +258,7 @@ def test_a_lease_that_another_controller_or_nobody_holds_is_lost_once_the_run_wa
 
 def test_a_computer_of_its_own_that_is_silent_or_starts_again_has_lost_its_link() -> None:
     """Its radio comes back, and the run goes on; another controller, or another configuration, is no link."""
-    elsewhere = SETTINGS._replace(elsewhere=frozenset({1}))
+    elsewhere = replace(SETTINGS, elsewhere=frozenset({1}))
     silent, restarted = {"heard_ns": NOW - SILENT_NS - 1}, {"boot_id": 99}
     for what in (silent, restarted, {"session": 0}):
         events = [

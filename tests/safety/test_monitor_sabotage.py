@@ -3,9 +3,10 @@
 import pytest
 
 from robofleet.safety import monitor
-from tests.sabotage import notices, sabotaged
+from tests.sabotage import notices, sabotaged, uncompiled
 from tests.safety import test_monitor
 
+pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered")  # where kernels run as Python
 TESTS = [test for name, test in vars(test_monitor).items() if name.startswith("test_")]
 
 CHECKS = [
@@ -24,5 +25,5 @@ CHECKS = [
 
 @pytest.mark.parametrize(("check", "without"), CHECKS)
 def test_a_constant_that_is_changed_is_noticed(check: str, without: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(test_monitor, "monitor", sabotaged(monitor, check, without))
+    monkeypatch.setattr(test_monitor, "monitor", uncompiled(sabotaged(monitor, check, without)))
     assert any(notices(test, {}) for test in TESTS)

@@ -19,8 +19,8 @@ from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.sources import CameraContext, Frame
 from robofleet.tracking.tags import TagDetector
 from robofleet.tracking.targets import Target
-from tests.comms.alone import TRUTH as TRUTH_LAYOUT
-from tests.comms.alone import Truth
+from tests.bus.alone import TRUTH as TRUTH_LAYOUT
+from tests.bus.alone import Truth
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 PERIOD_NS = 50 * MS  # of the camera

@@ -16,13 +16,13 @@ from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.gate import GateOutput, GateState, Inputs
+from robofleet.safety.gate import GateState, Inputs
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
 from robofleet.tracking.events import TrackerEvent
-from tests.comms.alone import ROBOT_STATUS, WHEEL_COMMAND, Alone, WheelCommand
-from tests.comms.alone import TRUTH as TRUTH_LAYOUT
+from tests.bus.alone import ROBOT_STATUS, WHEEL_COMMAND, Alone, WheelCommand
+from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 WHEN = "at_s: 0.5, duration_s: 1.0"
@@ -82,6 +82,7 @@ def tags(fleet: Any) -> set[int]:
     return {pose.tag for pose in fleet.poses}
 
 
+@pytest.mark.slow
 def test_stuck_motors_hold_one_robot_and_let_it_go() -> None:
     drive = Drive(f"{{kind: motor_stuck, robot: r2, {WHEN}}}")
     turned = {}
@@ -92,6 +93,7 @@ def test_stuck_motors_hold_one_robot_and_let_it_go() -> None:
     assert turned["r1"] > 1.0
 
 
+@pytest.mark.slow
 def test_slip_takes_half_of_the_travel_and_not_of_the_wheels_turns() -> None:
     def travel_over_turns(drive: Drive) -> float:
         truths = during(drive.rows(TRUTH, TRUTH_LAYOUT, "r1"))
@@ -106,6 +108,7 @@ def test_slip_takes_half_of_the_travel_and_not_of_the_wheels_turns() -> None:
     assert slipping / gripping == pytest.approx(0.5, abs=0.08)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("kind", "event"), [("low_battery", Event.BATTERY_LOW), ("wired_stop", Event.WIRED_STOP)])
 def test_what_a_robot_says_of_itself_stops_the_run(kind: str, event: Event) -> None:
     drive = Drive(f"{{kind: {kind}, robot: r3, {WHEN}}}")
@@ -168,6 +171,7 @@ def test_delayed_poses_are_as_old_as_asked() -> None:
     assert len(delayed) >= 20
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("process", ["controller", "tracker", "supervisor", "driver-r2"])
 @pytest.mark.parametrize("kind", ["killed", "stopped"])
 def test_a_process_says_nothing_while_it_is_down_and_again_afterwards(process: str, kind: str) -> None:
@@ -196,6 +200,7 @@ def test_a_robot_whose_driver_died_comes_to_rest_and_stays_where_it_is() -> None
     assert math.dist((moved[-1].x_m, moved[-1].y_m), (stands[-1].x_m, stands[-1].y_m)) < 0.06
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("what", ["kind: killed, process: driver-r1", "kind: stopped, process: driver-r1"])
 def test_every_robot_of_a_process_that_is_struck_stands_and_is_seen_on(what: str) -> None:
     drive = Drive(f"{{{what}, {WHEN}}}", together=2)
@@ -399,6 +404,7 @@ def test_a_cut_around_the_tracker_of_one_camera_stops_what_it_says_alone() -> No
     assert {where for where, its in heard.items() if its.take() is not None} == {(POSES, "right"), (NEWS, "right")}
 
 
+@pytest.mark.slow
 def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_often() -> None:
     lossy = PLATOON.parent / "faults" / "lossy.yaml"
     run = Lockstep(
@@ -420,6 +426,7 @@ def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_
     assert not any(status is not None and status.hurry for status in statuses)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("faults", [None, PLATOON.parent / "faults" / "lossy.yaml"])
 def test_robots_with_computers_of_their_own_bear_that_radio_with_few_messages(faults: Path | None) -> None:
     """Their packets share the air: each tells once a command, and is answered at once."""
@@ -433,9 +440,9 @@ def test_robots_with_computers_of_their_own_bear_that_radio_with_few_messages(fa
     ]  # fmt: skip
     worst_ns: dict[str, int] = {}
 
-    def witness(robot: str, now_ns: int, _inputs: Inputs, state: GateState, _output: GateOutput) -> None:
+    def witness(robot: str, now_ns: int, _inputs: Inputs, state: GateState) -> None:
         if run.status.phase is Phase.RUNNING:
-            worst_ns[robot] = max(worst_ns.get(robot, 0), now_ns - min(state.command_nonce, state.enabled[0]))
+            worst_ns[robot] = max(worst_ns.get(robot, 0), now_ns - min(state.command_nonce, state.enabled_nonce))
 
     run = Lockstep(load_config(PLATOON, overrides, faults), witness)
     run.request(b"start")

@@ -11,6 +11,7 @@ from robofleet.runs.lockstep import Lockstep
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["tracker.truth.delay_s=0.045", "lockstep.tracker_delay_s=0.03"])
 def test_late_poses_come(change: str) -> None:
     source = "truth" if "truth" in change else "camera"

@@ -131,6 +131,7 @@ def shift_px(inner: Array) -> Array:
     return np.asarray(np.linalg.lstsq(inner[:, 1:], inner[:, 0], rcond=None)[0])
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("x", "y", "psi"), [(0.08, 0.02, 0.4), (-1.5, 0.85, 2.1), (1.45, -0.85, -1.0), (0.9, 0.85, math.pi / 2)]
 )
@@ -150,6 +151,7 @@ def test_prints_are_in_their_places_to_five_micrometres(renderer: SceneRenderer)
     assert np.abs(np.mean(shifts, axis=0)).max() * metres_a_pixel < 5e-6
 
 
+@pytest.mark.slow
 def test_same_seed_same_images() -> None:
     poses = np.array([[0.2, -0.3, 1.0]])
     first, second, other = make(3.0, 5), make(3.0, 5), make(3.0, 6)
@@ -195,6 +197,7 @@ def test_robots_outside_and_at_the_edge_are_clipped() -> None:
     assert not changed[50:-50, 50:-50].any()
 
 
+@pytest.mark.slow
 def test_robots_side_by_side_do_not_erase_each_other() -> None:
     two = scene((1, 2))
     a, b = (0.0, 0.0, 0.0), (0.115, 0.0, 0.0)
@@ -212,6 +215,7 @@ def centroid(image: NDArray[np.uint8], empty: NDArray[np.uint8]) -> Array:
     return np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
 
 
+@pytest.mark.slow
 def test_rows_of_a_rolling_shutter_see_a_robot_where_it_is_then() -> None:
     line_time, speed = 2e-5, 0.5
     rolling = scene(shutter=Shutter(0.0, line_time))

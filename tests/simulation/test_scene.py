@@ -99,6 +99,7 @@ def test_a_tag_sits_where_the_calibration_says_or_where_it_truly_is() -> None:
         assert_near(look(calibrated(config), drawn(config).render(PLACES), target), expected)
 
 
+@pytest.mark.slow
 def test_in_the_dark_everything_is_dark() -> None:
     """Also where it is darker than the noise is strong; there the mean is a little higher: nothing is below black."""
     dim, full = (drawn(load(f"camera.simulated.light={light}")).render(PLACES).astype(float) for light in (0.15, 1.0))
@@ -115,6 +116,7 @@ def test_the_noise_is_as_strong_in_the_dark() -> None:
     assert images.std(0)[lit].mean() == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_long_exposure_is_the_mean_of_short_ones_along_the_arc() -> None:
     exposure, v, omega = 0.033, 0.6, 8.0
     long = drawn(load(f"camera.exposure_s={exposure}", "camera.noise_gray=0"))
@@ -171,6 +173,7 @@ def test_a_lens_that_sees_the_horizon() -> None:
         assert np.ptp(changed, axis=0).max() < 2.0 * np.ptp(outline, axis=0).max()
 
 
+@pytest.mark.slow
 def test_a_knock_turns_shifts_and_zooms_the_camera() -> None:
     knock = "at_s: 2, rotation_deg: [0.3, -0.2, 0.4], shift_m: [0.004, 0, 0.002], focal_ratio: 1.01"
     config = load(f"camera.simulated.knocks=[{{{knock}}}]")

@@ -15,8 +15,8 @@ from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.simulation.sources import SimulatedCamera, TruthSource, World
 from robofleet.simulation.trigger import Trigger
 from robofleet.tracking.sources import CameraContext, ScheduledCamera
-from tests.comms.alone import TRUTH as TRUTH_LAYOUT
-from tests.comms.alone import Truth
+from tests.bus.alone import TRUTH as TRUTH_LAYOUT
+from tests.bus.alone import Truth
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS

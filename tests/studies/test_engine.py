@@ -41,7 +41,7 @@ def test_ended_early_an_engine_leaves_no_process() -> None:
     assert not active_children()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ray_gives_the_same_on_loopback_alone_to_whoever_has_its_token() -> None:
     if find_spec("ray") is None:
         pytest.skip("NO RAY")
@@ -54,7 +54,7 @@ def test_ray_gives_the_same_on_loopback_alone_to_whoever_has_its_token() -> None
     assert seen["answers"] == {"its own": "OK", "another": "UNAUTHENTICATED", "none": "UNAUTHENTICATED"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_module_of_the_current_folder_runs_in_no_worker_of_ray(tmp_path: Path) -> None:
     if find_spec("ray") is None:
         pytest.skip("NO RAY")
@@ -73,6 +73,7 @@ def test_a_module_of_the_current_folder_runs_in_no_worker_of_ray(tmp_path: Path)
     assert not (tmp_path / "imported").exists()
 
 
+@pytest.mark.slow
 def test_ray_that_does_not_start_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     folder = tmp_path / ("x" * 90)  # a socket's name has 107 bytes at most

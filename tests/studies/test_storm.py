@@ -35,6 +35,7 @@ def test_the_same_seed_plans_the_same_storm_and_another_seed_another_one(fleet: 
     assert plan(fleet, 7) != plan(fleet, 8)
 
 
+@pytest.mark.slow
 def test_every_fault_heals_by_the_time_that_the_plan_names_and_every_kind_comes(fleet: Config) -> None:
     plans = [plan(fleet, seed) for seed in range(1, 81)]
     for storm in plans:
@@ -46,6 +47,7 @@ def test_every_fault_heals_by_the_time_that_the_plan_names_and_every_kind_comes(
     assert any(not math.isinf(storm.outside_s) for storm in plans)
 
 
+@pytest.mark.slow
 def test_storms_park_robots_where_check_accepts_them_before_and_after_a_hand_pushed_them(fleet: Config) -> None:
     plans = [storm for seed in range(1, 41) if (storm := plan(fleet, seed)).parked]
     pushes = 0
@@ -90,6 +92,7 @@ def _overlap(faults: Iterable[Any]) -> bool:
     return any(later[0] < earlier[1] for earlier, later in pairwise(times))
 
 
+@pytest.mark.slow
 def test_two_storms_leave_every_invariant_standing(fleet: Config) -> None:
     tally = workers.storm(fleet, range(1, 3), Local(1), lambda _tally, _episode: None)
     assert [(e.seed, *e.violations[:2]) for e in tally.failed] == []
@@ -97,6 +100,7 @@ def test_two_storms_leave_every_invariant_standing(fleet: Config) -> None:
     assert tally.seeds == 2
 
 
+@pytest.mark.slow
 def test_a_storm_that_never_brought_what_it_planned_proves_too_little(fleet: Config) -> None:
     tally = Tally()
     done = play(fleet, 1)
@@ -127,20 +131,20 @@ def test_a_robot_is_at_its_goal_by_where_it_truly_is(
     assert at_goals(config, elsewhere) == ({"r2"} if there and assignment == "nearest" else set())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["script", "teleop", "ros2"])
 def test_groups_that_somebody_else_drives_run_again_after_a_storm(name: str) -> None:
     config = load_config(CONFIGS / f"{name}.yaml", ["tracker.source=truth"])
     assert play(config, 50000).violations == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_fleet_that_stopped_beside_an_obstacle_starts_again() -> None:
     config = load_config(CONFIGS / "obstacles.yaml", ["tracker.source=truth"])
     assert play(config, 50029).violations == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_robot_that_lets_others_by_is_not_dead() -> None:
     config = load_config(CONFIGS / "go-to.yaml", ["tracker.source=truth"])
     assert play(config, 50032).violations == ()

@@ -1,6 +1,7 @@
 """Each check that is taken out of a gate, of the supervisor or of the controller is found by a few storms."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count, islice
 from typing import Any
 
@@ -10,17 +11,18 @@ from pydantic import TypeAdapter
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
 from robofleet.core.clock import MS, S
+from robofleet.nodes.unit import drivers
 from robofleet.nodes.unit.keeping import MemoryKeeping
 from robofleet.operator.estop import EmergencyStop
 from robofleet.safety import gate, monitor, runaway, supervisor
-from robofleet.safety.gate import Latch
+from robofleet.safety.gate import GateState, Inputs, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.studies.storm import episode
 from robofleet.studies.storm.episode import play
 from robofleet.studies.storm.schedule import Act, Plan, plan
 from robofleet.vehicles.interface import WheelSpeeds
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 Patch = pytest.MonkeyPatch
 Storms = Callable[[Plan], bool]
@@ -34,69 +36,89 @@ def fleet(platoon_of: Callable[..., Config]) -> Config:
     return platoon_of("tracker.source=truth")
 
 
+@pytest.fixture(autouse=True)
+def uncompiled(monkeypatch: Patch) -> None:
+    """A compiled gate keeps the functions that it was compiled from; the plain one takes those of a test."""
+    monkeypatch.setattr(drivers, "in_arrays", lambda *_: False)
+
+
 def _old_messages_count(patch: Patch) -> None:
     patch.setattr(gate, "VALID_NS", 10 * S)
 
 
-def _obeying_also(patch: Patch, unless: Callable[[Any, Any, int], bool]) -> None:
+def _obeying_also(patch: Patch, unless: Callable[[GateState, Inputs], bool]) -> None:
     """Let the gate obey fresh commands that it should refuse."""
     take = gate._take_command
 
-    def taken(state: Any, drive: Any, command: Any, now_ns: int) -> Any:
-        after = take(state, drive, command, now_ns)
-        fresh = command.boot_id == state.boot_id and now_ns < command.nonce + gate.VALID_NS
-        if after.refused == state.refused or not fresh or unless(state, command, now_ns):
-            return after
-        return state._replace(seq=command.seq, command_nonce=command.nonce, wheels=command.wheels, heard_ns=now_ns)
+    def taken(g: GateState, drive: Any, i: Inputs, now_ns: int) -> None:
+        refused = g.refused
+        take(g, drive, i, now_ns)
+        fresh = i.command_boot_id == g.boot_id and now_ns < i.command_nonce + gate.VALID_NS
+        if g.refused != refused and fresh and not unless(g, i):
+            g.refused, g.seq, g.command_nonce, g.heard_ns = refused, i.command_seq, i.command_nonce, now_ns
+            g.left, g.right = i.command_left, i.command_right
 
     patch.setattr(gate, "_take_command", taken)
 
 
 def _any_sequence_number(patch: Patch) -> None:
-    _obeying_also(patch, lambda state, command, _: (command.epoch, command.session) != (state.epoch, state.session))
+    _obeying_also(patch, lambda g, i: (i.command_epoch, i.command_session) != (g.epoch, g.session))
 
 
 def _any_lease(patch: Patch) -> None:
-    _obeying_also(patch, lambda state, command, _: command.seq <= state.seq)
+    _obeying_also(patch, lambda g, i: i.command_seq <= g.seq)
 
 
 def _refused_feeds_the_watchdog(patch: Patch) -> None:
     take = gate._take_command
 
-    def taken(state: Any, drive: Any, command: Any, now_ns: int) -> Any:
-        after = take(state, drive, command, now_ns)
-        return after._replace(heard_ns=now_ns, command_nonce=max(after.command_nonce, now_ns - 10 * MS))
+    def taken(g: GateState, drive: Any, i: Inputs, now_ns: int) -> None:
+        take(g, drive, i, now_ns)
+        g.heard_ns, g.command_nonce = now_ns, max(g.command_nonce, now_ns - 10 * MS)
 
     patch.setattr(gate, "_take_command", taken)
 
 
 def _no_ramp(patch: Patch) -> None:
     follow = gate._follow
-    patch.setattr(gate, "_follow", lambda *args: follow(*args)._replace(output=args[1]))
+
+    def followed(g: GateState, left: float, right: float, acceleration: float, now_ns: int) -> None:
+        follow(g, left, right, acceleration, now_ns)
+        g.output_left, g.output_right = left, right
+
+    patch.setattr(gate, "_follow", followed)
 
 
 def _slow_ramp(patch: Patch) -> None:
     follow = gate._follow
-    patch.setattr(gate, "_follow", lambda state, target, top, now_ns: follow(state, target, top / 9, now_ns))
+    patch.setattr(gate, "_follow", lambda g, left, right, top, now_ns: follow(g, left, right, top / 9, now_ns))
 
 
 def _no_limit(patch: Patch) -> None:
     take = gate._take_permission
-    patch.setattr(gate, "_take_permission", lambda *args: take(*args)._replace(limit=12.5))
+
+    def taken(g: GateState, i: Inputs, clearable: bool, now_ns: int) -> None:
+        take(g, i, clearable, now_ns)
+        g.limit = 12.5
+
+    patch.setattr(gate, "_take_permission", taken)
 
 
 def _cleared_by_anything(patch: Patch) -> None:
     take = gate._take_permission
-    patch.setattr(gate, "_take_permission", lambda state, *args: _clear(state, take(state, *args)))
 
+    def taken(g: GateState, i: Inputs, clearable: bool, now_ns: int) -> None:
+        latch = g.latch
+        take(g, i, clearable, now_ns)
+        if latch == Latch.EMERGENCY_STOP:
+            g.latch = Latch.NONE
 
-def _clear(before: Any, after: Any) -> Any:
-    return after._replace(latch=Latch.NONE) if before.latch is Latch.EMERGENCY_STOP else after
+    patch.setattr(gate, "_take_permission", taken)
 
 
 def _latch_ignored(patch: Patch) -> None:
     target = gate._target
-    patch.setattr(gate, "_target", lambda state, now_ns: target(state._replace(latch=Latch.NONE), now_ns))
+    patch.setattr(gate, "_target", lambda g, now_ns: target(replace(g, latch=Latch.NONE), now_ns))
 
 
 def _lease_for_everybody(patch: Patch) -> None:
@@ -112,7 +134,7 @@ def _nothing_lost(patch: Patch) -> None:
 
 
 def _held_up_and_goes_on(patch: Patch) -> None:
-    patch.setattr(gate, "_held_up", lambda state, _: state)
+    patch.setattr(gate, "_stop_held_up", lambda *_: None)
 
 
 def _runaways_unnamed(patch: Patch) -> None:

@@ -69,6 +69,7 @@ def _lines(folder: Path) -> list[bytes]:
     return file.read_bytes().splitlines() if file.exists() else []
 
 
+@pytest.mark.slow
 def test_an_interrupted_sweep_keeps_what_is_finished_and_goes_on(file: Path, interrupted: tuple[Path, str]) -> None:
     folder, said = interrupted
     kept = _lines(folder)
@@ -124,6 +125,7 @@ def test_robots_are_opened_once_for_each_setting_that_is_theirs_and_not_for_each
     assert opened.read_text() == "xx", "once for each tag of robots"
 
 
+@pytest.mark.slow
 def test_bounds_are_met_missed_or_not_judged_and_only_met_is_green(tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text(
         f"{HEAD}set: {{run.duration_s: 0.1, tracker.source: truth, run.bounds: {{min_obstacle_gap_mm: 10}}}}\n"
@@ -149,7 +151,7 @@ def test_differences_of_no_weight_share_a_tenth_of_a_scale(bound: float | None, 
     assert scale(np.array([1.0, np.nan, 3.0]), bound) == (1.0, 3.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ray_leaves_the_same_bytes(file: Path, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     for on in ("local", "ray"):

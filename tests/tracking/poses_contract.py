@@ -30,8 +30,8 @@ from robofleet.nodes.pose_sources import pose_source
 from robofleet.runs.check_poses import complaints
 from robofleet.tracking.events import Notice
 from robofleet.tracking.sources import Observation, PoseContext
-from tests.comms.alone import TRUTH as TRUTH_LAYOUT
-from tests.comms.alone import Truth
+from tests.bus.alone import TRUTH as TRUTH_LAYOUT
+from tests.bus.alone import Truth
 
 MOCAP = Path(__file__).parents[2] / "configs" / "mocap.yaml"
 TICK_NS, STEP_NS = 33 * MS, 10 * MS

@@ -1,13 +1,13 @@
-"""The tracker's accuracy on a few ray-cast frames; ``python -m tests.tracking.accuracy`` has the whole table."""
+"""The tracker's accuracy on a few ray-cast frames; the whole table: ``python -m tools.measure.tracking.accuracy``."""
 
 import pytest
 
-from tests.tracking.accuracy import SCENES, evaluate
 from tests.tracking.peers import OURS, UNTIMED
+from tools.measure.tracking.accuracy import SCENES, evaluate
 
 
 @pytest.mark.parametrize(
-    ("title", "frames"), [("noise 3.5", (8,)), pytest.param("fisheye", (8,), marks=pytest.mark.slow)]
+    ("title", "frames"), [("noise 3.5", (8,)), pytest.param("fisheye", (8,), marks=pytest.mark.long)]
 )
 def test_placed_to_hundredths_of_a_millimetre(title: str, frames: tuple[int, ...]) -> None:
     row = evaluate(SCENES[title], [OURS], frames)[OURS]
@@ -17,13 +17,14 @@ def test_placed_to_hundredths_of_a_millimetre(title: str, frames: tuple[int, ...
     assert row["rms_deg"] <= 0.05
 
 
+@pytest.mark.slow
 def test_followed_under_a_cable() -> None:
     row = evaluate(SCENES["cable of 2 px"], [OURS], [5])[OURS]
     assert row["wrong"] == 0
     assert row["measured"] >= 0.95
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_followed_when_the_light_goes_out() -> None:
     row = evaluate(SCENES["15 % light"], [OURS], [8])[OURS]
     assert row["wrong"] == 0

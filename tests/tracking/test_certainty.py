@@ -7,9 +7,10 @@ import pytest
 
 from robofleet.config.calibrated import TagOffset
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
-from tests.tracking.certainty import Scene, biases, certainty
+from tools.measure.tracking.certainty import Scene, biases, certainty
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [Scene(), Scene(light=0.15), Scene(covered=0.2)], ids=["plain", "dark", "covered"])
 def test_squared_errors_are_as_large_as_said(scene: Scene) -> None:
     row = certainty(scene, 80)

@@ -1,4 +1,4 @@
-"""Tags that one threshold misses; ``python -m tests.tracking.acquisition`` has the whole table."""
+"""Tags that one threshold misses; ``python -m tools.measure.tracking.acquisition`` has the whole table."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,6 @@ from robofleet.tracking.deep import DeepSearch
 from robofleet.tracking.families import Squares
 from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.targets import Target
-from tests.tracking.acquisition import SCENES, evaluate, trials
 from tests.tracking.peers import OURS
 from tests.tracking.test_tracker import (
     GEOMETRY,
@@ -24,8 +23,10 @@ from tests.tracking.test_tracker import (
     measured,
     scene,
 )
+from tools.measure.tracking.acquisition import SCENES, evaluate, trials
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("title", "least"), [("contrast 30", 0.99), ("contrast 20", 0.93)])
 def test_faint_tags_are_acquired_within_ten_images(title: str, least: float) -> None:
     row = evaluate(SCENES[title], [OURS], 1)[OURS]
@@ -33,6 +34,7 @@ def test_faint_tags_are_acquired_within_ten_images(title: str, least: float) -> 
     assert row["acquired"] >= least
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("title", ["a side covered, 25 %", "a corner covered, 25 %"])
 def test_covered_tags_are_acquired_and_placed_by_what_is_seen(title: str) -> None:
     row = evaluate(SCENES[title], [OURS], 1)[OURS]
@@ -41,6 +43,7 @@ def test_covered_tags_are_acquired_and_placed_by_what_is_seen(title: str) -> Non
     assert row["max_mm"] <= 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["36h11", "Standard41h12"])
 def test_a_covered_tag_of_another_fleet_is_no_tag(family: str) -> None:
     for title in ("covered at any angle, 25 %", "half covered"):

@@ -178,6 +178,7 @@ WARMING: dict[str, Callable[[float], CameraGeometry]] = {
 }
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("true", WARMING.values(), ids=WARMING.keys())
 def test_slow_drift_is_followed(true: Callable[[float], CameraGeometry]) -> None:
     lab, errors, minute = Lab(CORNERS), [], 60 * SECOND
@@ -371,8 +372,8 @@ def test_predictions_and_strangers_are_no_sightings() -> None:
     ("places", "sigma", "images"),
     [
         (CORNERS + EDGES, SIGMA, 2000), (CORNERS, SIGMA, 2000), (CORNERS[:2], SIGMA, 1000), (CORNERS, 2e-4, 1000),
-        pytest.param(CORNERS + EDGES, SIGMA, 20_000, marks=pytest.mark.slow),
-        pytest.param(CORNERS, SIGMA, 10_000, marks=pytest.mark.slow),
+        pytest.param(CORNERS + EDGES, SIGMA, 20_000, marks=pytest.mark.long),
+        pytest.param(CORNERS, SIGMA, 10_000, marks=pytest.mark.long),
     ],
 )  # fmt: skip
 def test_noise_and_robots_that_hide_tags_are_no_news(

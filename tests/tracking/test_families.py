@@ -13,9 +13,6 @@ from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.families import pattern
 from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import TagTracker
-from tests.tracking.acquisition import SCENES, evaluate
-from tests.tracking.certainty import Scene as Certainty
-from tests.tracking.certainty import certainty
 from tests.tracking.library import drawn
 from tests.tracking.peers import OURS, Setting, apriltag
 from tests.tracking.test_tracker import (
@@ -31,6 +28,9 @@ from tests.tracking.test_tracker import (
     error,
     measured,
 )
+from tools.measure.tracking.acquisition import SCENES, evaluate
+from tools.measure.tracking.certainty import Scene as Certainty
+from tools.measure.tracking.certainty import certainty
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 
@@ -48,6 +48,7 @@ def test_each_tag_looks_as_the_apriltag_library_draws_it_half_a_turn_further(fam
         assert np.array_equal(pattern(tag, family), known[paper : paper + cells, paper : paper + cells])
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_apriltag_library_sees_rendered_tags_where_they_are(family: str) -> None:
     renderer = SceneRenderer(GEOMETRY, SIZE, targets(family), 3.0, np.random.default_rng(2))
@@ -58,6 +59,7 @@ def test_the_apriltag_library_sees_rendered_tags_where_they_are(family: str) -> 
         assert np.exp(1j * there.psi) == pytest.approx(np.exp(1j * psi), abs=0.02)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("family", FAMILIES)
 def test_surveyed_tags_of_a_family_are_found_in_an_image(family: FamilyName) -> None:
     renderer = SceneRenderer(GEOMETRY, SIZE, targets(family), 3.0, np.random.default_rng(2))
@@ -71,6 +73,7 @@ def test_surveyed_tags_of_a_family_are_found_in_an_image(family: FamilyName) -> 
         assert seen.ahead == pytest.approx(there[1], abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("title", "least"), [("contrast 60", 1.0), ("contrast 20", 0.93), ("tags of 22 px", 1.0)])
 def test_faint_and_small_tags_with_bits_around_are_acquired(title: str, least: float) -> None:
     row = evaluate(SCENES[title]._replace(family="Standard41h12"), [OURS], 2)[OURS]
@@ -78,6 +81,7 @@ def test_faint_and_small_tags_with_bits_around_are_acquired(title: str, least: f
     assert row["acquired"] >= least
 
 
+@pytest.mark.slow
 def test_tags_with_bits_around_are_placed_as_well_as_their_covariances_say() -> None:
     row = certainty(Certainty(family="Standard41h12"), 200)
     assert row["alike"] == 1.0
@@ -85,6 +89,7 @@ def test_tags_with_bits_around_are_placed_as_well_as_their_covariances_say() -> 
     assert 0.75 < row["chi2_xy"] < 1.35
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("family", FAMILIES)
 def test_tags_of_a_family_are_followed_and_those_of_others_are_not_there(family: str) -> None:
     renderer = SceneRenderer(GEOMETRY, SIZE, targets(family), 3.0, np.random.default_rng(2))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.tracking.peers import OURS
-from tests.tracking.photographs import APRILTAG, found
+from tools.measure.tracking.photographs import APRILTAG, found
 
 FOLDER = os.environ.get("ROBOFLEET_PHOTOGRAPHS")
 

@@ -10,7 +10,7 @@ from robofleet.config.load import load_config
 from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sight import FleetSight
-from tests.tracking.vibration import configuration, evaluate
+from tools.measure.tracking.vibration import configuration, evaluate
 
 ROOT = Path(__file__).parents[2]
 PERIOD_S = 0.033
@@ -19,7 +19,7 @@ CORNERS = [(-1.45, -0.85), (1.45, -0.85), (1.45, 0.85), (-1.45, 0.85)]
 STANDING = np.array([(-0.6, 0.3, 0.4), (0.5, -0.3, 2.0), (0.7, 0.4, -1.0), (-0.4, -0.4, 0.1)])
 
 
-@pytest.mark.parametrize("tilt_deg", [pytest.param(0.2, marks=pytest.mark.slow), 0.8])
+@pytest.mark.parametrize("tilt_deg", [pytest.param(0.2, marks=pytest.mark.long), 0.8])
 def test_no_robot_is_measured_in_the_wrong_place_while_a_knock_is_corrected(tilt_deg: float) -> None:
     floor_tags = [{"tag": 100 + i, "side_m": 0.1, "x_m": x, "y_m": y} for i, (x, y) in enumerate(CORNERS)]
     knocks = [{"at_s": (KNOCKED - 0.5) * PERIOD_S, "rotation_deg": [tilt_deg, 0.0, 0.0]}]
@@ -62,6 +62,7 @@ def test_robots_that_are_found_with_floor_tags_are_not_placed_by_a_camera_that_w
     assert measured > 10 * len(STANDING)
 
 
+@pytest.mark.slow
 def test_a_camera_that_sees_no_floor_tag_goes_on_where_another_one_sees_some() -> None:
     floor_tags = [{"tag": 100 + i, "side_m": 0.1, "x_m": -2.0 + i, "y_m": 0.8} for i in range(2)]
     right = load_config(ROOT / "configs/two-cameras.yaml", [f"tracker.floor_tags={floor_tags}"]).views[1]
@@ -72,6 +73,7 @@ def test_a_camera_that_sees_no_floor_tag_goes_on_where_another_one_sees_some() -
     assert sum(robot.coasted_ns == 0 for robot in robots) == len(poses)
 
 
+@pytest.mark.slow
 def test_a_camera_that_vibrates_measures_all_robots_in_every_image() -> None:
     rows = evaluate({"floor tags": configuration(floor_tags=True)}, [0.05, 0.0, 0.0], 30)
     assert rows["floor tags"]["without"] == 0

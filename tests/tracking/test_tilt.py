@@ -9,9 +9,9 @@ from robofleet.core.clock import S
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.targets import Target
 from robofleet.tracking.tracker import TagSighting, TagTracker
-from tests.tracking.accuracy import HEIGHT, SIDE
-from tests.tracking.certainty import Scene, camera
 from tests.tracking.raycast import Cable, Print, RayCaster, along, clutter
+from tools.measure.tracking.accuracy import HEIGHT, SIDE
+from tools.measure.tracking.certainty import Scene, camera
 
 TAGS = (7, 30, 211, 400)
 STARTS = ((-1.2, -0.5, 0.3), (1.1, 0.5, 2.0), (-0.9, 0.5, -2.5), (1.0, -0.6, -0.8))  # seen under slopes of 0.4 to 0.6
@@ -66,11 +66,13 @@ def test_a_tilt_is_learnt_and_no_longer_turns_the_heading(tilts_deg: tuple[float
     assert (off[-6:] ** 2 / sigma[-6:] ** 2).mean() < 4.0
 
 
+@pytest.mark.slow
 def test_what_lies_across_level_tags_is_not_taken_for_a_tilt() -> None:
     off, _ = errors((0.0, 0.0), Cable(0.0, 0.005, 0.4, 0.004, 0.004, 20.0))
     assert math.sqrt((off[3:] ** 2).mean()) < 0.06
 
 
+@pytest.mark.slow
 def test_a_tag_that_is_put_straight_is_learnt_anew() -> None:
     off, sigma = errors((5.0, 0.0), images=4 * IMAGES)
     assert np.abs(off[IMAGES]).max() > 0.3

@@ -21,6 +21,7 @@ def apart(a: tuple[float, float, float], b: tuple[float, float, float]) -> float
     return max(abs(a[0] - b[0]), abs(a[1] - b[1]), abs(math.remainder(a[2] - b[2], math.tau)))
 
 
+@pytest.mark.slow
 @EXACT
 @given(metres, metres, heading, speed, yaw_rate.filter(lambda w: abs(w) > 0.05), seconds)
 def test_it_is_the_circle_about_its_centre(

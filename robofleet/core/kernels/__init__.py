@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast
 
 from robofleet.core.errors import RobofleetError
-from robofleet.core.kernels.lazy import Kernel, reached
+from robofleet.core.kernels.lazy import Kernel, PlainKernel, reached
 
 __all__ = [
     "INFINITE",
@@ -13,6 +13,7 @@ __all__ = [
     "image_kernel",
     "infinite_kernel",
     "kernel",
+    "kernel_of_plain",
     "model",
     "reached",
     "snapshot",
@@ -33,6 +34,14 @@ class UnknownMeaningError(RobofleetError, TypeError):
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function at its first call, or load it. What it reads must be constant: that is looked at once."""
     return _kernel(function, {})
+
+
+def kernel_of_plain(function: Callable[P, R]) -> Callable[..., R]:
+    """As ``kernel``, for a function that others call uncompiled; the plain functions that it calls are compiled too.
+
+    The compiled form takes rows of arrays where the function takes records with the same fields.
+    """
+    return cast("Callable[..., R]", PlainKernel(function, dict(_NO_CALLBACK)))
 
 
 def infinite_kernel(function: Callable[P, R]) -> Callable[P, R]:

@@ -45,6 +45,18 @@ class Kernel:
         return digest_of(self.py_func, self._options)
 
 
+class PlainKernel(Kernel):
+    """A kernel whose function calls plain functions: numba compiles copies of them all."""
+
+    @functools.cached_property
+    def compiled(self) -> Any:
+        """numba's dispatcher of the function's copy."""
+        from robofleet.core.kernels.meaning import snapshot  # noqa: PLC0415
+        from robofleet.core.kernels.store import kept  # noqa: PLC0415
+
+        return kept(snapshot(self.py_func, self._options)[0], self.meaning)
+
+
 def reached(*kernels: Callable[..., Any]) -> frozenset[Kernel]:
     """Return these kernels and all that they call."""
     found: set[Kernel] = set()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, need_extra
+from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra
 from robofleet.gateways.place import is_over, joined_otherwise, run_of
 from robofleet.operator.commands import ArenaName
 
@@ -46,20 +46,19 @@ def teleop(
     from robofleet.core.clock import WallClock  # noqa: PLC0415
     from robofleet.gateways.gamepad import driving, pads  # noqa: PLC0415
 
-    with bad_input():
-        need_extra("teleop", "evdev")
-        need_extra("lab", *LAB_MODULES)
-        tree, access = run_of(arena or None, config)
-        if why := joined_otherwise(tree, access, PERSON):
-            raise RefusedError(why)
-        chosen = _group(tree, group)
-        robots = next(candidate for candidate in tree.groups if candidate.title == chosen).robots
-        if out is not None and out not in robots:
-            raise RefusedError(f"--out {out}: it is not in the group {chosen}: name one of {', '.join(robots)}")
-        try:
-            pad = pads.opened(device)
-        except pads.PadError as error:
-            raise RefusedError(str(error)) from error
+    need_extra("teleop", "evdev")
+    need_extra("lab", *LAB_MODULES)
+    tree, access = run_of(arena or None, config)
+    if why := joined_otherwise(tree, access, PERSON):
+        raise RefusedError(why)
+    chosen = _group(tree, group)
+    robots = next(candidate for candidate in tree.groups if candidate.title == chosen).robots
+    if out is not None and out not in robots:
+        raise RefusedError(f"--out {out}: it is not in the group {chosen}: name one of {', '.join(robots)}")
+    try:
+        pad = pads.opened(device)
+    except pads.PadError as error:
+        raise RefusedError(str(error)) from error
     clock = WallClock()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 from robofleet.bus.bus import Bus
 from robofleet.bus.keys import STATE
-from robofleet.bus.messages import RUN_STATE
+from robofleet.bus.messages import RunState
+from robofleet.bus.observer import Observer
 from robofleet.bus.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
@@ -24,9 +25,9 @@ def drive(
 
     ``out``: the robot of the group that is driven out while the run is held; by default the first one.
     """
-    hand, state = Hand(bus, config, group), bus.newest(STATE)
+    hand, observer = Hand(bus, config, group), Observer(bus, [STATE])
     out = out or next(own.robots[0] for own in config.groups if own.title == group)
-    held, epoch = False, 0  # of the run; of its supervisor: another one is another run's
+    epoch = 0  # of the run's supervisor: another one is another run's
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
     stick = pad.read()
     newest, heard_ns = 0, clock.now_ns()
@@ -36,15 +37,16 @@ def drive(
             if readable:
                 stick = pad.read()
             ticks.update()
-            if (payload := state.take()) is not None and (record := RUN_STATE.view(payload)) is not None:
-                held, epoch = record[0].phase == Phase.HOLD, epoch or record[0].epoch
-                if record[0].epoch != epoch:
-                    return
-            if held:
+            now_ns = clock.now_ns()
+            observer.update(now_ns)
+            state: RunState | None = observer[STATE]
+            epoch = epoch or (state.epoch if state else 0)
+            if state is not None and state.epoch != epoch:
+                return
+            if state is not None and state.phase == Phase.HOLD:
                 hand.drive_out(out, stick, ticks.newest)
             else:
                 hand.drive(stick, ticks.newest)
-            now_ns = clock.now_ns()
             if ticks.newest != newest:
                 newest, heard_ns = ticks.newest, now_ns
             elif now_ns - heard_ns > _SILENT_NS and over():

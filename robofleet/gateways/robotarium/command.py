@@ -15,7 +15,7 @@ from robofleet.config.load import ConfigError
 from robofleet.config.names import SHIPPED
 from robofleet.config.yamlfile import printable
 from robofleet.core.patterns import CONFIGURATIONS
-from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, need_extra, new_folder
+from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra, new_folder
 from robofleet.gateways.robotarium import old_names, stand_in
 from robofleet.gateways.robotarium import script as scripts
 from robofleet.gateways.robotarium.runs import Runs, Wanted
@@ -52,12 +52,11 @@ def robotarium(
     $ robofleet robotarium go_to_point.py configs/robotarium.yaml --real-time --set tracker.source=camera
     """
     config, arguments = _split(rest or [])
-    with bad_input():
-        version = _read(script, api)
-        need_extra("lab", *LAB_MODULES)
-        if out is not None:
-            new_folder(out)
-        runs = Runs(Wanted(config, script.stem, real_time, ideal, tuple(overrides), out, quiet))
+    version = _read(script, api)
+    need_extra("lab", *LAB_MODULES)
+    if out is not None:
+        new_folder(out)
+    runs = Runs(Wanted(config, script.stem, real_time, ideal, tuple(overrides), out, quiet))
     code = _run(script, arguments, runs, version)
     if not quiet:
         _tell(runs)

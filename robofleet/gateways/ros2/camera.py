@@ -9,9 +9,9 @@ from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from robofleet.bus.bus import Bus, Inbox, Wake
+from robofleet.bus.bus import Bus
 from robofleet.bus.keys import PICTURE, SAFE_REQUEST
-from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.bus.observer import Observer, Source
 from robofleet.config.calibrated import CameraModel
 from robofleet.config.camera import CameraSettings
 from robofleet.config.tree import Config
@@ -30,7 +30,7 @@ _PLUMB_BOB = 5  # coefficients at most, of sensor_msgs' plumb_bob
 class Camera:
     """One camera, as its ``tracker`` has it; ``robots`` knows when its images were exposed."""
 
-    def __init__(self, graph: Graph, tracker: str, view: Config, robots: Robots, bus: Bus, wake: Wake) -> None:
+    def __init__(self, graph: Graph, tracker: str, view: Config, robots: Robots, bus: Bus, observer: Observer) -> None:
         self._graph, self._robots, self._bus, self._tracker = graph, robots, bus, tracker
         self._name = view.camera.name
         self._image, self._compressed, self._lens = (
@@ -39,17 +39,18 @@ class Camera:
         )
         self._frame = graph.frames.optical(topics.ros_name(self._name))
         self._info = camera_info(view.camera.model, self._frame)
-        self._pictures = Inbox(bus.newest(PICTURE, self._name, wake), PICTURE_LAYOUT.decode)
+        self._observer = observer
+        observer.declare([(PICTURE, self._name)])
         self._asked_ns: int | None = None
 
-    def step(self, now_ns: int) -> None:
+    def step(self, now_ns: int, updated: set[Source]) -> None:
         """Ask for pictures while somebody looks, and say what came."""
         looked_at = any(map(wanted, (self._image, self._compressed, self._lens)))
         if looked_at and (self._asked_ns is None or now_ns - self._asked_ns >= _AGAIN_NS):
             self._bus.ask(SAFE_REQUEST, self._tracker, REQUESTED)
             self._asked_ns = now_ns
-        picture = self._pictures.take()
-        if picture is not None and looked_at:
+        if looked_at and (source := (PICTURE, self._name)) in updated:
+            picture = self._observer[source]
             self._say(self._graph.stamp(self._robots.exposed_ns(self._name, picture.exposure_ns)), picture.jpeg)
 
     def _say(self, stamp: Any, jpeg: bytes) -> None:

@@ -12,7 +12,7 @@ import typer
 
 from robofleet.core.clock import utc_now
 from robofleet.core.patterns import CONFIGURATIONS
-from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, how_to_install, need_extra, new_folder
+from robofleet.core.refusal import LAB_MODULES, RefusedError, how_to_install, need_extra, new_folder
 from robofleet.gateways.place import run_of
 from robofleet.gateways.ros2 import topics
 from robofleet.operator.commands import running_names
@@ -79,22 +79,21 @@ def ros2(
     if share:
         print(SHARE)
         return
-    with bad_input():
-        need_extra("lab", *LAB_MODULES)
-        if rviz or urdf is not None:
-            tree = _configuration(arena, overrides, config)
-            print(_rviz(tree, namespace) if urdf is None else _urdf(tree, urdf), end="")
-            return
-        _need_ros()
-        if lockstep:
-            _simulate(arena, overrides, out, namespace, speed)
-            return
-        if overrides or out is not None or (arena and Path(arena).suffix in CONFIGURATIONS):
-            run = f"`robofleet run {arena or 'CONFIG'}`"
-            raise RefusedError(f"a run in real time is another process: start {run}, or write --lockstep")
-        tree, access = run_of(arena or None, config)
-        _check_names(tree)
-        _serve(tree, access, namespace)
+    need_extra("lab", *LAB_MODULES)
+    if rviz or urdf is not None:
+        tree = _configuration(arena, overrides, config)
+        print(_rviz(tree, namespace) if urdf is None else _urdf(tree, urdf), end="")
+        return
+    _need_ros()
+    if lockstep:
+        _simulate(arena, overrides, out, namespace, speed)
+        return
+    if overrides or out is not None or (arena and Path(arena).suffix in CONFIGURATIONS):
+        run = f"`robofleet run {arena or 'CONFIG'}`"
+        raise RefusedError(f"a run in real time is another process: start {run}, or write --lockstep")
+    tree, access = run_of(arena or None, config)
+    _check_names(tree)
+    _serve(tree, access, namespace)
 
 
 def _need_ros() -> None:

@@ -6,6 +6,7 @@ from typing import Protocol
 from rclpy.node import Node
 
 from robofleet.bus.bus import Bus
+from robofleet.bus.observer import Observer, Source
 from robofleet.bus.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
@@ -24,10 +25,10 @@ NODE = "robofleet"
 
 
 class Component(Protocol):
-    """A part of the gateway: it publishes, or subscribes."""
+    """A part of the gateway that publishes what the observer has."""
 
-    def step(self, now_ns: int) -> None:
-        """Say what is new."""
+    def step(self, now_ns: int, updated: set[Source]) -> None:
+        """Say what is new; ``updated``: of which sources the observer has a new message."""
 
 
 class Gateway:
@@ -44,13 +45,13 @@ class Gateway:
 
         names = topics.ros_names(robot.id for robot in config.robots)
         self._ticks = TickFollower(bus, round(config.controller.tick_s * S), wake)
-        robots = Robots(graph, config, names, bus, self._ticks, wake)
+        observer = self._observer = Observer(bus, wake=wake)
+        robots = Robots(graph, config, names, observer, self._ticks)
         self.velocities = Velocities(graph, config, names, bus, self._ticks)
-        self._parts: list[Component] = [
-            self.velocities, robots, Run(graph, config, bus, served, wake), Sensing(graph, config, names, bus, wake)
-        ]  # fmt: skip
+        run, sensing = Run(graph, config, observer, served), Sensing(graph, config, names, observer)
+        self._parts: list[Component] = [robots, run, sensing]
         if config.tracker.source == "camera":
-            self._parts += [Camera(graph, name, view, robots, bus, wake) for name, view in config.trackers.items()]
+            self._parts += [Camera(graph, name, view, robots, bus, observer) for name, view in config.trackers.items()]
         self._markers = graph.publisher(topics.MARKERS)
         self._markers.publish(markers(config, names, graph.frames))
         self._floor = Floor(graph, config, names)
@@ -65,8 +66,10 @@ class Gateway:
         """Say what is new; it is called when something comes, too."""
         now_ns = self._graph.clock.now_ns()
         self._ticks.update()
+        self.velocities.step(now_ns)
+        updated = self._observer.update(now_ns)
         for part in self._parts:
-            part.step(now_ns)
+            part.step(now_ns, updated)
 
     def _say_places(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
         """Say where everything is that does not move."""

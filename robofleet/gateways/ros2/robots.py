@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,9 @@ from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import NDArray
 from sensor_msgs.msg import BatteryState, JointState
 
-from robofleet.bus.bus import Bus, Inbox, Wake
 from robofleet.bus.keys import POSES, STATUS
-from robofleet.bus.messages import FLEET_POSES, UNIT_STATUS, FleetPoses, TagPose
+from robofleet.bus.messages import FLEET_POSES, UNIT_STATUS, FleetPoses, TagPose, UnitStatus
+from robofleet.bus.observer import Observer, Source
 from robofleet.bus.ticks import TickFollower
 from robofleet.config import slices
 from robofleet.config.tree import Config
@@ -22,7 +23,7 @@ from robofleet.gateways.ros2.graph import Graph, single, wanted
 from robofleet.gateways.ros2.odometry import Odometry
 from robofleet.gateways.ros2.transforms import Transforms
 from robofleet.gateways.urdf import WHEELS
-from robofleet.tracking.measured import rows_of
+from robofleet.tracking.estimator import rows_of
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 _JOINTS = [f"{wheel}_joint" for wheel in WHEELS]
@@ -36,32 +37,34 @@ class Robots:
     """All robots of a run."""
 
     def __init__(
-        self, graph: Graph, config: Config, names: dict[str, str], bus: Bus, ticks: TickFollower, wake: Wake
+        self, graph: Graph, config: Config, names: dict[str, str], observer: Observer, ticks: TickFollower
     ) -> None:
-        self._graph, self._ticks = graph, ticks
+        self._graph, self._ticks, self._observer = graph, ticks, observer
         transforms = Transforms(graph)
-        self._units = [
-            _Unit(graph, config, [(robot, names[robot]) for robot in robots], transforms, bus, unit, wake)
+        self._units = {
+            unit: _Unit(graph, config, [(robot, names[robot]) for robot in robots], transforms)
             for unit, robots in config.units.items()
-        ]
-        self._images = {name: Inbox(bus.newest(POSES, name, wake), FLEET_POSES.view) for name in config.camera_names}
-        own = {robot: (unit, row) for unit in self._units for row, robot in enumerate(unit.robots)}
+        }
+        for unit, robots in config.units.items():
+            observer.declare([(STATUS, unit)], partial(_view, len(robots)))
+        observer.declare([(POSES, camera) for camera in config.camera_names], FLEET_POSES.view)
+        own = {robot: (unit, row) for unit in self._units.values() for row, robot in enumerate(unit.robots)}
         self._owners = [own[robot.id] for robot in config.bodies]
         self._rows = rows_of({robot.tag: row for row, robot in enumerate(config.bodies)})
-        self._behind_ns = dict.fromkeys(self._images, 0)  # each tracker's clock, behind ours
+        self._behind_ns = dict.fromkeys(config.camera_names, 0)  # each tracker's clock, behind ours
 
     def exposed_ns(self, camera: str, exposure_ns: int) -> int:
         """Return an instant of a tracker's clock on ours, as its newest poses tell it."""
         return exposure_ns + self._behind_ns[camera]
 
-    def step(self, now_ns: int) -> None:
+    def step(self, now_ns: int, updated: set[Source]) -> None:
         """Say what is new."""
-        for unit in self._units:
-            unit.step(now_ns)
-        for camera, images in self._images.items():
-            image = images.take()
-            if image is not None and self._ticks.newest:
-                self._seen(camera, *image)
+        for name, unit in self._units.items():
+            if (source := (STATUS, name)) in updated:
+                unit.say(self._observer.arrival_ns(source), now_ns, *self._observer[source])
+        for camera in self._behind_ns:
+            if self._ticks.newest and (POSES, camera) in updated:
+                self._seen(camera, *self._observer[POSES, camera])
 
     def _seen(self, camera: str, image: FleetPoses, poses: NDArray[Any]) -> None:
         """Say where the robots are that an image shows; those that are only predicted are not measured."""
@@ -76,28 +79,24 @@ class Robots:
                 unit.seen(index, exposure_ns + int(tag_pose["after_ns"]), tag_pose)
 
 
+def _view(robots: int, payload: bytes) -> tuple[UnitStatus, NDArray[Any]] | None:
+    """Return a status of a unit of so many robots."""
+    message = UNIT_STATUS.view(payload)
+    return message if message is not None and len(message[1]) == robots else None
+
+
 class _Unit:
     """The robots of one driver process, which tell together."""
 
-    def __init__(
-        self, graph: Graph, config: Config, robots: Sequence[tuple[str, str]], transforms: Transforms, bus: Bus,
-        unit: str, wake: Wake,
-    ) -> None:  # fmt: skip
+    def __init__(self, graph: Graph, config: Config, robots: Sequence[tuple[str, str]], transforms: Transforms) -> None:
         self.robots = [robot for robot, _ in robots]
         self._graph, self._transforms = graph, transforms
-        self._statuses = bus.newest(STATUS, unit, wake)
         drives = [slices.drive(config.robot(robot)) for robot in self.robots]
         self._odometry = Odometry(drives)
         self._robots = [_Robot(graph, name, drive) for (_, name), drive in zip(robots, drives, strict=True)]
         self._battery_ns = 0
 
-    def step(self, now_ns: int) -> None:
-        payload = self._statuses.take()
-        message = None if payload is None else UNIT_STATUS.view(payload)
-        if message is None or len(message[1]) != len(self.robots):
-            return
-        status, items = message
-        at_ns = self._statuses.arrival_ns or now_ns
+    def say(self, at_ns: int, now_ns: int, status: UnitStatus, items: NDArray[Any]) -> None:
         angles = np.column_stack([items["left_angle_rad"], items["right_angle_rad"]])
         speeds = np.column_stack([items["left_rad_s"], items["right_rad_s"]])
         odometry, stamp = self._odometry, self._graph.stamp(at_ns)

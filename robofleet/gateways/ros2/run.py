@@ -1,5 +1,6 @@
 """What is said of the run as a whole: its state, diagnostics, and what is drawn of robots and arena."""
 
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -8,10 +9,9 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from robofleet.bus.bus import Bus, Wake
-from robofleet.bus.keys import STATE, TICK
-from robofleet.bus.messages import RUN_STATE, TICK_RECORD, RunState
-from robofleet.bus.statuses import Statuses
+from robofleet.bus.keys import STATE, STATUS, TICK
+from robofleet.bus.messages import TICK_RECORD
+from robofleet.bus.observer import Observer, Source
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.gateways.ros2 import topics
@@ -19,13 +19,13 @@ from robofleet.gateways.ros2.graph import Graph
 from robofleet.gateways.ros2.topics import Frames
 from robofleet.gateways.served import Served
 from robofleet.gateways.urdf import HEIGHT_M
-from robofleet.recording.causes import halt_cause, named, run_cause
-from robofleet.safety.advice import advised
+from robofleet.recording.causes import halt_cause, named
+from robofleet.recording.state_words import state_words
 from robofleet.safety.gate import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 
 _EVERY_NS = S  # from one word of the diagnostics to the next
-_OLD_NS = S  # a robot that said nothing for so long is stale
+_OLD_NS = 2 * S  # a robot that said nothing for so long is stale
 _OK, _WARN, _ERROR, _STALE = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 _LEVELS = {Phase.HOLD: _WARN, Phase.FAULT: _ERROR, Phase.ESTOP: _ERROR}
 
@@ -33,50 +33,44 @@ _LEVELS = {Phase.HOLD: _WARN, Phase.FAULT: _ERROR, Phase.ESTOP: _ERROR}
 class Run:
     """A run's state and diagnostics."""
 
-    def __init__(self, graph: Graph, config: Config, bus: Bus, served: Served, wake: Wake) -> None:
-        self._graph, self._config, self._served = graph, config, served
-        self._states = bus.newest(STATE, wake=wake)
-        self._ticks = bus.newest(TICK)
-        self._robots = [robot.id for robot in config.bodies]
-        self._statuses = Statuses(bus, config.units, self._robots)
-        self._heard_ns: dict[str, int] = {}
+    def __init__(self, graph: Graph, config: Config, observer: Observer, served: Served) -> None:
+        """The observer observes STATUS of every unit."""
+        self._graph, self._config, self._observer, self._served = graph, config, observer, served
+        observer.declare([STATE])
+        observer.declare([TICK], TICK_RECORD.decode_head)
         self._state = graph.publisher(topics.STATE)
         self._diagnostics = graph.publisher(topics.DIAGNOSTICS)
-        self._newest: RunState | None = None
         self._phase = ""
         self._said_ns = 0
 
-    def step(self, now_ns: int) -> None:
+    def step(self, now_ns: int, updated: set[Source]) -> None:
         """Say what is new."""
-        payload = self._states.take()
-        state = None if payload is None else RUN_STATE.decode(payload)
-        if payload is not None and state is not None:
-            self._newest = state
-            self._served.take(payload, now_ns)
+        if STATE in updated:
+            state = self._observer[STATE]
+            self._served.take(state.epoch, now_ns)
             phase = named(Phase, state.phase)
             if phase != self._phase:
                 self._phase = phase
                 self._state.publish(String(data=phase))
         if now_ns - self._said_ns >= _EVERY_NS:
             self._said_ns = now_ns
-            message = DiagnosticArray(status=[self._of_run(), self._of_controller(), *self._of_robots(now_ns)])
+            message = DiagnosticArray(status=[self._of_run(), self._of_controller(now_ns), *self._of_robots(now_ns)])
             message.header.stamp = self._graph.stamp(now_ns)
             self._diagnostics.publish(message)
 
     def _of_run(self) -> DiagnosticStatus:
-        state, name = self._newest, f"{self._config.arena.name}: run"
+        state, name = self._observer[STATE], f"{self._config.arena.name}: run"
         if state is None:
             return DiagnosticStatus(level=_STALE, name=name, message="the supervisor says nothing")
-        why = advised(run_cause(state, self._config.ids), state.cause)
-        level = _LEVELS.get(state.phase, _OK)  # type: ignore[call-overload]
+        words = state_words(state, None, self._config.ids)
+        level = _LEVELS.get(state.phase, _OK)
         return DiagnosticStatus(
-            level=level, name=name, message=f"{self._phase}: {why}", values=_values(phase=self._phase)
+            level=level, name=name, message=f"{words.phase}: {words.advice}", values=_values(phase=self._phase)
         )
 
-    def _of_controller(self) -> DiagnosticStatus:
-        payload, name = self._ticks.take(), f"{self._config.arena.name}: controller"
-        head = None if payload is None else TICK_RECORD.decode_head(payload)
-        if head is None:
+    def _of_controller(self, now_ns: int) -> DiagnosticStatus:
+        head, name = self._observer[TICK], f"{self._config.arena.name}: controller"
+        if not self._observer.alive(TICK, now_ns, _EVERY_NS):
             return DiagnosticStatus(level=_STALE, name=name, message="no ticks")
         values = _values(
             tick=head.tick, overruns=head.overruns, lateness_ms=f"{head.lateness_ns / MS:.3f}",
@@ -84,24 +78,21 @@ class Run:
         )  # fmt: skip
         return DiagnosticStatus(level=_OK, name=name, message=f"{head.overruns} ticks missed so far", values=values)
 
-    def _of_robots(self, now_ns: int) -> list[DiagnosticStatus]:
-        statuses, found = self._statuses, []
-        for number in statuses.take():
-            for row in statuses.units[number].numbers.tolist():
-                self._heard_ns[self._robots[row]] = now_ns
-        for row, robot in enumerate(self._robots):
-            say = partial(DiagnosticStatus, name=f"{self._config.arena.name}: {robot}", hardware_id=robot)
-            if now_ns - self._heard_ns.get(robot, 0) > _OLD_NS + _EVERY_NS:
-                found.append(say(level=_STALE, message="its driver says nothing"))
+    def _of_robots(self, now_ns: int) -> Iterator[DiagnosticStatus]:
+        for row, robot in enumerate(self._config.bodies):
+            unit = self._config.unit_of[robot.id]
+            say = partial(DiagnosticStatus, name=f"{self._config.arena.name}: {robot.id}", hardware_id=robot.id)
+            if not self._observer.alive((STATUS, unit), now_ns, _OLD_NS):
+                yield say(level=_STALE, message="its driver says nothing")
                 continue
-            status = statuses.robots[row]
+            status = self._observer[STATUS, unit][1][self._config.units[unit].index(robot.id)]
             gate, latch = named(GateStatus, int(status["gate"])), named(Latch, int(status["latch"]))
-            halted = "" if self._newest is None else halt_cause(self._newest, row)
+            state = self._observer[STATE]
+            halted = "" if state is None else halt_cause(state, row)
             latched, closed = int(status["latch"]) != Latch.NONE, int(status["gate"]) != GateStatus.OPEN
             message = halted or (f"gate latched: {latch}" if latched else f"gate {gate}")
             values = _values(gate=gate, latch=latch, faults=int(status["faults"]), rejected=int(status["rejected"]))
-            found.append(say(level=_ERROR if latched else _WARN if closed else _OK, message=message, values=values))
-        return found
+            yield say(level=_ERROR if latched else _WARN if closed else _OK, message=message, values=values)
 
 
 def _values(**values: Any) -> list[KeyValue]:

@@ -8,8 +8,8 @@ from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import Imu, MagneticField, Range
 
 from robofleet.bus import sensors
-from robofleet.bus.bus import Bus, Wake
 from robofleet.bus.keys import SENSORS
+from robofleet.bus.observer import Observer, Source
 from robofleet.config.robots import Robot
 from robofleet.config.sensors import SensorSettings
 from robofleet.config.tree import Config
@@ -26,28 +26,24 @@ _UT = 1e-6  # [T]
 class Sensing:
     """All robots that tell of their sensors."""
 
-    def __init__(self, graph: Graph, config: Config, names: dict[str, str], bus: Bus, wake: Wake) -> None:
-        self._graph = graph
-        self._units = [
-            (
-                bus.newest(SENSORS, unit, wake),
-                {
-                    index: _Sensors(graph, names[robot], config.robot(robot))
-                    for index, robot in enumerate(config.units[unit])
-                    if config.robot(robot).sensors
-                },
-            )
+    def __init__(self, graph: Graph, config: Config, names: dict[str, str], observer: Observer) -> None:
+        self._graph, self._observer = graph, observer
+        observer.declare([(SENSORS, unit) for unit in config.sensing], sensors.decoded)
+        self._units = {
+            unit: {
+                index: _Sensors(graph, names[robot], config.robot(robot))
+                for index, robot in enumerate(config.units[unit])
+                if config.robot(robot).sensors
+            }
             for unit in config.sensing
-        ]
+        }
 
-    def step(self, now_ns: int) -> None:
+    def step(self, _now_ns: int, updated: set[Source]) -> None:
         """Say what is new."""
-        for inbox, robots in self._units:
-            payload = inbox.take()
-            message = None if payload is None else sensors.decoded(payload)
-            if message is not None:
-                stamp = self._graph.stamp(inbox.arrival_ns or now_ns)
-                for index, reading in message[1].items():
+        for unit, robots in self._units.items():
+            if (source := (SENSORS, unit)) in updated:
+                stamp = self._graph.stamp(self._observer.arrival_ns(source))
+                for index, reading in self._observer[source][1].items():
                     if index in robots:
                         robots[index].say(stamp, reading)
 

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from robofleet.core.refusal import bad_input
 from robofleet.gateways.place import ArenaAccess, run_of
 from robofleet.operator.commands import ArenaName, LifelineFd
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, RERUN, Address, need
@@ -57,22 +56,21 @@ def rerun(
 
 
 def _serve(viewer: str, arena: str | None, config: Path | None, text: str, lifeline: int | None) -> None:
-    with bad_input():
-        need(viewer)
-        at = Address.read(viewer, text, "--at")
-        if lifeline is not None:
-            _of_run(viewer, Path(arena or ""), at, lifeline)
-            return
-        tree, access = run_of(arena or None, config)
-        at.check(tree.arena.name, "--at")
-        from robofleet.gateways.viewers import live  # noqa: PLC0415
-        from robofleet.nodes.node import Lifeline  # noqa: PLC0415
+    need(viewer)
+    at = Address.read(viewer, text, "--at")
+    if lifeline is not None:
+        _of_run(viewer, Path(arena or ""), at, lifeline)
+        return
+    tree, access = run_of(arena or None, config)
+    at.check(tree.arena.name, "--at")
+    from robofleet.gateways.viewers import live  # noqa: PLC0415
+    from robofleet.nodes.node import Lifeline  # noqa: PLC0415
 
-        try:
-            live.serve(viewer, tree, access, at, access.folder or Path.cwd(), Lifeline(None), _JOINS_WITHIN_S)
-        except TimeoutError as error:
-            print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
-            raise typer.Exit(1) from error
+    try:
+        live.serve(viewer, tree, access, at, access.folder or Path.cwd(), Lifeline(None), _JOINS_WITHIN_S)
+    except TimeoutError as error:
+        print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
+        raise typer.Exit(1) from error
 
 
 def _of_run(viewer: str, file: Path, at: Address, lifeline: int) -> None:

@@ -10,6 +10,7 @@ from robofleet.bus.bus import Stream
 from robofleet.bus.joining import joined
 from robofleet.bus.keys import STATE, split
 from robofleet.bus.keys import key as key_of
+from robofleet.bus.messages import RUN_STATE
 from robofleet.bus.permissions import VIEWER
 from robofleet.config import groups
 from robofleet.config.tree import Config
@@ -130,8 +131,8 @@ class Viewers:
         """Tell what came."""
         for at_ns, full_of_sender, payload in self._stream.drain():
             full, _ = split(full_of_sender)
-            if full == self._state:
-                self._served.take(payload, at_ns)
+            if full == self._state and (epoch := RUN_STATE.head_of(payload, "epoch")):
+                self._served.take(epoch, at_ns)
                 if self._served.is_over(at_ns):
                     return  # what comes now is another run's
             self._server.tell(full, at_ns + self._epoch_ns, payload)

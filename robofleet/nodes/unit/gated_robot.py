@@ -6,7 +6,7 @@ It is a robot that exists, or one of a simulation that somebody else wrote. ``si
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import repeat
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.health import Health
 from robofleet.nodes.unit.keeping import RobotState, StateStore, kept
 from robofleet.safety import gate
-from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs, Latch, LeaseAction
+from robofleet.safety.gate import GateState, GateStatus, Inputs, Latch, LeaseAction
 from robofleet.vehicles.interface import (
     STOP,
     Driver,
@@ -44,10 +44,8 @@ BAD_LINK_NS = 70 * MS
 NO_LINK_NS = S // 2  # it is not a bad one
 HURRY_NS = 60 * S
 LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twice that, and it was held up
-_NEVER_NS = (1 << 63) - 1
-_LATCHES = {int(latch): latch for latch in Latch}
 
-Probe = Callable[[str, int, Inputs, GateState, GateOutput], None]  # robot, instant, what its gate got and decided
+Probe = Callable[[str, int, Inputs, GateState], None]  # robot, instant, what its gate got and decided
 
 
 class GatedRobots:
@@ -108,12 +106,14 @@ class GatedRobots:
         enable: tuple[NDArray[Any], NDArray[Any]] | None, *, due: bool,
     ) -> None:  # fmt: skip
         """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
-        commands: Any = repeat((None, 0)) if command is None else _commands(*command)
-        permissions: Any = repeat(None) if enable is None else _permissions(*enable)
-        for robot, (is_commanded, exposure_ns), permission in zip(self._robots, commands, permissions, strict=False):
+        inputs = [Inputs() for _ in self._robots]
+        exposure_ns = 0 if command is None else _put_command(inputs, *command)
+        if enable is not None:
+            _put_permission(inputs, *enable)
+        for robot, given in zip(self._robots, inputs, strict=True):
             if due:
                 robot.look(self._now_ns())
-            robot.pass_on(self._now_ns(), is_commanded, exposure_ns, permission)
+            robot.pass_on(self._now_ns(), given, exposure_ns)
 
     def lease(self, session: int, action: LeaseAction, _now_ns: int) -> tuple[LeaseAnswer, ...]:
         """Answer a request for the leases; an epoch that a restart would give out again is not given out."""
@@ -165,12 +165,9 @@ class GatedRobot:
         self._probe = probe
         self._health = Health(context.robot, context.now_ns())
         self._memory = RobotState(context.robot, keeping, self._health.complain)
-        self._gate = GateState(boot_id, *self._memory.kept)
-        self._settled: GateState | None = None  # the newest one of which nothing is left to be kept
+        self._gate = GateState(boot_id=boot_id, **self._memory.kept._asdict())
         self._written: WheelSpeeds | None = None
         self._last_command, self._told_ns, self._reported_wheels = (0.0, 0.0), 0, STOP
-        self._status = GateStatus.NO_LEASE
-        self._deadline_ns: int | None = 0
         self._accepted_exposure_ns: int | None = None  # of a command that has not reached the wheels yet
         self._applied = (0, 0)  # the newest one that has: its exposure, and when
         self._opened = False  # the gate was open: before, late messages are those of processes that start
@@ -188,22 +185,22 @@ class GatedRobot:
     @property
     def deadline_ns(self) -> int:
         """When its gate must be asked again."""
-        return _NEVER_NS if self._deadline_ns is None else self._deadline_ns
+        return self._gate.deadline_ns
 
     @property
     def newest_nonce_ns(self) -> int:
         """The newest nonce that a command and a permission have echoed."""
-        return min(self._gate.command_nonce, self._gate.enabled[0])
+        return min(self._gate.command_nonce, self._gate.enabled_nonce)
 
     @property
     def is_open(self) -> bool:
         """Whether its gate lets a controller's commands through."""
-        return self._status is GateStatus.OPEN
+        return self._gate.status == GateStatus.OPEN
 
     def set_back(self, from_ns: int, now_ns: int) -> None:
         """Let the gate begin anew: the clock was set back."""
-        self._gate = self._gate._replace(at_ns=from_ns)
-        self.pass_on(now_ns, None, 0, None)
+        self._gate.at_ns = from_ns
+        self.pass_on(now_ns, Inputs(), 0)
 
     @property
     def hurries(self) -> bool:
@@ -213,30 +210,28 @@ class GatedRobot:
     def look(self, now_ns: int) -> None:
         """Read the robot, and tell it again what may have been lost on its way: to stand, or what failed."""
         self._retry = self._health.look(self._driver, self._gate.latch, self._gate.output, now_ns)
-        if self._status is not GateStatus.OPEN and self._gate.output == STOP:
+        if not self.is_open and self._gate.output == STOP:
             self._retry = False
             self._write(STOP)
 
-    def pass_on(
-        self, now_ns: int, command: gate.Command | None, exposure_ns: int, permission: gate.Permission | None
-    ) -> None:
+    def pass_on(self, now_ns: int, inputs: Inputs, exposure_ns: int) -> None:
         """Let the gate decide on what arrived, and write the wheels; ``exposure_ns``: of the image behind a command."""
-        quiet = command is None and permission is None and self._health.latch <= self._gate.latch
-        due = self._deadline_ns is not None and now_ns >= min(self._deadline_ns, self._gate.at_ns + LOOK_NS)
-        if quiet and not due and not self._retry and now_ns >= self._gate.at_ns:
+        state = self._gate
+        quiet = not inputs.command and not inputs.permission and self._health.latch <= state.latch
+        timed = state.deadline_ns != gate.NEVER_NS and now_ns >= min(state.deadline_ns, state.at_ns + LOOK_NS)
+        if quiet and not timed and not self._retry and now_ns >= state.at_ns:
             return  # the gate's output changes by a message, by the robot's own stop, at its deadline
-        self._opened = self._opened or self._status is GateStatus.OPEN
+        self._opened = self._opened or self.is_open
         age_ns = now_ns - self.newest_nonce_ns
         if self._opened and BAD_LINK_NS < age_ns < NO_LINK_NS:
             self._hurry_until_ns = now_ns + HURRY_NS
-        seq = self._gate.seq
-        inputs = self._inputs(command, permission)
-        state, output = gate.step(self._gate, self._drive, inputs, now_ns)
-        self._adopt(inputs, state, output, now_ns, again=command is not None or self._retry)
+        seq = state.seq
+        self._step(inputs, now_ns)
+        self._adopt(inputs, now_ns, again=inputs.command or self._retry)
         self._retry = False
-        if command is not None and exposure_ns != self._applied[0] and self._gate.seq != seq:
+        if inputs.command and exposure_ns != self._applied[0] and state.seq != seq:
             self._accepted_exposure_ns = exposure_ns
-        if self._accepted_exposure_ns is not None and self._status is GateStatus.OPEN:
+        if self._accepted_exposure_ns is not None and self.is_open:
             self._applied, self._accepted_exposure_ns = (self._accepted_exposure_ns, now_ns), None
 
     @property
@@ -246,22 +241,18 @@ class GatedRobot:
 
     def keep(self, *, due: bool) -> None:
         """Keep what must be kept of the gate."""
-        if self._gate is not self._settled:
-            memory = kept(self._gate)
-            self._memory.keep(memory, due=due)
-            if memory == self._memory.kept:
-                self._settled = self._gate
+        self._memory.keep(kept(self._gate), due=due)
 
     def lease(self, session: int, action: LeaseAction, now_ns: int) -> LeaseAnswer:
         """Answer a request for the lease."""
-        inputs = self._inputs(lease=(session, action))
-        state, output = gate.step(self._gate, self._drive, inputs, now_ns)
-        granted = bool(output.granted)
-        if state.epoch != self._gate.epoch and not self._memory.save(kept(state)):
-            granted = False  # an epoch that a restart would give out again is not given out: nothing has happened
+        inputs, before = Inputs(lease=True, lease_session=session, lease_action=action), copy(self._gate)
+        granted = self._step(inputs, now_ns)
+        if self._gate.epoch != before.epoch and not self._memory.save(kept(self._gate)):
+            # an epoch that a restart would give out again is not given out: nothing has happened
+            self._gate, granted = before, 0
         else:
-            self._adopt(inputs, state, output, now_ns)
-        return LeaseAnswer(int(granted), self._gate.epoch, self._gate.session)
+            self._adopt(inputs, now_ns)
+        return LeaseAnswer(granted, self._gate.epoch, self._gate.session)
 
     def truth(self, index: int) -> Truth:
         """Return where the robot really is, if it is simulated; ``place``: in its unit."""
@@ -289,27 +280,25 @@ class GatedRobot:
                 self._driver.close()
                 self._health.say()
 
-    def _inputs(
-        self,
-        command: gate.Command | None = None,
-        permission: gate.Permission | None = None,
-        lease: tuple[int, LeaseAction] | None = None,
-    ) -> Inputs:
+    def _step(self, inputs: Inputs, now_ns: int) -> int:
+        """Let the gate take what arrived, and the robot's own state; return its answer to a lease request."""
         reading = self._health.reading
-        turning = max(abs(reading.left_speed), abs(reading.right_speed)) > TURNING_RAD_S
-        return Inputs(command, permission, lease, self._health.latch, turning)
+        inputs.latch = self._health.latch
+        inputs.turning = max(abs(reading.left_speed), abs(reading.right_speed)) > TURNING_RAD_S
+        return gate.step(self._gate, self._drive, inputs, now_ns)
 
-    def _adopt(self, inputs: Inputs, state: GateState, output: GateOutput, now_ns: int, *, again: bool = False) -> None:
+    def _adopt(self, inputs: Inputs, now_ns: int, *, again: bool = False) -> None:
         """Do what the gate decided; ``again`` tells the robot also what it was told before."""
-        self._gate, self._status, self._deadline_ns = state, output.status, output.deadline_ns
         if self._probe is not None:
-            self._probe(self._robot, now_ns, inputs, state, output)
-        if again or output.output != self._written:
-            self._last_command, self._told_ns, self._reported_wheels = self._told_until(now_ns), now_ns, output.output
-            self._write(output.output)
-        if self._health.latch > state.latch:  # just now
-            inputs = self._inputs()
-            self._adopt(inputs, *gate.step(state, self._drive, inputs, now_ns), now_ns)
+            self._probe(self._robot, now_ns, inputs, copy(self._gate))
+        output = self._gate.output
+        if again or output != self._written:
+            self._last_command, self._told_ns, self._reported_wheels = self._told_until(now_ns), now_ns, output
+            self._write(output)
+        if self._health.latch > self._gate.latch:  # just now
+            inputs = Inputs()
+            self._step(inputs, now_ns)
+            self._adopt(inputs, now_ns)
 
     def _told_until(self, now_ns: int) -> tuple[float, float]:
         """Return how far the wheels were told to turn [rad]."""
@@ -334,33 +323,29 @@ class GatedRobot:
         self._told_latch = (state.latch, state.latch_id)
         battery = reading.battery if math.isfinite(reading.battery) else -1.0
         return RobotStatus(
-            state.epoch, state.session, *self._applied, state.refused + refused, self._status, state.latch,
+            state.epoch, state.session, *self._applied, state.refused + refused, state.status, state.latch,
             state.latch_id, self._health.faults(state.latch), state.target_after_ns, state.output_after_ns,
             reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output,
             *self._told_until(now_ns), battery,
         )  # fmt: skip
 
 
-def _commands(head: NDArray[Any], items: NDArray[Any]) -> list[tuple[gate.Command | None, int]]:
-    """Return what is said to each robot, and the exposure behind it."""
+def _put_command(inputs: Sequence[Inputs], head: NDArray[Any], items: NDArray[Any]) -> int:
+    """Tell each robot what a unit's command says to it; return the exposure behind it."""
     whole = UnitCommand._make([*head[0].item()[1:-1], ()])
-    return [
-        (
-            gate.Command(epoch, whole.session, whole.seq, whole.boot_id, whole.nonce, WheelSpeeds(left, right))
-            if epoch
-            else None,
-            whole.exposure_ns,
-        )
-        for epoch, left, right in items.tolist()
-    ]
+    for i, (epoch, left, right) in zip(inputs, items.tolist(), strict=True):
+        if epoch:
+            i.command, i.command_epoch, i.command_session, i.command_seq = True, epoch, whole.session, whole.seq
+            i.command_boot_id, i.command_nonce = whole.boot_id, whole.nonce
+            i.command_left, i.command_right = left, right
+    return whole.exposure_ns
 
 
-def _permissions(head: NDArray[Any], items: NDArray[Any]) -> list[gate.Permission]:
-    """Return each robot's permission; a latch of another version is the emergency stop."""
+def _put_permission(inputs: Sequence[Inputs], head: NDArray[Any], items: NDArray[Any]) -> None:
+    """Tell each robot its permission; a latch of another version is the emergency stop."""
     whole = UnitEnable._make([*head[0].item()[1:-1], ()])
-    return [
-        gate.Permission(
-            epoch, whole.seq, whole.boot_id, whole.nonce, _LATCHES.get(latch, Latch.EMERGENCY_STOP), clear, limit
-        )
-        for epoch, latch, clear, limit in items.tolist()
-    ]
+    for i, (epoch, latch, clear, limit) in zip(inputs, items.tolist(), strict=True):
+        i.permission, i.permission_epoch, i.permission_seq = True, epoch, whole.seq
+        i.permission_boot_id, i.permission_nonce = whole.boot_id, whole.nonce
+        i.permission_latch = latch if latch <= max(Latch) else Latch.EMERGENCY_STOP
+        i.permission_clear, i.permission_limit = clear, limit

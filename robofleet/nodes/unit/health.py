@@ -32,7 +32,7 @@ class Health:
         self._complaint = ""
         self._unsaid: list[str] = []
 
-    def look(self, driver: Driver, latch: Latch, output: WheelSpeeds, now_ns: int) -> bool:
+    def look(self, driver: Driver, latch: int, output: WheelSpeeds, now_ns: int) -> bool:
         """Read the robot, whose gate is latched by ``latch`` and gives ``output``.
 
         Returns whether it had failed in the last loop.
@@ -81,7 +81,7 @@ class Health:
             return Latch.NONE
         return Latch.WIRED_STOP if self.reading.faults & _PRESSED else Latch.ROBOT_FAULT
 
-    def faults(self, latch: Latch) -> int:
+    def faults(self, latch: int) -> int:
         """Return what is said of it: what lasts, and what it felt since its gate was latched, however shortly.
 
         Its e-stop has a latch of its own, which says that it was pressed.

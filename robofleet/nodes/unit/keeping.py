@@ -245,5 +245,5 @@ class RobotState:
 
 def kept(state: GateState) -> StoredRobot:
     """Return what of a gate's state must be kept: a drill is forgotten."""
-    latch = Latch.NONE if state.latch is Latch.DRILL else state.latch
+    latch = Latch.NONE if state.latch == Latch.DRILL else Latch(state.latch)
     return StoredRobot(state.epoch, latch, state.latch_id)

@@ -1,13 +1,14 @@
 """The simulated robots of a unit: gates, wheels and words of all of them at once, in arrays.
 
 It does what ``gated_robot.py`` does for a robot that exists, to the last bit:
-``tests/processes/test_simulated_robots.py`` runs both beside each other. The lines that decide are in
-``safety/gates.py``; those of the bodies in ``simulation/bodies.py``.
+``tests/nodes/test_simulated_robots.py`` runs both beside each other. The lines that decide are in
+``safety/gate.py``, compiled; those of the bodies in ``simulation/bodies.py``.
 """
 
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import astuple
 from functools import partial
 from typing import Any
 
@@ -21,9 +22,20 @@ from robofleet.core.kernels import kernel
 from robofleet.nodes.unit.gated_robot import BAD_LINK_NS, HURRY_NS, LOOK_NS, NO_LINK_NS, TURNING_RAD_S, Probe
 from robofleet.nodes.unit.health import said_of_a_runaway
 from robofleet.nodes.unit.keeping import RobotState, StateStore, kept
-from robofleet.safety import gates, runaway
-from robofleet.safety.gate import GateState, GateStatus, Latch, LeaseAction
-from robofleet.safety.gates import GATE, INPUT, NEVER_NS, NOT_ASKED
+from robofleet.safety import runaway
+from robofleet.safety.gate import (
+    DRIVE,
+    GATE,
+    INPUT,
+    NEVER_NS,
+    GateState,
+    GateStatus,
+    Inputs,
+    Latch,
+    LeaseAction,
+    record_of,
+    step_row,
+)
 from robofleet.simulation import bodies as simulated
 from robofleet.simulation.bodies import Bodies
 from robofleet.vehicles.interface import DriverContext, RobotFault
@@ -45,6 +57,7 @@ LINK = np.dtype(
 _NO_COMMAND = np.ndarray((1,), UNIT_COMMAND.head_dtype, bytes(64)), np.ndarray((0,), UNIT_COMMAND.item_dtype, b"0")
 _NO_ENABLE = np.ndarray((1,), UNIT_ENABLE.head_dtype, bytes(64)), np.ndarray((0,), UNIT_ENABLE.item_dtype, b"0")
 
+_NOTHING = np.array([astuple(Inputs())], INPUT)
 _UNTOLD = -1  # as an exposure: no command waits to reach the wheels
 _NEW_LATCH, _TO_KEEP, _HURRIES, _RUNS = 1, 2, 4, 8  # what a call of the kernel found
 _OPEN, _DRILL, _NONE = int(GateStatus.OPEN), int(Latch.DRILL), int(Latch.NONE)
@@ -54,7 +67,7 @@ _PRESSED = int(RobotFault.WIRED_STOP)
 _HEARD_WITHIN_NS, _RESTS_WITHIN_NS = runaway.HEARD_WITHIN_NS, runaway.RESTS_WITHIN_NS
 _RUNS_RAD_S = runaway.TURNING_RAD_S
 _NOBODY = np.uint64(0)
-_step, _advance, _tell = gates.step, simulated.advance, simulated.tell
+_step, _advance, _tell = step_row, simulated.advance, simulated.tell
 _quantised, _through_wires = simulated.quantised, simulated.through_wires
 
 
@@ -71,15 +84,14 @@ class SimulatedRobots:
             RobotState(context.robot, keeping, partial(self._complain, context.robot)) for context in contexts
         ]
         self._gates, self._inputs, self._links = np.zeros(n, GATE), np.zeros(n, INPUT), np.zeros(n, LINK)
-        self._limits = gates.limits([context.drive for context in contexts])
+        self._drives = np.array([astuple(context.drive) for context in contexts], DRIVE)
         self._statuses, self._truths = np.zeros(n, UNIT_STATUS.item_dtype), np.zeros(n, UNIT_TRUTH.item_dtype)
         self._truths["place"] = range(n)
         self._unsaid: list[str] = []
         self._complaints: dict[str, str] = {}
         self._closed = False
         for row, memory in enumerate(self._memories):
-            gates.set_state(self._gates[row], GateState(boot_id, *memory.kept))
-        self._gates["status"], self._gates["deadline_ns"] = GateStatus.NO_LEASE, 0
+            self._gates[row] = astuple(GateState(boot_id=boot_id, **memory.kept._asdict()))
         links = self._links
         links["left_written"] = links["right_written"] = math.nan
         links["accepted_exposure_ns"] = _UNTOLD
@@ -132,12 +144,12 @@ class SimulatedRobots:
         """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
         b = self._bodies
         self._found, self.deadline_ns = _pass_on(
-            self._gates, self._inputs, self._links, self._limits, b.bodies, b.plants, b.coming, b.noise,
+            self._gates, self._inputs, self._links, self._drives, b.bodies, b.plants, b.coming, b.noise,
             *(command or _NO_COMMAND), *(enable or _NO_ENABLE), now_ns, b.prepare(), due,
         )  # fmt: skip
         if self._probe is not None:
             for row in np.flatnonzero(self._links["stepped"]).tolist():
-                self._tell_probe(row, now_ns, NOT_ASKED)
+                self._tell_probe(row, now_ns)
         if self._found & _RUNS:
             self._complain_of_runaways()
 
@@ -149,14 +161,14 @@ class SimulatedRobots:
         b, gate = self._bodies, self._gates[row]
         before = gate.copy()
         granted = _ask(
-            self._gates, self._inputs, self._links, self._limits, row, np.uint64(session), int(action), now_ns
+            self._gates, self._inputs, self._links, self._drives, row, np.uint64(session), int(action), now_ns
         )
         if gate["epoch"] != before["epoch"] and not self._save(row):
             self._gates[row], granted = before, 0
         else:
             _adopt_row(self._gates, self._links, b.bodies, b.plants, b.coming, b.noise, row, now_ns, b.prepare())
             if self._probe is not None:
-                self._tell_probe(row, now_ns, granted)
+                self._tell_probe(row, now_ns)
         self.deadline_ns = min(self.deadline_ns, int(gate["deadline_ns"]))
         return LeaseAnswer(int(granted), int(gate["epoch"]), int(gate["session"]))
 
@@ -170,11 +182,11 @@ class SimulatedRobots:
             )  # fmt: skip
             rows = np.flatnonzero(changed).tolist()
             for row in rows:
-                self._memories[row].keep(kept(gates.state_of(gate[row])), due=due)
+                self._memories[row].keep(kept(record_of(GateState, gate[row])), due=due)
             self._note_kept(rows)
 
     def _save(self, row: int) -> bool:
-        saved = self._memories[row].save(kept(gates.state_of(self._gates[row])))
+        saved = self._memories[row].save(kept(record_of(GateState, self._gates[row])))
         self._note_kept([row])
         return saved
 
@@ -228,13 +240,10 @@ class SimulatedRobots:
             fastest = max(abs(float(link["left_speed"])), abs(float(link["right_speed"])))
             self._complain(self._robots[row], said_of_a_runaway(fastest))
 
-    def _tell_probe(self, row: int, now_ns: int, granted: int) -> None:
+    def _tell_probe(self, row: int, now_ns: int) -> None:
         assert self._probe is not None
-        gate = self._gates[row]
-        self._probe(
-            self._robots[row], now_ns, gates.inputs_of(self._inputs[row]), gates.state_of(gate),
-            gates.output_of(gate, granted),
-        )  # fmt: skip
+        inputs, state = record_of(Inputs, self._inputs[row]), record_of(GateState, self._gates[row])
+        self._probe(self._robots[row], now_ns, inputs, state)
 
 
 @kernel
@@ -242,7 +251,7 @@ def _pass_on(  # type: ignore[no-untyped-def]
     gate,
     inputs,
     links,
-    limits,
+    drives,
     bodies,
     plants,
     coming,
@@ -271,14 +280,14 @@ def _pass_on(  # type: ignore[no-untyped-def]
             if l.opened and BAD_LINK_NS < age_ns < NO_LINK_NS:
                 l.hurry_until_ns = now_ns + HURRY_NS
             seq = g.seq
-            i.command, i.permission, i.lease = commanded, enabled, 0
+            inputs[k] = _NOTHING[0]
             if commanded:
-                own = commands[k]
+                i.command, own = 1, commands[k]
                 i.command_epoch, i.command_session, i.command_seq = own.epoch, c.session, c.seq
                 i.command_boot_id, i.command_nonce = c.boot_id, c.nonce
                 i.command_left, i.command_right = own.left_rad_s, own.right_rad_s
             if enabled:
-                permission = enables[k]
+                i.permission, permission = 1, enables[k]
                 i.permission_epoch, i.permission_seq, i.permission_boot_id = permission.epoch, e.seq, e.boot_id
                 i.permission_nonce, i.permission_clear, i.permission_limit = (
                     e.nonce,
@@ -287,7 +296,7 @@ def _pass_on(  # type: ignore[no-untyped-def]
                 )
                 i.permission_latch = permission.latch if permission.latch <= _GRAVEST else _EMERGENCY_STOP
             _feel(l, i)
-            _step(g, limits[k], i, now_ns)
+            _step(g, drives[k], i, now_ns)
             _adopt(g, l, b, p, coming[k], noise[k], now_ns, world_ns, commanded)
             if commanded and c.exposure_ns != l.applied_exposure_ns and g.seq != seq:
                 l.accepted_exposure_ns = c.exposure_ns
@@ -372,12 +381,13 @@ def _adopt_row(gate, links, bodies, plants, coming, noise, row, now_ns, world_ns
 
 
 @kernel
-def _ask(gate, inputs, links, limits, row, session, action, now_ns):  # type: ignore[no-untyped-def]
+def _ask(gate, inputs, links, drives, row, session, action, now_ns):  # type: ignore[no-untyped-def]
     """Ask one gate for its lease; returns the answer."""
     i = inputs[row]
-    i.command, i.permission, i.lease, i.lease_session, i.lease_action = 0, 0, 1, session, action
+    inputs[row] = _NOTHING[0]
+    i.lease, i.lease_session, i.lease_action = 1, session, action
     _feel(links[row], i)
-    return _step(gate[row], limits[row], i, now_ns)
+    return _step(gate[row], drives[row], i, now_ns)
 
 
 @kernel
@@ -419,11 +429,11 @@ KERNELS = (_pass_on, _look_all, _adopt_row, _ask, _fill_statuses, _fill_truths, 
 
 def compile_kernels(say: Say) -> None:
     """Compile every kernel, or load it from the cache, by calling it for no robots; ``say`` is told how far it is."""
-    gate, inputs, links, limits = (np.zeros(0, kind) for kind in (GATE, INPUT, LINK, gates.LIMITS))
+    gate, inputs, links, drives = (np.zeros(0, kind) for kind in (GATE, INPUT, LINK, DRIVE))
     bodies = np.zeros(0, simulated.BODY), np.zeros(0, simulated.PLANT)
     arena = (*bodies, np.zeros((0, 1), simulated.COMING), np.zeros((0, 1)))
     statuses, truths = np.zeros(0, UNIT_STATUS.item_dtype), np.zeros(0, UNIT_TRUTH.item_dtype)
-    row_arrays = tuple(np.zeros(1, kind) for kind in (GATE, INPUT, LINK, gates.LIMITS))
+    row_arrays = tuple(np.zeros(1, kind) for kind in (GATE, INPUT, LINK, DRIVE))
     row_state = (
         np.zeros(1, simulated.BODY),
         np.ones(1, simulated.PLANT),
@@ -431,12 +441,12 @@ def compile_kernels(say: Say) -> None:
         np.zeros((1, 1)),
     )
     with told("robots", KERNELS, say):
-        _pass_on(gate, inputs, links, limits, *arena, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)
+        _pass_on(gate, inputs, links, drives, *arena, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)
         _look_all(gate, links, *arena, 0, 0)
         _fill_statuses(gate, links, statuses, 0, 0)
         _fill_truths(*arena, truths, 0)
         _stop_all(*arena, 0)
         simulated.advance_all(*arena, 0)
-        gate, inputs, links, limits = row_arrays
-        _ask(gate, inputs, links, limits, 0, np.uint64(0), int(LeaseAction.RELEASE), 0)
+        gate, inputs, links, drives = row_arrays
+        _ask(gate, inputs, links, drives, 0, np.uint64(0), int(LeaseAction.RELEASE), 0)
         _adopt_row(gate, links, *row_state, 0, 0, 0)

@@ -47,7 +47,7 @@ class Diary:
         self.written += len(lines)
 
     def _gates(self, hearing: Hearing) -> Iterator[Line]:
-        for row, status in enumerate(hearing.statuses):
+        for row, status in enumerate(robot.status for robot in hearing.robots):
             if status is None or status.latch in (self._latches[row], Latch.DRILL):  # the drill is in every start
                 continue
             self._latches[row] = status.latch

@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 
 from robofleet.bus.bus import Bus
+from robofleet.bus.keys import TICK
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
@@ -36,7 +37,7 @@ class Feed:
     """Hears the run, and wakes the pages when there is something to show."""
 
     def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, progress: Callable[[], str]) -> None:
-        """``said``: what the launcher does, for as long as the supervisor has not spoken."""
+        """``progress`` says what the launcher does, for as long as the supervisor has not spoken."""
         self.config, self.bus, self._clock, self._progress = config, bus, clock, progress
         self.folder = folder
         self.ended: Frame | None = None  # how the run did, once it has
@@ -122,7 +123,7 @@ class Feed:
             self._loop.call_soon_threadsafe(self._woken.set)
 
     def _look(self) -> None:
-        now_ns, before_ns = self._clock.now_ns(), self.hearing.record_ns
+        now_ns, before = self._clock.now_ns(), self.hearing.record
         new = self.hearing.hear()
         if not new and now_ns - self._looked_ns < _IDLE_NS:
             return
@@ -130,7 +131,7 @@ class Feed:
         self.diary.look(self.hearing, self.hearing.hear_the_rest())
         self._mark()
         self.seq += 1
-        self.record_ns = self.hearing.record_ns if self.hearing.record_ns != before_ns else 0
+        self.record_ns = self.hearing.run.arrival_ns(TICK) if self.hearing.record is not before else 0
         for page in self.pages:
             page.wake()
 

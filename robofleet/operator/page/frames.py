@@ -11,6 +11,7 @@ from typing import Any
 
 from robofleet.behaviours.described import Group
 from robofleet.behaviours.interface import Dots, Figure, Pose, Shape, with_unit
+from robofleet.bus.keys import STATE, TICK
 from robofleet.bus.messages import FleetPoses, RobotStatus, RobotTick, RunState, TickRecord
 from robofleet.config import barrier, obstacles
 from robofleet.config.tree import Config
@@ -18,13 +19,14 @@ from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
 from robofleet.operator.hand import driven
 from robofleet.operator.page.hearing import CameraHearing, Hearing, Shown
-from robofleet.operator.page.words import phase_name, phase_word, stage, what_next
+from robofleet.operator.page.words import phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import OnTheWay
-from robofleet.recording import busy_machine
 from robofleet.recording.causes import named, own_state
+from robofleet.recording.state_words import state_words
 from robofleet.safety.distances import apart
 from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.supervisor import Phase
 from robofleet.tracking.outlines import TagOutlines
 
 Frame = dict[str, Any]
@@ -68,7 +70,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
             for group in groups
         ],
         "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
-        "places": {phase_word(phase): _places(places) for phase, places in OnTheWay(config).places.items()},
+        "places": {named(Phase, phase): _places(places) for phase, places in OnTheWay(config).places.items()},
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
         "camera": {"width": camera.width, "height": camera.height} if seen else None,
@@ -121,7 +123,8 @@ def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -
 
 def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, now_ns: int, launcher: str) -> Frame:
     """Return the run as it stands; ``launcher``: what that one does before the supervisor speaks."""
-    state, robots, way = hearing.state, config.ids, hearing.way
+    state, way = hearing.state, hearing.way
+    words = None if state is None else state_words(state, hearing.busy, config.ids)
     to_go_m = way.to_go_m(None if hearing.controller_silent() else hearing.record)
     return {
         "type": "tick",
@@ -129,10 +132,10 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "tick": 0 if hearing.record is None else hearing.record.tick,
         "t_s": _rounded(hearing.t_s, 3),
         "phase": phase_name(state),
-        "cause": None if state is None else busy_machine.told(state, hearing.busy, robots, advice=False),
-        "stage": stage(state, robots) if state is not None else launcher or None,
-        "what_next": what_next(state, hearing.busy, hearing.statuses, config, way.phase, way.words(to_go_m)),
-        "way": None if way.phase is None else phase_word(way.phase),
+        "cause": words and words.cause,
+        "stage": (words.check if state.phase == Phase.ARMED else None) if state and words else launcher or None,
+        "what_next": what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
+        "way": None if way.phase is None else named(Phase, way.phase),
         "health": _health(hearing),
         "robots": _rows(hearing, groups, state, to_go_m, now_ns),
     }
@@ -142,8 +145,8 @@ def beat(hearing: Hearing, now_ns: int) -> Frame:
     """Return how long ago the supervisor and the controller were heard [ms]: the link to the robots, not the page's."""
     return {
         "type": "beat",
-        "supervisor": _age_ms(hearing.state_ns, now_ns),
-        "controller": _age_ms(hearing.record_ns, now_ns),
+        "supervisor": _age_ms(hearing.run.arrival_ns(STATE), now_ns),
+        "controller": _age_ms(hearing.run.arrival_ns(TICK), now_ns),
     }
 
 
@@ -226,7 +229,7 @@ def _latency_ms(hearing: Hearing) -> float | None:
     """Return the longest time from an image to the wheels that it moves, of the robots' newest commands."""
     applied = [
         (status.applied_ns - status.applied_exposure_ns) / MS
-        for status in hearing.statuses
+        for status, _ in hearing.robots
         if status is not None and status.applied_exposure_ns and status.gate == GateStatus.OPEN
     ]
     return _rounded(max(applied), 1) if applied and 0.0 <= max(applied) <= _LONGEST_MS else None
@@ -249,7 +252,7 @@ def _rows(
     texts = live_figures.told(groups, ticks)
     unknown = [None] * texts.figures.shape[1]
     rows: list[list[Any]] = []
-    for row, status in enumerate(hearing.statuses):
+    for row, (status, arrival_ns) in enumerate(hearing.robots):
         record = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
         driven, placed = row < len(texts.references), record is not None and hearing.placed[row]
         rows.append([
@@ -257,7 +260,7 @@ def _rows(
             *([_known(value, 4) for value in texts.references[row]] if driven else [None] * 2),
             *(_drive(record) if record is not None else [None] * 2),
             *_gate(status), own_state(state, row, record) or None, _battery(status),
-            _age_ms(hearing.heard_ns[row], now_ns),
+            _age_ms(arrival_ns, now_ns),
             *((int(record.measured), int(record.lost), int(record.filtered)) if record is not None else [None] * 3),
             _rounded(to_go_m[row], 3) if driven else None,
             [_known(value, _DIGITS) for value in texts.figures[row]] if driven else unknown,

@@ -3,28 +3,24 @@
 from collections import deque
 from typing import NamedTuple
 
-from robofleet.bus.bus import Bus, Inbox, Wake
-from robofleet.bus.keys import BUSY, NEWS, NOTE, PICTURE, POSES, STATE, TICK, key
+from robofleet.bus.bus import Bus, Wake
+from robofleet.bus.keys import BUSY, NEWS, NOTE, PICTURE, POSES, STATE, STATUS, TICK, key
 from robofleet.bus.messages import (
-    BUSY_MACHINE,
     FLEET_POSES,
-    RUN_STATE,
     TICK_RECORD,
     TRACKER_NEWS,
     BusyMachine,
     FleetPoses,
     Picture,
-    RobotStatus,
     RunState,
     TagPose,
     TickRecord,
     TrackerNews,
 )
-from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
-from robofleet.bus.statuses import Statuses
+from robofleet.bus.observer import Observer, RobotObserved, robots_observed
 from robofleet.config import groups
 from robofleet.config.tree import Config
-from robofleet.core.clock import MS, Clock, S
+from robofleet.core.clock import MS, Clock
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.recording.notes import Noted, noted
 from robofleet.safety.supervisor import Phase
@@ -33,7 +29,6 @@ _IMAGES = 64  # two seconds of a camera, by which its rate is told
 _NEWS = 64
 _NOTES = 256  # of a group's script, between two looks
 _POSES_WITHIN_NS = 200 * MS  # of a picture's arrival; it is shown without outlines then
-_SILENT_NS = S  # a controller that says nothing for so long is not there
 
 
 class Shown(NamedTuple):
@@ -51,7 +46,7 @@ class CameraHearing:
         self.name = camera
         self._frames = bus.stream(key(arena, POSES, camera), capacity=_IMAGES)
         self._news = bus.stream(key(arena, NEWS, camera), capacity=_NEWS)
-        self._pictures = bus.newest(PICTURE, camera)
+        self._pictures = Observer(bus, [(PICTURE, camera)])
         self._pending: tuple[int, Picture] | None = None  # and when it came
         self.images: deque[FleetPoses] = deque(maxlen=_IMAGES)
         self.heard_ns = 0  # the newest image's arrival; 0: none yet
@@ -68,9 +63,8 @@ class CameraHearing:
 
     def _show(self, now_ns: int) -> None:
         """Wait for the poses of a picture's image; they may come after it."""
-        payload = self._pictures.take()
-        if payload is not None and (picture := PICTURE_LAYOUT.decode(payload)) is not None:
-            self._pending = now_ns, picture
+        for source in self._pictures.update(now_ns):
+            self._pending = now_ns, self._pictures[source]
         if self._pending is not None:
             came_ns, picture = self._pending
             same = next((image for image in self.images if image.exposure_ns == picture.exposure_ns), None)
@@ -86,21 +80,19 @@ class Hearing:
         robots, arena, driven = config.bodies, config.arena.name, len(config.members)
         self._clock, self._tick_s = clock, config.controller.tick_s
         self.tags = {robot.tag: robot.id for robot in robots}
-        self._ticks, self._states = bus.newest(TICK, wake=wake), bus.newest(STATE, wake=wake)
-        self._statuses = Statuses(bus, config.units, [robot.id for robot in robots])
-        self.statuses: list[RobotStatus | None] = [None] * len(robots)  # the newest ones
+        self._units, self._ids = config.units, [robot.id for robot in robots]
+        self.run = Observer(bus, [STATE, BUSY], wake)
+        self.run.declare([TICK], self._own_tick)
+        self._statuses = Observer(bus, [(STATUS, unit) for unit in config.units])
+        self.robots = [RobotObserved()] * len(robots)
+        self.state: RunState | None = None
+        self.record: TickRecord | None = None
+        self.busy: BusyMachine | None = None  # None: nobody was late by the machine's load
         self.cameras = [CameraHearing(config, bus, camera) for camera in config.camera_names]
         self._notes = {group: bus.stream(key(arena, NOTE, group), capacity=_NOTES) for group in groups.scripted(config)}
         self.notes: list[tuple[str, Noted]] = []  # that came since the look before, and of which group
-        self._busy = Inbox(bus.newest(BUSY), BUSY_MACHINE.decode)
-        self.busy: BusyMachine | None = None  # None: nobody was late by the machine's load
-        self.record: TickRecord | None = None
-        self.record_ns = 0  # its arrival; 0: none yet
         self.overruns = 0  # in this run: what the start of all processes cost does not count
         self._overruns_before = 0
-        self.state: RunState | None = None
-        self.state_ns = 0
-        self.heard_ns = [0] * len(robots)  # newest status of each
         self.placed = [False] * driven  # it was seen at least once: its estimate is one
         self._parked = {robot.tag: driven + k for k, robot in enumerate(config.bystanders)}
         self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
@@ -109,27 +101,24 @@ class Hearing:
 
     def hear(self) -> bool:
         """Take what came of the tick and of the run's state; returns whether there is something new to show."""
-        record = None if (payload := self._ticks.take()) is None else TICK_RECORD.decode(payload)
-        state = None if (payload := self._states.take()) is None else RUN_STATE.decode(payload)
-        if record is not None and len(record.robots) == len(self.placed):
-            self._take(record)
-        self.busy = self._busy.take() or self.busy
-        changed = False
-        if state is not None:
-            changed = self.state is None or self.state._replace(seq=0) != state._replace(seq=0)
-            self.state, self.state_ns = state, self._states.arrival_ns
-            self.way.hear(state.phase)
-            if state.phase in (Phase.IDLE, Phase.ARMED):
+        before, first = self.state, self.record is None
+        updated = self.run.update(self._clock.now_ns())
+        self.record, self.state, self.busy = self.run[TICK], self.run[STATE], self.run[BUSY]
+        changed = TICK in updated
+        if changed and self.record is not None:
+            self._take(self.record, first=first)
+        if STATE in updated and self.state is not None:
+            changed |= before is None or self.state._replace(seq=0) != before._replace(seq=0)
+            self.way.hear(self.state.phase)
+            if self.state.phase in (Phase.IDLE, Phase.ARMED):
                 self.t_s = None
-        return changed or record is not None
+        return changed
 
     def hear_the_rest(self) -> list[tuple[str, TrackerNews]]:
         """Take what else came: the robots' words, the images', a picture; returns each camera's news, with its name."""
         now_ns = self._clock.now_ns()
-        for unit in self._statuses.take():
-            for row in self._statuses.units[unit].numbers.tolist():
-                self.heard_ns[row] = now_ns
-                self.statuses[row] = RobotStatus._make(self._statuses.robots[row].item())
+        if self._statuses.update(now_ns):
+            self.robots = robots_observed(self._statuses, self._units, self._ids)
         news = []
         for camera in self.cameras:
             images, notices = camera.hear(now_ns)
@@ -147,13 +136,17 @@ class Hearing:
 
     def controller_silent(self) -> bool:
         """Whether what is known of the tick is of the past."""
-        return not self.record_ns or self._clock.now_ns() - self.record_ns > _SILENT_NS
+        return not self.run.alive(TICK, self._clock.now_ns())
 
-    def _take(self, record: TickRecord) -> None:
-        if record.run_tick < 0 or self.record is None:
+    def _own_tick(self, payload: bytes) -> TickRecord | None:
+        """Return a tick of this configuration's robots."""
+        record = TICK_RECORD.decode(payload)
+        return record if record is not None and len(record.robots) == len(self.placed) else None
+
+    def _take(self, record: TickRecord, *, first: bool) -> None:
+        if record.run_tick < 0 or first:
             self._overruns_before = record.overruns
         self.overruns = record.overruns - self._overruns_before
-        self.record, self.record_ns = record, self._ticks.arrival_ns
         self.placed = [placed or not robot.lost for placed, robot in zip(self.placed, record.robots, strict=True)]
         if record.run_tick >= 0:
             self.t_s = record.run_tick * self._tick_s

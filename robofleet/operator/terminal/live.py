@@ -8,19 +8,14 @@ from typing import Any, Self
 import numpy as np
 from rich.console import Console, Group
 from rich.live import Live
-from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
 from robofleet.bus.keys import BUSY, NEWS, POSES, STATE, TICK, key
 from robofleet.bus.messages import (
-    BUSY_MACHINE,
     FLEET_POSES,
-    RUN_STATE,
     TICK_RECORD,
-    TRACKER_NEWS,
-    BusyMachine,
     FleetPoses,
     RunState,
     TickRecord,
@@ -28,12 +23,13 @@ from robofleet.bus.messages import (
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.operator.terminal import live_robots
-from robofleet.operator.terminal.live_state import UNDER_WAY, WAITING, arming, banner, compiling_line, keys
+from robofleet.operator.terminal.live_state import UNDER_WAY, WAITING, banner, compiling_line, keys
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.operator.terminal.qr_code import qr_code
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording import busy_machine
 from robofleet.recording.run import Recording
+from robofleet.recording.state_words import StateWords, state_words
 from robofleet.runs.console import READY
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import describe
@@ -112,25 +108,24 @@ class LiveView:
 
     def _notice(self, recording: Recording) -> None:
         """Say once that the machine is busy, as soon as that is known."""
-        if (busy := self._newest(recording, BUSY, BUSY_MACHINE)) is not None:
+        if (busy := recording.newest(BUSY)) is not None:
             self._noticed = True
             print(busy_machine.notice(busy, self._ids), file=sys.stderr)
 
     def _goes_on(self, recording: Recording) -> bool:
-        state, busy = self._newest(recording, STATE, RUN_STATE), self._newest(recording, BUSY, BUSY_MACHINE)
+        state = recording.newest(STATE)
         if state is not None and state.phase != Phase.HOLD:
             return self._shown[1]  # it goes on just now: the phase that is shown follows
-        return state is not None and busy_machine.goes_on(state, busy)
+        return state is not None and self._words(recording, state).goes_on
 
     def _line(self, recording: Recording) -> str:
         tick = self._tick(recording)
-        state = self._newest(recording, STATE, RUN_STATE)
+        state = recording.newest(STATE)
         if self._phase == "held" and state is not None:
-            busy = self._newest(recording, BUSY, BUSY_MACHINE)
-            cause = busy_machine.told(state, busy, self._ids)
-            if busy_machine.goes_on(state, busy):
-                return f"held: {cause}; the run goes on by itself"
-            return f"held: {cause}: `robofleet resume` goes on, Ctrl-C ends the run"
+            words = self._words(recording, state)
+            if words.goes_on:
+                return f"held: {words.advice}; the run goes on by itself"
+            return f"held: {words.advice}: `robofleet resume` goes on, Ctrl-C ends the run"
         if self._phase in _DOING:
             return f"{self._phase}: {_DOING[self._phase]}"
         if self._phase != "running" or tick is None:
@@ -145,12 +140,13 @@ class LiveView:
         duration_s = self._config.run.duration_s
         if tick is not None and tick.run_tick >= 0:
             self._reached_s = min(self._time(tick), duration_s)
-        state = self._newest(recording, STATE, RUN_STATE)
+        state = recording.newest(STATE)
         if state is not None:
             self._way.hear(state.phase)
         to_go_m = self._way.to_go_m(tick)
         head = Text(f"{phase:<12}", _COLOURS.get(phase, "bold yellow"))
-        doing = arming(state, self._ids) if phase == "arming" and state is not None else _DOING.get(phase)
+        words = None if state is None else self._words(recording, state)
+        doing = words.check if phase == "arming" and words is not None else _DOING.get(phase)
         doing = (self._way.words(to_go_m) or doing) if phase in UNDER_WAY else doing
         when = (
             "  " if phase in UNDER_WAY else f"{self._reached_s:5.1f} s of {duration_s:g} s   "
@@ -163,10 +159,10 @@ class LiveView:
             compiling_line(progress) for progress in self._terminal.compiling if phase == "compiling"
         ]
         parts: list[Any] = [*(compiling or [line]), keys(self._terminal, phase)]  # what a low terminal cuts off is last
-        busy = self._newest(recording, BUSY, BUSY_MACHINE)
-        if state is not None and (seen := self._banner(state, busy)) is not None:
+        by_key, held = self._terminal.present, self._way.phase
+        if state is not None and words is not None and (seen := banner(state, words, by_key=by_key, way=held)):
             parts += ["", seen]
-        elif busy is not None:
+        elif (busy := recording.newest(BUSY)) is not None:
             parts += ["", Text(busy_machine.notice(busy, self._ids), "yellow")]
         if tick is not None:
             statuses = [recording.newest_status(robot.id) for robot in self._config.members]
@@ -177,15 +173,15 @@ class LiveView:
 
     def _tick(self, recording: Recording) -> TickRecord | None:
         """Return the newest tick; None where it is not about this configuration's robots."""
-        tick: TickRecord | None = self._newest(recording, TICK, TICK_RECORD)
+        tick: TickRecord | None = recording.newest(TICK)
         return tick if tick is not None and len(tick.robots) == len(self._config.members) else None
 
     @cached_property
     def _way(self) -> OnTheWay:
         return OnTheWay(self._config)
 
-    def _banner(self, state: RunState, busy: BusyMachine | None) -> Panel | None:
-        return banner(state, busy, self._ids, by_key=self._terminal.present, way=self._way.phase)
+    def _words(self, recording: Recording, state: RunState) -> StateWords:
+        return state_words(state, recording.newest(BUSY), self._ids)
 
     def _health(self, recording: Recording, tick: TickRecord) -> Table:
         arena = self._config.arena.name
@@ -210,7 +206,7 @@ class LiveView:
             if (frame := FLEET_POSES.decode(payload)) is not None
         ]
         tracker = Text(_tracker_line(frames, len(self._config.robots)))
-        news = self._newest(recording, NEWS, TRACKER_NEWS, camera)
+        news = recording.newest(NEWS, camera)
         if news is not None and frames and frames[-1].sent_ns - news.stamp_ns < _SHOWN_NS:
             tracker.append(f"\n{describe(news.event, news.tag, news.value)}", "yellow")
         return tracker
@@ -223,10 +219,6 @@ class LiveView:
 
     def _time(self, tick: TickRecord) -> float:
         return max(0, tick.run_tick) * self._config.controller.tick_s
-
-    def _newest(self, recording: Recording, topic: Any, layout: Any, name: str = "") -> Any:
-        messages = recording.messages.get(key(self._config.arena.name, topic, name))
-        return layout.decode(messages[-1]) if messages else None
 
 
 def _tracker_line(frames: list[FleetPoses], robots: int) -> str:

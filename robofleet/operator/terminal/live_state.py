@@ -6,21 +6,12 @@ from rich.panel import Panel
 from rich.progress_bar import ProgressBar
 from rich.text import Text
 
-from robofleet.bus.messages import BusyMachine, RunState
+from robofleet.bus.messages import RunState
 from robofleet.core.compiling import Progress
 from robofleet.operator.terminal.terminal import Terminal
-from robofleet.recording import busy_machine
-from robofleet.recording.causes import driven_out
-from robofleet.safety.arming import Stage
+from robofleet.recording.state_words import GOES_ON, StateWords
 from robofleet.safety.supervisor import Event, Phase
 
-_NAMED = 3  # robots in a line
-_STAGES = {
-    Stage.CHECKS: "does every robot answer, is it seen, and is it at rest?",
-    Stage.DRILL: "trying the emergency stop",
-    Stage.WIGGLE: "trying the wheels",
-    Stage.DONE: "every check is passed",
-}
 _KEYS = (("e", "emergency stop"), ("h", "hold"), ("r", "resume"), ("q", "end the run"))
 _FIRST_KEYS = (("e", "emergency stop"), ("a", "arm"), ("s", "start"), ("q", "end the run"))
 WAITING = {
@@ -37,43 +28,23 @@ _GOES_ON = {
 }
 
 
-def arming(state: RunState, robots: tuple[str, ...]) -> str:
-    """Return what is checked now."""
-    doing = next((words for stage, words in _STAGES.items() if stage == state.stage), "another check")
-    tried = [robot for robot, row_state in zip(robots, state.robots, strict=False) if row_state.stroke]
-    if not tried:
-        return doing
-    more = f" and {len(tried) - _NAMED} more" if len(tried) > _NAMED else ""
-    return f"{doing} of {', '.join(tried[:_NAMED])}{more}"
-
-
-def who_stands(state: RunState, robots: tuple[str, ...]) -> str:
-    """Return who stands in a held run."""
-    out = [robot for row, robot in enumerate(robots) if driven_out(state, row)]
-    return f"{out[0]} is driven out at a crawl, all others stand." if out else "Every robot stands."
-
-
-def banner(
-    state: RunState, busy: BusyMachine | None, robots: tuple[str, ...], *, by_key: bool, way: Phase | None = None
-) -> Panel | None:
+def banner(state: RunState, words: StateWords, *, by_key: bool, way: Phase | None = None) -> Panel | None:
     """Return what must be seen: why the fleet stands, and what to do.
 
-    ``busy``: what is known of the machine's load; ``way``: to the start or to the park, where that is held.
+    ``way``: to the start or to the park, where that is held.
     """
-    cause = busy_machine.told(state, busy, robots)
-    if busy_machine.goes_on(state, busy):
-        return _panel(
-            "HOLD", cause, "Every robot stands. Everything is simulated: the run goes on by itself.", "yellow"
-        )
+    cause = words.advice
+    if words.goes_on:
+        return _panel("HOLD", cause, GOES_ON, "yellow")
     if state.phase == Phase.HOLD:
         goes_on = "the run goes on" if way is None else _GOES_ON[way]
         how = f"press r and {goes_on}; q ends the run" if by_key else "`robofleet resume` goes on; Ctrl-C ends the run"
         requested = state.cause == Event.HOLD_REQUESTED  # then there is nothing to mend
         what = f"{how[0].upper()}{how[1:]}" if requested else f"Look, mend it, then {how}"
-        return _panel("HOLD", cause, f"{who_stands(state, robots)} {what}.", "yellow")
+        return _panel("HOLD", cause, f"{words.standing} {what}.", "yellow")
     if state.phase == Phase.ESTOP:
-        silent = [robot for robot, row_state in zip(robots, state.robots, strict=False) if not row_state.acknowledged]
-        what = f"NOT acknowledged by {', '.join(silent)}" if silent else "Every robot has latched its gate."
+        silent = ", ".join(words.silent)
+        what = f"NOT acknowledged by {silent}" if silent else "Every robot has latched its gate."
         return _panel("EMERGENCY STOP", cause, what, "red")
     if state.phase == Phase.FAULT:
         return _panel("FAULT", cause, "Every robot stands.", "red")

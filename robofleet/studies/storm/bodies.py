@@ -72,7 +72,7 @@ def unnamed(
     ``outages``: when nobody looked at them, or their motors stood.
     """
     at_ns = np.array([decision.true_ns for decision in decisions], dtype=np.float64)
-    standing = np.array([decision.output.output == STOP for decision in decisions], dtype=np.bool_)
+    standing = np.array([decision.state.output == STOP for decision in decisions], dtype=np.bool_)
     found = []
     for first, last in intervals(standing):
         until_ns = at_ns[last + 1] if last + 1 < len(at_ns) else math.inf
@@ -83,8 +83,8 @@ def unnamed(
             if named_ns >= end_ns or not watched:
                 continue
             newest = decisions[int(np.searchsorted(at_ns, named_ns, side="right")) - 1]
-            if newest.state.latch is not Latch.RUNAWAY:
-                numbers = f"{newest.state.latch.name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after its output was zero"
+            if newest.state.latch != Latch.RUNAWAY:
+                numbers = f"{Latch(newest.state.latch).name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after its output was zero"
                 found.append(Violation("a wheel turns by itself and is not named", named_ns / S, robot, numbers))
     return found
 
@@ -98,7 +98,7 @@ def unheld(
     heard.
     """
     at_ns = np.array([decision.true_ns for decision in decisions], dtype=np.float64)
-    outputs = np.array([decision.output.output for decision in decisions], dtype=np.float64)
+    outputs = np.array([decision.state.output for decision in decisions], dtype=np.float64)
     found = []
     for first, last in (span for wheel in outputs.T for span in intervals(abs(wheel) >= _COMMANDED_RAD_S)):
         until_ns = at_ns[last + 1] if last + 1 < len(at_ns) else at_ns[last]

@@ -6,13 +6,14 @@ were turned only by whom they may be.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from operator import itemgetter
+from dataclasses import fields, replace
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.core.clock import MS, S
-from robofleet.safety.gate import Command, GateState, Latch, LeaseAction, Permission
+from robofleet.safety.gate import NEVER, GateState, Latch, LeaseAction
 from robofleet.studies.storm.ledger import GateDecision, Outage
 from robofleet.studies.storm.verdict import Violation
 from robofleet.vehicles.differential_drive import DifferentialDrive
@@ -25,22 +26,15 @@ _RAMP_NS = _OUTPUT_WITHIN_NS - _TARGET_WITHIN_NS
 _LAPSE_NS = 1 * S
 _CATCH_UP_NS = 20 * MS  # the longest stretch of a ramp that one step may make good
 _LIMIT = 1.01
-_NEVER = GateState(0).command_nonce
 _IDS = 1 << 64  # boot ids have 64 bits
 _PASSING = (
-    "since_ns",
-    "refused",
-    "output",
-    "target",
-    "at_ns",
-    "moved_by",
-    "target_after_ns",
-    "output_after_ns",
-)  # time moves these
-_memory = itemgetter(*(i for i, name in enumerate(GateState._fields) if name not in _PASSING))
-_lease = itemgetter(*map(GateState._fields.index, ("epoch", "session")))
-_command = itemgetter(*map(GateState._fields.index, ("seq", "command_nonce", "wheels", "heard_ns")))
-_enable = itemgetter(*map(GateState._fields.index, ("enabled", "limit")))
+    "since_ns", "refused", "output_left", "output_right", "target_left", "target_right", "at_ns", "moved_by",
+    "target_after_ns", "output_after_ns", "status", "deadline_ns",
+)  # fmt: skip # time moves these
+_memory = attrgetter(*(field.name for field in fields(GateState) if field.name not in _PASSING))
+_lease = attrgetter("epoch", "session")
+_command = attrgetter("seq", "command_nonce", "wheels", "heard_ns")
+_enable = attrgetter("enabled_nonce", "enabled_seq", "limit")
 
 Array = NDArray[np.float64]
 
@@ -54,7 +48,7 @@ class GateAudit:
         self._robot, self._drive = robot, drive
         self._authorised = authorised  # whether a reset was asked for before an instant of lockstep's clock
         self._outages = outages  # of its driver
-        self._held_ns = _NEVER  # when it was last asked again after it had not been for too long
+        self._held_ns = NEVER  # when it was last asked again after it had not been for too long
         self._found: list[Violation] = []
         self.standing: Array = np.empty((0, 2))  # instant [ns], whether the output is zero
         self.moving: Array = np.empty((0, 2))  # instant [ns], whether the target is not zero
@@ -62,9 +56,9 @@ class GateAudit:
     def violations(self, decisions: Sequence[GateDecision]) -> list[Violation]:
         """Return what did not hold, oldest first."""
         rows, until_ns, start = [], 0, 0
-        before, previous = GateState(0), None
+        before, previous = GateState(boot_id=0), None
         for row, decision in enumerate(decisions):
-            true_ns, now_ns, _, state, output = decision
+            true_ns, now_ns, _, state = decision
             if state.boot_id != before.boot_id:
                 start = row if previous is None or not _set_back(decision, previous) else start
                 before = self._begun(decision, before, previous)
@@ -73,10 +67,10 @@ class GateAudit:
                 self._explain(decision, before)
             elif state.refused == before.refused:
                 self._counted(decision, before)
-            if output.target != STOP:
+            if state.target != STOP:
                 self._permitted(decision)
-                until_ns = min(state.command_nonce, state.enabled[0])
-            rows.append((true_ns, now_ns, until_ns, start, *output.output, *output.target))
+                until_ns = min(state.command_nonce, state.enabled_nonce)
+            rows.append((true_ns, now_ns, until_ns, start, *state.output, *state.target))
             before, previous = state, decision
         if rows:
             self._measure(np.array(rows, dtype=np.float64))
@@ -88,13 +82,13 @@ class GateAudit:
     def _held_up(self, decision: GateDecision, previous: GateDecision | None) -> None:
         """A gate that let its wheels turn and was not asked for 120 ms gives nothing, and takes nothing of before."""
         if previous is None or previous.state.boot_id != decision.state.boot_id:
-            self._held_ns = _NEVER
+            self._held_ns = NEVER
             return
-        moved = not previous.output.output == STOP == previous.output.target
+        moved = not previous.state.output == STOP == previous.state.target
         if moved and decision.now_ns - previous.now_ns > _VALID_NS:
             self._held_ns = decision.now_ns
-            if decision.output.output != STOP:
-                self._fail(decision.true_ns, "a gate that was held up goes on", decision.output.output)
+            if decision.state.output != STOP:
+                self._fail(decision.true_ns, "a gate that was held up goes on", decision.state.output)
 
     # What the gate remembers
 
@@ -102,13 +96,14 @@ class GateAudit:
         """Return what a gate with a new boot id may know: its lease's epoch and its latch."""
         state = decision.state
         if previous is not None and _set_back(decision, previous):  # it must forget
-            return before._replace(
-                boot_id=state.boot_id, heard_ns=state.heard_ns, command_nonce=_NEVER, enabled=(_NEVER, 0)
-            )
-        if state.latch is Latch.MEMORY_LOST and before.latch is not Latch.MEMORY_LOST:
-            return GateState(state.boot_id, state.epoch, state.latch, state.latch_id)
-        latch = Latch.NONE if before.latch is Latch.DRILL else before.latch
-        return GateState(state.boot_id, before.epoch, latch, before.latch_id)
+            return replace(
+                before, boot_id=state.boot_id, heard_ns=state.heard_ns,
+                command_nonce=NEVER, enabled_nonce=NEVER, enabled_seq=0,
+            )  # fmt: skip
+        if state.latch == Latch.MEMORY_LOST != before.latch:
+            return GateState(boot_id=state.boot_id, epoch=state.epoch, latch=state.latch, latch_id=state.latch_id)
+        latch = Latch.NONE if before.latch == Latch.DRILL else before.latch
+        return GateState(boot_id=state.boot_id, epoch=before.epoch, latch=latch, latch_id=before.latch_id)
 
     def _explain(self, decision: GateDecision, before: GateState) -> None:
         """Find what allowed each change."""
@@ -118,110 +113,104 @@ class GateAudit:
             self._lease(decision, before)
         if (state.latch, state.latch_id) != (before.latch, before.latch_id):
             self._latch(decision, before)
-        if _enable(state) != (before.enabled, 0.0 if granted else before.limit):
+        if _enable(state) != (before.enabled_nonce, before.enabled_seq, 0.0 if granted else before.limit):
             self._enable(decision, before)
-        forgotten = (0, _NEVER, before.wheels, decision.now_ns) if granted else _command(before)
+        forgotten = (0, NEVER, before.wheels, decision.now_ns) if granted else _command(before)
         if _command(state) != forgotten:
             self._command(decision, forgotten[0])
 
     def _lease(self, decision: GateDecision, before: GateState) -> None:
-        _, now_ns, inputs, state, _ = decision
-        session, action = inputs.lease or (0, LeaseAction.RELEASE)
+        _, now_ns, inputs, state = decision
+        session, action = (inputs.lease_session, inputs.lease_action) if inputs.lease else (0, LeaseAction.RELEASE)
         if state.session == 0:
-            allowed = action is LeaseAction.RELEASE and session == before.session and state.epoch == before.epoch
+            allowed = action == LeaseAction.RELEASE and session == before.session and state.epoch == before.epoch
         else:
-            free = before.session == 0 or now_ns - before.heard_ns >= _LAPSE_NS or action is LeaseAction.TAKE_OVER
+            free = before.session == 0 or now_ns - before.heard_ns >= _LAPSE_NS or action == LeaseAction.TAKE_OVER
             rest = before.output == STOP and not inputs.turning
             allowed = free and rest and state.session == session and state.epoch == before.epoch + 1
-            allowed = allowed and action is not LeaseAction.RELEASE
+            allowed = allowed and action != LeaseAction.RELEASE
         if not allowed:
-            change = f"{_lease(before)} to {_lease(state)} by {inputs.lease}, output {before.output}"
+            change = f"{_lease(before)} to {_lease(state)} by {(session, action)}, output {before.output}"
             self._fail(decision.true_ns, "the lease changed without a right", change)
 
     def _latch(self, decision: GateDecision, before: GateState) -> None:
-        true_ns, _, inputs, state, _ = decision
-        permission = self._valid_permission(decision, before)
+        true_ns, _, inputs, state = decision
+        permitted = self._valid_permission(decision, before)
         change = f"{Latch(before.latch).name} {before.latch_id} to {Latch(state.latch).name} {state.latch_id}"
         if state.latch > before.latch or state.latch_id > before.latch_id:
-            latch = max(inputs.latch, permission.latch if permission else Latch.NONE)
+            latch = max(inputs.latch, inputs.permission_latch if permitted else Latch.NONE)
             if state.latch != latch:
                 self._fail(true_ns, "a latch that nobody asked for", change)
             return
         rest = before.output == STOP and not inputs.turning and not inputs.latch
-        if permission is None or permission.clear != before.latch_id or not rest:
-            self._fail(true_ns, "a latch was cleared without an authorised reset at rest", f"{change} by {permission}")
-        elif before.latch is not Latch.DRILL and not self._authorised(true_ns):
+        if not permitted or inputs.permission_clear != before.latch_id or not rest:
+            self._fail(true_ns, "a latch was cleared without an authorised reset at rest", f"{change} by {inputs}")
+        elif before.latch != Latch.DRILL and not self._authorised(true_ns):
             self._fail(true_ns, "a latch was cleared and nobody had asked for a reset", change)
 
     def _enable(self, decision: GateDecision, before: GateState) -> None:
-        permission = self._valid_permission(decision, before)
-        state = decision.state
-        limit = 0.0 if permission is None or permission.latch else permission.limit
-        if permission is None or state.enabled != (permission.nonce, permission.seq) or state.limit not in (0.0, limit):
-            change = f"{_enable(before)} to {_enable(state)} by {decision.inputs.permission}"
+        i, state = decision.inputs, decision.state
+        allowed = {0.0} if i.permission_latch else {0.0, i.permission_limit}
+        newest = (state.enabled_nonce, state.enabled_seq) == (i.permission_nonce, i.permission_seq)
+        if not (self._valid_permission(decision, before) and newest and state.limit in allowed):
+            change = f"{_enable(before)} to {_enable(state)} by {i}"
             self._fail(decision.true_ns, "a refused enable changed more than a counter", change)
 
     def _command(self, decision: GateDecision, last_seq: int) -> None:
-        _, now_ns, inputs, state, _ = decision
-        command = inputs.command
-        if (
-            command is None
-            or not self._obeyed(decision, last_seq)
-            or _command(state) != (command.seq, command.nonce, command.wheels, now_ns)
-        ):
-            change = f"to {_command(state)} by {command}, epoch {state.epoch}, last {last_seq}, at {now_ns}"
+        _, now_ns, i, state = decision
+        allowed = i.command_seq, i.command_nonce, (i.command_left, i.command_right), now_ns
+        if not i.command or not self._obeyed(decision, last_seq) or _command(state) != allowed:
+            change = f"to {_command(state)} by {i}, epoch {state.epoch}, last {last_seq}, at {now_ns}"
             self._fail(decision.true_ns, "a refused command changed more than a counter", change)
 
     def _counted(self, decision: GateDecision, before: GateState) -> None:
         """Nothing changed: whatever came was refused, and is counted."""
         inputs = decision.inputs
-        if inputs.command is not None or inputs.permission is not None:
+        if inputs.command or inputs.permission:
             self._fail(decision.true_ns, "a refused message was not counted", inputs)
 
     # The rules of acceptance
 
-    def _valid_permission(self, decision: GateDecision, before: GateState) -> Permission | None:
-        permission = decision.inputs.permission
-        if (
-            permission is None
-            or not self._fresh(permission, decision)
-            or (permission.nonce, permission.seq) <= before.enabled
-        ):
-            return None
-        return permission if permission.epoch == before.epoch or permission.latch else None
+    def _valid_permission(self, decision: GateDecision, before: GateState) -> bool:
+        i = decision.inputs
+        return (
+            i.permission
+            and self._fresh(i.permission_boot_id, i.permission_nonce, decision)
+            and (i.permission_nonce, i.permission_seq) > (before.enabled_nonce, before.enabled_seq)
+            and (i.permission_epoch == before.epoch or bool(i.permission_latch))
+        )
 
     def _obeyed(self, decision: GateDecision, last_seq: int) -> bool:
-        command, state, drive = decision.inputs.command, decision.state, self._drive
-        assert command is not None
-        left, right = command.wheels
+        i, state, drive = decision.inputs, decision.state, self._drive
+        left, right = i.command_left, i.command_right
         return (
-            self._fresh(command, decision)
-            and (command.epoch, command.session) == (state.epoch, state.session)
+            self._fresh(i.command_boot_id, i.command_nonce, decision)
+            and (i.command_epoch, i.command_session) == (state.epoch, state.session)
             and state.session != 0
-            and command.seq > last_seq
+            and i.command_seq > last_seq
             and max(abs(left), abs(right)) <= _LIMIT * drive.max_wheel_speed
             and drive.wheel_radius * abs(left + right) / 2.0 <= _LIMIT * drive.max_speed
         )
 
-    def _fresh(self, message: Command | Permission, decision: GateDecision) -> bool:
-        """Whether it echoes this start of the driver, not long ago, and since the gate was held up."""
-        age_ns = decision.now_ns - message.nonce
-        known = message.boot_id == decision.state.boot_id and message.nonce >= max(0, self._held_ns)
+    def _fresh(self, boot_id: int, nonce: int, decision: GateDecision) -> bool:
+        """Whether a message echoes this start of the driver, not long ago, and since the gate was held up."""
+        age_ns = decision.now_ns - nonce
+        known = boot_id == decision.state.boot_id and nonce >= max(0, self._held_ns)
         return known and 0 <= age_ns < _VALID_NS
 
     # What reaches the wheels
 
     def _permitted(self, decision: GateDecision) -> None:
         """A target that is not zero needs a lease, a valid command, a valid enable and no latch."""
-        _, now_ns, _, state, output = decision
-        left, right = output.target
+        _, now_ns, _, state = decision
+        left, right = state.target
         limit = min(state.limit, self._drive.max_wheel_speed)
         if not (
             state.session
-            and state.latch is Latch.NONE
+            and state.latch == Latch.NONE
             and 0 <= state.command_nonce <= now_ns < state.command_nonce + _VALID_NS
-            and 0 <= state.enabled[0] <= now_ns < state.enabled[0] + _VALID_NS
-            and output.target == state.wheels
+            and 0 <= state.enabled_nonce <= now_ns < state.enabled_nonce + _VALID_NS
+            and state.target == state.wheels
             and max(abs(left), abs(right)) <= _LIMIT * limit
         ):
             self._fail(decision.true_ns, "the target is not zero without lease, command, enable or limit", decision[1:])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from robofleet.bus.bus import MemoryBus
 from robofleet.core.clock import Clock
-from robofleet.safety.gate import GateOutput, GateState, GateStatus, Inputs
+from robofleet.safety.gate import GateState, GateStatus, Inputs
 from robofleet.vehicles.interface import STOP
 
 
@@ -20,7 +20,6 @@ class GateDecision(NamedTuple):
     now_ns: int  # the driver's
     inputs: Inputs
     state: GateState
-    output: GateOutput
 
 
 class Ledger:
@@ -39,20 +38,20 @@ class Ledger:
 
     def turning(self) -> set[str]:
         """Return the robots whose wheels are let turn now."""
-        return {robot for robot, rows in self.decisions.items() if rows[-1].output.target != STOP}
+        return {robot for robot, rows in self.decisions.items() if rows[-1].state.target != STOP}
 
     def obeying(self) -> set[str]:
         """Return the robots whose gates let through what their controller commands, be it to stand."""
-        return {robot for robot, rows in self.decisions.items() if rows[-1].output.status is GateStatus.OPEN}
+        return {robot for robot, rows in self.decisions.items() if rows[-1].state.status == GateStatus.OPEN}
 
     def forget(self) -> None:
         """Let go of everything."""
         self.decisions.clear()
         self.said_ns.clear()
 
-    def probe(self, robot: str, now_ns: int, inputs: Inputs, state: GateState, output: GateOutput) -> None:
+    def probe(self, robot: str, now_ns: int, inputs: Inputs, state: GateState) -> None:
         """Keep what a gate decided."""
-        self.decisions[robot].append(GateDecision(self._now_ns(), now_ns, inputs, state, output))
+        self.decisions[robot].append(GateDecision(self._now_ns(), now_ns, inputs, state))
 
     def _heard(self, message: tuple[str, bytes]) -> None:
         """Keep when a message was said; what it says is in the recording, in the same order."""

@@ -11,6 +11,7 @@ from robofleet.calibration.views import Collector, Offer
 BOARD = Board()
 
 
+@pytest.mark.slow
 def test_corners_are_found_to_a_twentieth_of_a_pixel(true_camera) -> None:  # type: ignore[no-untyped-def]
     rng = np.random.default_rng(1)
     detector, errors = BoardDetector(BOARD), []

@@ -38,6 +38,7 @@ def floor_error_mm(camera, result: Measured) -> float:  # type: ignore[no-untype
     return float(camera.floor_error_mm(lambda pixels: geometry.to_plane(pixels, 1.0)))
 
 
+@pytest.mark.slow
 def test_sigma_of_the_arena_is_the_error_that_comes(true_camera) -> None:  # type: ignore[no-untyped-def]
     # The floor's error is of about seven degrees of freedom: over ten draws its rms is known to a tenth or so.
     told, true = [], []
@@ -50,6 +51,7 @@ def test_sigma_of_the_arena_is_the_error_that_comes(true_camera) -> None:  # typ
     assert np.mean(np.square(true)) / np.mean(np.square(told)) == pytest.approx(1.0, abs=0.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["true_camera", "fisheye"])
 def test_every_parameter_lies_within_its_sigma(kind: str, request: pytest.FixtureRequest) -> None:
     camera = request.getfixturevalue(kind)
@@ -213,6 +215,7 @@ def as_asked(camera, wanted, rng: np.random.Generator, spread: float = 1.0):  # 
     return camera.pose(u, v, wanted.distance_m, left, upper, spread * rng.uniform(-8, 8))
 
 
+@pytest.mark.slow
 def test_doing_as_asked_leads_to_a_lens_that_is_accepted(true_camera) -> None:  # type: ignore[no-untyped-def]
     rng = np.random.default_rng(10)
     views = seen(true_camera, true_camera.flat_poses(3, rng), 0.1, rng)
@@ -281,6 +284,7 @@ def chi_square(camera, result: Measured) -> float:  # type: ignore[no-untyped-de
     return float(off @ np.linalg.solve(np.array(model.intrinsics.covariance), off))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coefficients", [5, 8, 12, 14])
 def test_a_rich_model_takes_every_good_view(coefficients: int, true_camera) -> None:  # type: ignore[no-untyped-def]
     for seed in range(3):
@@ -289,7 +293,7 @@ def test_a_rich_model_takes_every_good_view(coefficients: int, true_camera) -> N
         assert chi_square(true_camera, result) < 45.0  # of at most 18
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("coefficients", [5, 8, 12, 14])
 def test_predicted_uncertainty_is_true_of_every_model(coefficients: int, true_camera) -> None:  # type: ignore[no-untyped-def]
     # What the views leave open stays near the prior's middle, which is the truth here: up to five values of a rich
@@ -305,6 +309,7 @@ def test_predicted_uncertainty_is_true_of_every_model(coefficients: int, true_ca
     assert np.mean(np.square(errors)) / np.mean(np.square(told)) == pytest.approx(1.0, abs=0.5)
 
 
+@pytest.mark.slow
 def test_the_warning_leads_to_a_lens_that_fits(true_camera) -> None:  # type: ignore[no-untyped-def]
     rational = TrueLens(true_camera).with_distortion([0.5, 0.02, 0.0005, -0.0004, 0.0, 0.9, 0.1, 0.0])
     rng = np.random.default_rng(16)
@@ -336,6 +341,7 @@ def test_the_arena_that_matters_can_be_smaller_than_the_image(fisheye) -> None: 
     assert small.faults() == []
 
 
+@pytest.mark.slow
 def test_corners_that_no_lens_explains(true_camera) -> None:  # type: ignore[no-untyped-def]
     rng = np.random.default_rng(14)
     views = seen(true_camera, true_camera.good_poses(14, rng), 0.1, rng)

@@ -55,6 +55,7 @@ def calibrate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
     return run
 
 
+@pytest.mark.slow
 def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_path: Path, true_camera) -> None:  # type: ignore[no-untyped-def]
     file = tmp_path / "configs" / "cameras" / "ceiling.yaml"
     earlier = CameraModel(
@@ -100,6 +101,7 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
     assert load_config(tmp_path / "configs" / "lab.yaml").camera.model == model
 
 
+@pytest.mark.slow
 def test_centred_views_are_refused_with_a_report(calibrate, tmp_path: Path, true_camera) -> None:  # type: ignore[no-untyped-def]
     folder, rng = tmp_path / "flat", np.random.default_rng(2)
     folder.mkdir()
@@ -114,6 +116,7 @@ def test_centred_views_are_refused_with_a_report(calibrate, tmp_path: Path, true
     assert "next view: show the board" in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_views_that_contradict_one_another_are_told_with_a_refusal(  # type: ignore[no-untyped-def]
     calibrate, photos: Path, tmp_path: Path
 ) -> None:
@@ -261,7 +264,7 @@ def scripted(photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
     return make
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_live_camera_is_read_until_its_lens_is_determined(calibrate, scripted, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     config = scripted()
     said = calibrate("ceiling", "--live", config, "--report", "out/page.html")

@@ -133,6 +133,7 @@ def test_tags_are_found_to_a_fraction_of_a_pixel(floor: Image) -> None:
     assert seen.notes == ()
 
 
+@pytest.mark.slow
 def test_images_average_and_show_what_moved_meanwhile(floor: Image) -> None:
     rng = np.random.default_rng(3)
     survey = Survey.model_validate({"floor_tags": surveyed(FLOOR, rng)})
@@ -159,6 +160,7 @@ def test_print_that_only_reads_like_a_tag_is_not_taken() -> None:
         assert look(survey, [("", image)], SIZE).marks.names == expected
 
 
+@pytest.mark.slow
 def test_camera_is_placed_and_verified(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(4))})
@@ -206,6 +208,7 @@ def test_the_live_camera_is_changed_by_set(lab: Lab) -> None:
     assert (code, "unknown key" in said) == (2, True), said
 
 
+@pytest.mark.slow
 def test_knock_and_a_moved_tag_are_told_apart(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     rng = np.random.default_rng(5)
@@ -235,6 +238,7 @@ def test_knock_and_a_moved_tag_are_told_apart(lab: Lab, floor: Image) -> None:
     assert "tag 105: is surveyed, but is in no image" in said
 
 
+@pytest.mark.slow
 def test_a_third_of_a_millimetre_shows_through_an_uncertain_lens(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(16))})
@@ -270,6 +274,7 @@ def test_wrong_survey_is_named_and_left_out(lab: Lab, floor: Image) -> None:
     assert error_mm(lab) < 0.7
 
 
+@pytest.mark.slow
 def test_a_poor_survey_is_refused(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(15), sigma=0.02)})
@@ -324,7 +329,7 @@ def test_strangers_twins_and_the_missing_are_named(lab: Lab) -> None:
     assert yaml.safe_load(lab.camera.read_text())["arena"]["figures"]["marks_used"] == 6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_live_images_come_from_the_configured_camera(lab: Lab) -> None:
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(9))})
     code, said = lab.run("verify", ROOT / "configs/cameras/overhead.yaml", lab.survey, "--survey-mm", 0.5, "--live",
@@ -397,6 +402,7 @@ def test_what_is_no_survey_is_refused(lab: Lab, text: str, reason: str) -> None:
     assert (code, reason in said) == (2, True), said
 
 
+@pytest.mark.slow
 def test_arena_must_be_one(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(13))})

@@ -57,6 +57,7 @@ def at_the_seam(cameras: list[CameraGeometry], found: list[Lens | CameraGeometry
     return float(np.sqrt(((one - other) ** 2).sum(axis=1).mean()))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("open_", [(), (6, 7, 8), (9, 10, 12, 13, 14)])
 def test_poses_are_as_uncertain_as_is_said(open_: tuple[int, ...]) -> None:
     """Also with tags in the middle that nobody surveyed, and a right camera that sees one surveyed tag of its own."""
@@ -76,6 +77,7 @@ def test_poses_are_as_uncertain_as_is_said(open_: tuple[int, ...]) -> None:
     assert np.mean(squares) / 6 == pytest.approx(1.0, abs=4 * math.sqrt(2 / (6 * len(squares))))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("open_", [(), (7,), (6, 7, 8)])
 def test_the_surveys_error_is_estimated_whatever_ties_the_cameras(open_: tuple[int, ...]) -> None:
     found = []
@@ -114,6 +116,7 @@ def test_a_camera_that_nothing_ties_to_the_survey_is_refused() -> None:
         agree_together(views(hung(rng), rng, (9, 10, 11, 12, 13, 14)), SURVEY_M)
 
 
+@pytest.mark.slow
 def test_the_command_places_both_and_writes_a_page_of_each(tmp_path: Path) -> None:
     model = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
     rng = np.random.default_rng(4)

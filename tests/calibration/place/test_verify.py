@@ -82,22 +82,24 @@ def noticed(knock: str, seed: int) -> bool:
     return not verdict.good and "the camera was knocked" in verdict.sentences[0]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("knock", KNOCKS)
 def test_a_small_knock_is_noticed_through_an_uncertain_lens(knock: str) -> None:
     assert all(noticed(knock, seed) for seed in range(4))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("knock", KNOCKS)
 def test_every_small_knock_is_noticed(knock: str) -> None:
     assert all(noticed(knock, seed) for seed in range(20))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_false_alarms_are_rare() -> None:
     assert sum(not Lab(seed).judged().good for seed in range(100)) <= 1
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("again", "shares"),
     [

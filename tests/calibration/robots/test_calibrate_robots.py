@@ -54,6 +54,7 @@ def recorded(worn: RobotDrive, tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_both_parts_stand_in_one_file_the_one_before_is_kept_and_they_are_what_was_measured(
     calibrate: Calibrate, lab: Path, recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -89,6 +90,7 @@ def test_both_parts_stand_in_one_file_the_one_before_is_kept_and_they_are_what_w
     assert found.offsets.figures["sigma_forward_mm"] == pytest.approx(1e3 * found.offsets.covariance[0][0] ** 0.5, 1e-3)
 
 
+@pytest.mark.slow
 def test_a_drive_in_lockstep_is_kept_and_calibrates(
     calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -114,6 +116,7 @@ def test_a_drives_configuration_is_changed_by_set(
     assert not (lab.parent / "robots").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["offsets", "latency"])
 def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
     calibrate: Calibrate, lab: Path, recorded: Path, worn: RobotDrive, command: str, capsys: pytest.CaptureFixture[str]
@@ -140,6 +143,7 @@ def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
     assert refusal("--recording", other).startswith("r2: it was told to move and did not")
 
 
+@pytest.mark.slow
 def test_another_file_of_that_name_is_not_written_over(
     calibrate: Calibrate, lab: Path, recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

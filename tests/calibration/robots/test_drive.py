@@ -20,6 +20,8 @@ from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.offset import tag_from_centre
 
+pytestmark = pytest.mark.slow
+
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 LATE_S, LAG_S = 0.031, 0.06
 
@@ -130,7 +132,7 @@ def _unlimited(config: Config) -> Config:
     return config.model_copy(update={"robots": tuple(robots)})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_with_its_calibration_the_filter_knows_where_the_robot_is(late_platoon: Path, kept: Path) -> None:
     """The delay that was found is the one that the filter predicts with."""
 

@@ -18,7 +18,7 @@ from .test_offsets import part
     ("delay_s", "lag_s"),
     [
         (0.043, 0.06),
-        *[pytest.param(*known, marks=pytest.mark.slow) for known in ((0.0, 0.0), (0.002, 0.08), (0.12, 0.2))],
+        *[pytest.param(*known, marks=pytest.mark.long) for known in ((0.0, 0.0), (0.002, 0.08), (0.12, 0.2))],
     ],
 )
 def test_delay_and_lag_are_found_to_a_millisecond(driven: Make, delay_s: float, lag_s: float) -> None:
@@ -28,7 +28,7 @@ def test_delay_and_lag_are_found_to_a_millisecond(driven: Make, delay_s: float, 
     assert found.sigma[0] < 0.0005
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
     rng, found = np.random.default_rng(7), []
     for _ in range(4):
@@ -40,6 +40,7 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
     assert (scatter < 2.2).all()
 
 
+@pytest.mark.slow
 def test_outliers_and_missing_images_change_little(driven: Make) -> None:
     drive = driven(lost=0.2)
     rng, poses = np.random.default_rng(3), drive.poses.copy()
@@ -65,6 +66,7 @@ def test_the_wheels_angles_are_the_integral_of_their_speeds() -> None:
     assert wheel_travel(commands_s, commands, 0.0512, 0.06, np.array(at)) == pytest.approx(np.array(expected), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_too_little_is_refused(worn: RobotDrive) -> None:
     def refusal(drive: RobotDrive) -> str:
         with pytest.raises(CalibrationError) as refused:

@@ -15,7 +15,7 @@ from tests.robots import GTERNAL
 
 from .conftest import LATE, OFFSET, Make
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 TRUE_TAG = np.array([OFFSET.forward_m, OFFSET.left_m, OFFSET.heading_deg])
 

@@ -22,7 +22,7 @@ from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.ros2 import topics
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
-from tests.processes.realrun import CLOCK, RealRun, wait, was_busy
+from tests.runs.realrun import CLOCK, RealRun, wait, was_busy
 
 pytestmark = pytest.mark.skipif(
     find_spec("rclpy") is None, reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own"
@@ -102,6 +102,7 @@ def rows_of(name: str) -> list[topics.Topic]:
     return [row for row in topics.TOPICS if name.lstrip("/") in {row.name.format(*one).lstrip("/") for one in about}]
 
 
+@pytest.mark.slow
 def test_the_graph_is_the_table(stand: Stand) -> None:
     found = stand.said("listen", "2")
     for name, seen in found["topics"].items():
@@ -124,6 +125,7 @@ def test_the_graph_is_the_table(stand: Stand) -> None:
         assert found["services"][f"/{service}"] == topics.SERVICE
 
 
+@pytest.mark.slow
 def test_a_node_drives_a_robot_round_a_square_and_holds_it(stand: Stand) -> None:
     said = stand.said("square")
     corners = np.array(said["corners"])
@@ -164,6 +166,7 @@ def killed(stand: Stand) -> tuple[dict[str, Killed], Run]:
     return found, Run(read(stand.run.folder))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["TwistStamped", "Twist"])
 def test_a_node_that_is_killed_lets_its_robot_stand(
     kind: str, killed: tuple[dict[str, Killed], Run], stand: Stand
@@ -181,6 +184,7 @@ def test_a_node_that_is_killed_lets_its_robot_stand(
     assert all("hold requested" in line or "goes on by itself" in line for line in held), held
 
 
+@pytest.mark.slow
 def test_ctrl_c_lets_the_robots_stand_and_says_nothing_else(stand: Stand) -> None:
     """What comes while it ends is no traceback."""
     with stand.node("drive", "TwistStamped") as node:

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet.cli import app
-from tests.processes.realrun import own_folders
+from tests.runs.realrun import own_folders
 
 CONFIG = Path(__file__).parents[3] / "configs" / "ros2.yaml"
 WITHIN_S = 120.0
@@ -23,6 +23,7 @@ needs_ros = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @needs_ros
 def test_a_node_drives_in_simulated_time_until_the_run_in_the_background_is_interrupted(tmp_path: Path) -> None:
     environment = own_folders(tmp_path) | {
@@ -83,6 +84,7 @@ def test_what_ros_does_not_start_with_is_said_in_a_line(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow_after_first
 @needs_ros
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of ROS's own packages
 @pytest.mark.parametrize("end", ["accomplished", "parked"])

@@ -21,6 +21,7 @@ from robofleet.bus import sensors
 from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import SENSORS, WISH
 from robofleet.bus.messages import SCRIPT_WISH, UNIT_TRUTH
+from robofleet.bus.observer import Observer
 from robofleet.bus.ticks import TickFollower
 from robofleet.config import groups
 from robofleet.config.load import load_config
@@ -81,10 +82,10 @@ def driven(config: Config, graph: Paper, seconds: float) -> list[tuple[int, Any]
     lockstep = Lockstep(config)
     bus, truths = lockstep.bus, list[tuple[int, Any]]()
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
-    names = topics.ros_names(robot.id for robot in config.robots)
+    names, observer = topics.ros_names(robot.id for robot in config.robots), Observer(bus)
     parts = [
-        Robots(graph, config, names, bus, ticks, lambda _: None),  # type: ignore[arg-type]
-        Sensing(graph, config, names, bus, lambda _: None),  # type: ignore[arg-type]
+        Robots(graph, config, names, observer, ticks),  # type: ignore[arg-type]
+        Sensing(graph, config, names, observer),  # type: ignore[arg-type]
     ]
 
     def keep(said: tuple[str, bytes]) -> None:
@@ -105,8 +106,9 @@ def driven(config: Config, graph: Paper, seconds: float) -> list[tuple[int, Any]
         if ticks.newest:
             wish(SCRIPT_WISH.encode_array((7, seq, WishKind.BODY, 0, ticks.newest), items))
         lockstep.advance(0.005)
+        updated = observer.update(lockstep.clock.now_ns())
         for part in parts:
-            part.step(lockstep.clock.now_ns())
+            part.step(lockstep.clock.now_ns(), updated)
     lockstep.close()
     return [(at_ns, one) for at_ns, one in truths if at_ns >= begin_ns]
 
@@ -242,11 +244,12 @@ def told(readings: Sequence[SensorReading]) -> Paper:
     config = load_config(SHIPPED / "ros2.yaml", ["robots.0.sensors=true"])
     graph, clock = Paper(), SimulatedClock()
     bus = MemoryBus(config.arena.name, clock, 0)
-    part = Sensing(graph, config, topics.ros_names(config.ids), bus, lambda _: None)  # type: ignore[arg-type]
+    observer = Observer(bus)
+    part = Sensing(graph, config, topics.ros_names(config.ids), observer)  # type: ignore[arg-type]
     say = bus.publisher(SENSORS, config.sensing[0])
     for seq, reading in enumerate(readings, 1):
         say(sensors.encoded(seq, 0, sensors.said([(0, reading)])))
-        part.step(0)
+        part.step(0, observer.update(0))
     return graph
 
 

@@ -1,0 +1,335 @@
+"""Layouts: what is encoded is decoded; what is damaged is refused and never raises."""
+
+import math
+import struct
+import sys
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robofleet.bus.layouts import VERSION, Layout, ListLayout
+from robofleet.bus.messages import (
+    FLEET_POSES,
+    PICTURE,
+    TICK_RECORD,
+    UNIT_COMMAND,
+    FleetPoses,
+    Picture,
+    RobotTick,
+    RunState,
+    TagPose,
+    TickRecord,
+    UnitCommand,
+    WheelCommand,
+)
+from tests.bus.conftest import FURTHEST_NS, LAYOUTS, any_message
+
+EXACT = settings(deadline=None, derandomize=True, max_examples=20)
+AnyLayout = Layout[Any] | ListLayout[Any]
+Messages = st.SearchStrategy[Any]
+
+
+def floats_of(message: Any) -> list[tuple[int | None, str]]:
+    """Return (item, field) of every float in a message; item None: the head's."""
+    head = [(None, name) for name, value in message._asdict().items() if isinstance(value, float)]
+    items = message[-1] if isinstance(message[-1], tuple) else ()
+    inside = [(k, n) for k, row in enumerate(items) for n, v in row._asdict().items() if isinstance(v, float)]
+    return head + inside
+
+
+@EXACT
+@given(st.data())
+def test_round_trip(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+    message = data.draw(any_of)
+    decoded = layout.decode(layout.encode(message))
+    assert decoded == message
+    assert type(decoded) is type(message)
+
+
+@EXACT
+@given(st.data())
+def test_not_a_number_in_any_float_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+    """Whoever sends it: our own encoding cannot say it, so it is written over the payload's last bytes."""
+    message = data.draw(any_of)
+    if not floats_of(message):
+        return
+    payload = layout.encode(message)
+    for bad in (math.nan, math.inf, -math.inf):
+        for at in places(layout, message):
+            damaged = bytearray(payload)
+            struct.pack_into("<d", damaged, at, bad)
+            assert layout.decode(bytes(damaged)) is None
+            assert not isinstance(layout, ListLayout) or layout.view(bytes(damaged)) is None
+    for one, other in pairwise(places(layout, message)):  # infinities do not cancel out
+        damaged = bytearray(payload)
+        struct.pack_into("<d", damaged, one, math.inf)
+        struct.pack_into("<d", damaged, other, -math.inf)
+        assert layout.decode(bytes(damaged)) is None
+
+
+def places(layout: AnyLayout, message: Any) -> list[int]:
+    """Return where each float of a message stands in its payload [bytes]."""
+
+    def of(dtype: np.dtype[Any], start: int) -> list[int]:
+        fields = dtype.fields or {}
+        return [start + fields[name][1] for name in dtype.names or () if fields[name][0].kind == "f"]
+
+    if isinstance(layout, Layout):
+        return of(layout.dtype, 0)
+    head, item = layout.head_dtype, layout.item_dtype
+    items = next(value for value in message if isinstance(value, tuple))
+    return of(head, 0) + [at for k in range(len(items)) for at in of(item, head.itemsize + k * item.itemsize)]
+
+
+WILD = st.one_of(
+    st.floats(),  # also those that are not finite, and those whose sum is not
+    st.sampled_from([math.nan, math.inf, -math.inf, sys.float_info.max, -sys.float_info.max]),
+)
+HUGE = st.one_of(st.integers(), *(st.integers(2**k - 2, 2**k + 2) for k in (8, 16, 31, 32, 63, 64)))
+
+
+def wild(draw: Callable[[Messages], Any], message: Any) -> Any:
+    """Return the message with every number replaced by any number of its kind."""
+
+    def other(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(type(item)._make(map(other, item)) for item in value)
+        return draw(WILD if isinstance(value, float) else HUGE)
+
+    return message._make(map(other, message))
+
+
+def flat(message: Any) -> list[float]:
+    return [
+        n for value in message for n in ([x for row in value for x in row] if isinstance(value, tuple) else [value])
+    ]
+
+
+@settings(EXACT, max_examples=40)
+@given(st.data())
+def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+    """What a field cannot hold becomes the nearest that it can; what is not a number, the least."""
+    asked = wild(data.draw, data.draw(any_of))
+    payload = layout.encode(asked)
+    said = layout.decode(payload)
+    assert said is not None
+    for wanted, got in zip(flat(asked), flat(said), strict=True):
+        if isinstance(wanted, int):
+            assert got == wanted or (abs(got) < abs(wanted) and (got == 0 or wanted > 0 or got < 0))
+        elif math.isnan(wanted):
+            assert got == -1e300
+        else:
+            assert got == wanted or (math.copysign(1e300, wanted) == got and abs(wanted) > 1e300)
+    assert layout.encode(said) == payload
+
+
+@EXACT
+@given(st.data())
+def test_an_instant_that_no_clock_shows_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+    """The differences of all that are taken have 64 bits, as arrays of instants need it."""
+    payload, head = layout.encode(data.draw(any_of)), layout.describe()[1]["fields"]
+    columns = np.dtype(head)
+    instants = [columns.fields[name][1] for name, kind in head if kind == "<i8"]  # type: ignore[index]
+    for at in instants:
+        for ns in (-(2**63), -FURTHEST_NS - 1, FURTHEST_NS + 1, 2**63 - 1):
+            wrong = bytearray(payload)
+            struct.pack_into("<q", wrong, at, ns)
+            assert layout.decode(bytes(wrong)) is None
+            if isinstance(layout, ListLayout):
+                assert layout.view(bytes(wrong)) is layout.arrays(bytes(wrong)) is None
+                assert layout.decode_head(bytes(wrong)) is None
+
+
+def test_a_list_that_is_too_long_is_cut() -> None:
+    poses = (TagPose(1, 0, 0, 0.5, 0.5, 0.5),) * 65_540
+    said = FLEET_POSES.decode(FLEET_POSES.encode(FleetPoses(1, 2, 3, 4, 5, 6, 7, 8, 9, poses)))
+    assert said is not None
+    assert len(said.poses) == 65_535
+
+
+@EXACT
+@given(WILD, st.sampled_from([1, 2, 3, 40]))
+def test_parts_that_are_packed_already_are_decoded_too(bad: float, rows: int) -> None:
+    items = np.full((rows, len(RobotTick._fields)), 0.5)
+    items[-1, 3] = bad
+    head = (2**32, 1, 2**64, -(2**63) - 1, *range(12))
+    payload = TICK_RECORD.encode_parts(head, rows, items.tobytes())
+    assert TICK_RECORD.encode_array(head, items) == payload
+    said = TICK_RECORD.decode(payload)
+    assert said is not None
+    assert (said.epoch, said.tick, said.run_tick) == (2**32 - 1, 2**64 - 1, -FURTHEST_NS)
+    assert said.robots[0].x_m == 0.5
+
+
+@EXACT
+@given(HUGE, st.binary(max_size=9))
+def test_a_picture_is_encoded_too(number: int, jpeg: bytes) -> None:
+    said = PICTURE.decode(PICTURE.encode(Picture(number, number, number, number, number, jpeg)))
+    assert said is not None
+    assert said.jpeg == jpeg
+
+
+def test_what_counts_has_64_bits_and_goes_on_where_32_end() -> None:
+    counting = {"seq", "tick", "poses_seq", "state_seq", "command_seq", "latch_id", "clear", "rejected", "refused",
+                "overruns", "messages", "dropped", "echo_tick", "nonce"}  # fmt: skip
+    leases = {"UnitStatus", "UnitCommand", "UnitEnable", "UnitLeases"}
+    for name, (layout, _) in LAYOUTS.items():
+        _, described = layout.describe()
+        for field, kind in [*described["fields"], *described.get("items", ())]:
+            if field in counting or (field == "epoch" and name in leases):
+                assert kind in ("<u8", "<i8"), f"{name}.{field}"
+
+
+@EXACT
+@given(st.data())
+def test_a_wrong_length_or_version_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+    payload = layout.encode(data.draw(any_of))
+    assert payload[0] == VERSION
+    for length in range(len(payload)):
+        assert layout.decode(payload[:length]) is None
+    assert layout.decode(payload + b"\0") is None
+    assert layout.decode(payload + payload) is None
+    for version in (0, VERSION + 1, 255):
+        assert layout.decode(bytes([version]) + payload[1:]) is None
+
+
+@settings(EXACT, max_examples=80)
+@given(st.binary(max_size=400), st.booleans())
+def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bool) -> None:
+    payload = bytes([VERSION]) + noise if versioned else noise
+    message = layout.decode(payload)
+    assert message is None or layout.encode(message) == payload
+    if isinstance(layout, ListLayout):
+        layout.decode_head(payload)
+        layout.arrays(payload)
+
+
+@settings(EXACT, max_examples=40)
+@given(st.data())
+def test_flipped_bytes_never_raise(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+    payload = bytearray(layout.encode(data.draw(any_of)))
+    for _ in range(3):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    message = layout.decode(bytes(payload))
+    assert message is None or layout.encode(message) == bytes(payload)
+
+
+@settings(EXACT, max_examples=40)
+@given(st.data())
+def test_a_view_is_what_is_decoded(listed: tuple[ListLayout[Any], Messages], data: st.DataObject) -> None:
+    layout, any_of = listed
+    payload = bytearray(layout.encode(data.draw(any_of)))
+    for _ in range(data.draw(st.integers(0, 2))):  # damaged, or not
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    cut = bytes(payload)[: data.draw(st.integers(len(payload) - 1, len(payload)))]
+    said, viewed = layout.decode(cut), layout.view(cut)
+    assert (said is None) == (viewed is None)
+    if said is not None and viewed is not None:
+        head, items = viewed
+        listing = next(k for k, value in enumerate(head) if isinstance(value, tuple))
+        assert head[:listing] == said[:listing]
+        assert items.tolist() == [tuple(item) for item in said[listing]]
+        assert items.dtype.names == type(said[listing][0])._fields if said[listing] else not len(items)
+        assert not items.flags.writeable
+
+
+@EXACT
+@given(st.data())
+def test_numpy_reads_the_same_values(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+    message = data.draw(any_of)
+    payload = layout.encode(message)
+    if isinstance(layout, Layout):
+        (row,) = np.frombuffer(payload, layout.dtype)
+        assert row.tolist() == (VERSION, *message)
+        return
+    count = len(layout.head_dtype.names or ()) - 2  # without version and count
+    head, items = message[:count], message[count]
+    (row,) = np.frombuffer(payload, layout.dtype(len(items)))
+    assert [row[name] for name in layout.head_dtype.names or ()] == [VERSION, *head, len(items)]
+    assert [tuple(item) for item in row["items"].tolist()] == [tuple(item) for item in items]
+
+
+@EXACT
+@given(any_message("TickRecord"), st.lists(st.floats(), max_size=6))
+def test_figures_are_kept_whatever_they_are(tick: TickRecord, figures: list[float]) -> None:
+    """NaN is a figure that a robot has not."""
+    payload = TICK_RECORD.encode(tick._replace(figures=tuple(figures)))
+    said = TICK_RECORD.decode(payload)
+    assert said is not None
+    (row,) = np.frombuffer(payload, TICK_RECORD.dtype(len(tick.robots), len(figures)))
+    for kept in (said.figures, row["figures"]):
+        np.testing.assert_array_equal(np.asarray(kept), np.asarray(figures, dtype=float))
+    assert said.robots == tick.robots
+    assert TICK_RECORD.decode(payload[:-1]) is None
+
+
+@EXACT
+@given(st.data())
+def test_a_heads_fields_alone(listed: tuple[ListLayout[Any], Messages], data: st.DataObject) -> None:
+    layout, any_of = listed
+    message = data.draw(any_of)
+    count = len(layout.head_dtype.names or ()) - 2  # without version and count
+    head, items = message[:count], message[count]
+    payload = layout.encode(message)
+    told = layout.decode_head(payload)
+    assert told is not None
+    assert told[:count] == tuple(head)
+    assert all(rest == () for rest in told[count:])
+    assert layout.decode_head(payload[:-1]) is None
+    assert layout.decode_head(b"\0" + payload[1:]) is None
+    packed = np.array([tuple(item) for item in items], dtype=layout.item_dtype).tobytes()
+    assert layout.encode_parts(tuple(head), len(items), packed) == payload
+
+
+@EXACT
+@given(st.data())
+def test_items_as_arrays_say_what_the_message_says(
+    listed: tuple[ListLayout[Any], Messages], data: st.DataObject
+) -> None:
+    """Also of an empty list, and of a message that is damaged."""
+    layout, any_of = listed
+    message = data.draw(any_of)
+    payload = layout.encode(message)
+    count = len(layout.head_dtype.names or ()) - 2  # without version and count
+    arrays, viewed = layout.arrays(payload), layout.view(payload)
+    assert arrays is not None
+    assert viewed is not None
+    (head, items), (without, same) = arrays, viewed
+    for name in layout.item_dtype.names or ():
+        column = layout.column(payload, name)
+        assert column is not None and column.tobytes() == items[name].tobytes()
+    assert head[0].item()[1:-1] == tuple(message[:count]) == without[:count]
+    assert items.tolist() == same.tolist() == [tuple(item) for item in message[count]]
+    floats = [[value for value in item if isinstance(value, float)] for item in message[count]]
+    assert layout.floats(items).tolist() == floats
+    if not message[count + 1 :]:
+        assert layout.encode_view(message, items) == payload
+    assert layout.arrays(payload[:-1]) is None
+    assert layout.arrays(b"\0" + payload[1:]) is None
+    for bad in ((math.nan, 1.0), (math.inf, -math.inf)):
+        for at in zip(places(layout, message), places(layout, message)[1:], strict=False):
+            damaged = bytearray(payload)
+            for value, place in zip(bad, at, strict=True):
+                struct.pack_into("<d", damaged, place, value)
+            assert layout.arrays(bytes(damaged)) is None
+
+
+@EXACT
+@given(st.lists(st.tuples(st.integers(0, 2**64 - 1), WILD, WILD), max_size=4), HUGE)
+def test_whatever_is_encoded_from_an_array_is_decoded(rows: list[tuple[int, float, float]], number: int) -> None:
+    items = np.array(rows, UNIT_COMMAND.item_dtype)
+    message = UnitCommand(number, number, number, number, number, ())
+    whole = message._replace(robots=tuple(WheelCommand(*row) for row in rows))
+    assert UNIT_COMMAND.encode_view(message, items) == UNIT_COMMAND.encode(whole)
+    assert UNIT_COMMAND.decode(UNIT_COMMAND.encode_view(message, items)) is not None
+
+
+@pytest.mark.parametrize("field", RunState._fields)
+def test_a_run_state_repeats_one_that_differs_in_its_number_alone(field: str) -> None:
+    state = RunState(epoch=1, seq=1, phase=1, cause=0, robot=0, detail=0.0, stage=0, robots=())
+    assert state._replace(**{field: 7}).repeats(state) == (field in ("epoch", "seq"))  # type: ignore[arg-type]

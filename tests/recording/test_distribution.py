@@ -1,0 +1,36 @@
+"""Percentiles of many durations in little memory."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robofleet.recording import distribution
+from robofleet.recording.distribution import Distribution
+
+PERCENTS = 0, 1, 50, 99, 100
+
+
+@given(st.lists(st.lists(st.integers(-(10**6), 10**9), min_size=1, max_size=20), min_size=1, max_size=3))
+def test_percentiles_of_parts_are_those_of_all_durations(parts: list[list[int]]) -> None:
+    every = np.concatenate(parts)
+    joined = Distribution.joined([Distribution.of(part) for part in parts])
+    assert (len(joined), joined.largest) == (len(every), every.max())
+    np.testing.assert_allclose(joined.percentiles(PERCENTS), np.percentile(every, PERCENTS), rtol=1e-12, atol=1e-6)
+
+
+def test_parts_without_a_duration_add_nothing() -> None:
+    nothing, one = Distribution.of([]), Distribution.of([7])
+    assert (len(Distribution.joined([nothing, nothing])), nothing.largest) == (0, 0)
+    assert Distribution.joined([nothing, one, nothing]).percentiles((50,)).tolist() == [7]
+
+
+def test_of_very_many_different_durations_little_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(distribution, "_MOST_VALUES", 1_000)
+    durations = np.random.default_rng(1).integers(10_000_000, 40_000_000, 50_000)
+    joined = Distribution.of([])
+    for part in np.split(durations, 50):
+        joined = Distribution.joined([joined, Distribution.of(part)])
+        assert len(joined.values) <= 1_000
+    assert len(joined) == len(durations)
+    np.testing.assert_allclose(joined.percentiles(PERCENTS), np.percentile(durations, PERCENTS), atol=1 << 16)

@@ -1,0 +1,46 @@
+"""No kernel is compiled once a run is under way: a process that compiles is not heard, and its fleet stops."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+# In a process of its own: what another test has compiled would be there before this run needs it.
+FIRST_CALLED = """
+import gc, json, sys
+from pathlib import Path
+from robofleet.config.load import load_config
+from robofleet.core.kernels import Kernel
+from robofleet.runs.lockstep import Lockstep
+
+def compiled():
+    kernels = [one for one in gc.get_objects() if isinstance(one, Kernel) and "compiled" in vars(one)]
+    return {f"{one.__module__}.{one.__name__}{signature}" for one in kernels for signature in one.compiled.signatures}
+
+run = Lockstep(load_config(Path(sys.argv[1]), sys.argv[2:]))
+ready = compiled()
+assert run.run() == ("completed", None)
+print(json.dumps([len(ready), sorted(compiled() - ready)]))
+"""
+
+
+@pytest.mark.slow_after_first
+@pytest.mark.parametrize(
+    ("config", "changes"),
+    [
+        ("platoon", ["controller.disturbance=estimated"]),
+        ("obstacles", ["controller.disturbance=none"]),
+        ("platoon", ["tracker.source=truth"]),
+        ("mocap", []),
+    ],
+)
+def test_what_is_compiled_before_a_run_is_all_that_it_needs(config: str, changes: list[str]) -> None:
+    command = [sys.executable, "-c", FIRST_CALLED, str(CONFIGS / f"{config}.yaml"), "run.duration_s=2", *changes]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert ran.returncode == 0, ran.stderr
+    ready, late = json.loads(ran.stdout.splitlines()[-1])
+    assert ready > 20
+    assert not late

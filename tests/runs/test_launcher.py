@@ -1,0 +1,120 @@
+"""Runs in real time, with every process of theirs: they work, they end, and nothing is left of them."""
+
+import signal
+from collections.abc import Callable
+
+import psutil
+import pytest
+
+from robofleet.bus.keys import STATUS
+from robofleet.config.load import load_config
+from robofleet.recording.reading import read
+from robofleet.safety.gate import GateStatus
+from tests.runs.realrun import ALONE, PLATOON, RealRun
+
+ROBOTS = ["r1", "r2", "r3", "r4"]
+
+
+def libraries(process: psutil.Process) -> str:
+    return "\n".join(mapped.path for mapped in process.memory_maps())
+
+
+@pytest.mark.slow
+def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) -> None:
+    run = real_run("--duration", "3")
+    run.wait_until_running()
+    assert len(run.children()) == 6
+    (driver,) = run.children("driver", ",".join(ROBOTS))
+    loaded = libraries(driver)
+    assert "zenoh" in loaded
+    assert "cv2" not in loaded
+    assert "cv2" in libraries(run.children("tracker")[0])
+    assert run.ended() == 0
+    assert run.children() == []
+
+    s = run.summary
+    assert (s["outcome"], s["cause"], s["mode"]) == ("completed", None, "realtime")
+    assert s["stops"] == [] or s["busy_machine"], "a machine that was too slow for the gates says so"
+    assert s["duration_s"] == pytest.approx(3, abs=0.2)
+    assert s["tracker"]["false_ids"] == 0
+    if s["tick"]["overruns"] <= 5 and not s["busy_machine"]:  # the figures of another run are the machine's
+        assert s["real_time_factor"] == pytest.approx(1, abs=0.1)
+        assert s["rejected"] == dict.fromkeys(ROBOTS, 0)
+        assert s["control_error_mm"]["mean"] <= 1.5
+        assert s["tracker"]["measured_fraction"] > 0.95
+        assert 10 < s["latency_ms"]["exposure_to_wheel"]["p50"] < 25
+        assert s["pose_error"]["rms_mm"] < 1.0
+
+    recording = read(run.folder)
+    assert (recording.outcome, recording.cause, recording.dropped) == ("completed", None, 0)
+    assert s["recording"] == {"messages": recording.count, "dropped": 0}
+    for robot in ROBOTS:
+        statuses = recording.of_robot(STATUS, robot)
+        assert statuses["gate"].max() == GateStatus.NO_LEASE, "before the controller came"
+        assert statuses["left_output_rad_s"].any()
+        assert (statuses["gate"][-1] != GateStatus.OPEN) and not statuses["left_rad_s"][-1], "the stop is in the file"
+
+    replayed, asked = load_config(run.folder / "config.yaml"), load_config(PLATOON, ["run.duration_s=3"])
+    assert not replayed.bus.endpoint.endswith(":0")
+    assert replayed.model_copy(update={"bus": asked.bus}) == asked
+    for log in (run.folder / "log").iterdir():
+        assert "Traceback" not in log.read_text(), log.name
+
+
+@pytest.mark.parametrize(
+    "victim",
+    [
+        ["driver", "r1"],
+        pytest.param(["router"], marks=pytest.mark.long),
+        pytest.param(["recorder"], marks=pytest.mark.long),
+        pytest.param(["controller"], marks=pytest.mark.long),
+        pytest.param(["tracker"], marks=pytest.mark.long),
+        pytest.param(["supervisor"], marks=pytest.mark.long),
+    ],
+    ids="-".join,
+)
+def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., RealRun], victim: list[str]) -> None:
+    run = real_run(*ALONE)
+    run.wait_until_running()
+    run.kill(*victim)
+    assert run.nothing_is_left()
+    assert run.ended() == 1
+    cause = f"the {'-'.join(victim)} was killed by SIGKILL"
+    assert (run.summary["outcome"], run.summary["cause"]) == ("fault", cause)
+    assert cause in run.said
+    assert run.summary["recording"]["messages"] > 300, "it is made from what was recorded until then"
+
+
+@pytest.mark.long
+def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
+    run = real_run(*ALONE)
+    run.wait_until_running()
+    assert len(run.children()) == 6
+    run.launcher.kill()
+    assert run.nothing_is_left()
+    assert run.ended(1) == -signal.SIGKILL
+
+
+@pytest.mark.long
+def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
+    run = real_run(*ALONE)
+    run.wait_until_running()
+    run.launcher.send_signal(signal.SIGINT)
+    assert run.nothing_is_left()
+    assert run.ended() == 1
+    assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
+    assert run.summary["ticks"] > 0
+    assert "stopped: the operator interrupted" in run.said
+
+
+@pytest.mark.long
+def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
+    run = real_run(*ALONE)
+    run.wait_for(run.children)
+    run.launcher.send_signal(signal.SIGINT)
+    assert run.nothing_is_left()
+    assert run.ended() == 1
+    assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
+    assert run.summary["ticks"] == 0
+    assert "running" not in run.said
+    assert len(list((run.folder / "log").iterdir())) < 5, "nobody else is started then"

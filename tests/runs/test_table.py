@@ -1,0 +1,71 @@
+"""The table of processes: which a configuration has, who starts them, and what the commands and lockstep make of it."""
+
+from collections.abc import Callable
+
+import pytest
+from typer.testing import CliRunner
+
+from robofleet.cli import app
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.runs import table
+from robofleet.runs.lockstep import Lockstep
+from tests.runs.realrun import PLATOON
+
+MIXED = PLATOON.with_name("mixed.yaml")
+TRUTH = "tracker.source=truth"
+
+
+def names(processes: list[table.Process]) -> list[str]:
+    return [one.name for one in processes]
+
+
+def test_a_run_starts_what_its_configuration_needs_and_nothing_else(platoon_of: Callable[..., Config]) -> None:
+    drivers = ["driver-r1", "driver-r2", "driver-r3", "driver-r4"]
+    plain = ["router", "recorder", "supervisor", "tracker", "controller", *drivers]
+    assert names(table.started_by("run", platoon_of())) == plain
+    assert names(table.processes(load_config(MIXED, ["drivers.robots_per_process=1"]))) == [
+        *plain[:2],
+        "twins",
+        *plain[2:],
+    ]
+    shared = table.processes(platoon_of("drivers.robots_per_process=3"))
+    assert [one.command for one in shared[-2:]] == [("driver", "--robots", "r1,r2,r3"), ("driver", "--robots", "r4")]
+
+
+def test_systemd_starts_the_drivers_and_the_run_everything_else(platoon_of: Callable[..., Config]) -> None:
+    config = platoon_of("drivers.started_by=systemd", "bus.endpoint=unixsock-stream//run/robofleet/lab.sock")
+    assert names(table.started_by("systemd", config)) == list(config.driven)
+    assert not set(names(table.started_by("run", config))) & set(config.driven)
+
+
+def test_lockstep_steps_the_rows_that_have_a_turn(platoon_of: Callable[..., Config]) -> None:
+    config = platoon_of(TRUTH, "drivers.robots_per_process=4")
+    run = Lockstep(config)
+    run.close()
+    assert list(run.nodes) == names(table.in_lockstep(config)) == ["driver-r1", "tracker", "supervisor", "controller"]
+
+
+@pytest.mark.parametrize("row", table.TABLE, ids=lambda row: row.name)
+def test_every_row_is_a_command(row: table.Row) -> None:
+    done = CliRunner().invoke(app, [row.name, "--help"])
+    assert done.exit_code == 0
+    assert f"robofleet {row.name}" in done.output
+
+
+def test_a_process_that_a_configuration_does_not_have_is_refused_before_anything_else() -> None:
+    done = CliRunner().invoke(app, ["twins", str(PLATOON)])
+    assert (done.exit_code, done.stderr) == (2, "no robot has a twin: name one in robots[].twin\n")
+
+
+def test_who_is_waited_for_goes_first() -> None:
+    """The controller's tick before a twin's own processor, and both before what only looks."""
+    realtime = {row.name: row.priority for row in table.TABLE if row.priority}
+    order = sorted(realtime, key=lambda name: -realtime[name])
+    assert order == ["controller", "twins", "driver", "supervisor", "tracker"]
+
+
+def test_faults_may_name_what_they_can_strike(platoon_of: Callable[..., Config]) -> None:
+    assert set(table.injectable(platoon_of())) == {"router", "supervisor", "tracker", "controller"} | set(
+        platoon_of().driven
+    )

@@ -1,0 +1,71 @@
+"""From random places to the platoon's start, and one lap: in lockstep, with the camera in the loop.
+
+    python -m tools.measure.behaviours.to_start_trials [--seeds 20] [--first 1] [--duration 88]
+
+The four robots of the shipped platoon stand anywhere on the floor, at least 1.3 body diameters apart. Every run is the
+whole stack: checks, the way to the start, the lap.
+"""
+
+import argparse
+import math
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from robofleet.reports.metrics import summary
+from robofleet.runs.check import load_checked
+from robofleet.runs.lockstep import Lockstep
+
+PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
+RADIUS, HALF = 0.055, (1.6, 1.0)  # of a GTernal's body, of the arena [m]
+APART, INSIDE = 1.3 * 2 * RADIUS, RADIUS + 0.05  # the wheels are tried first: that needs some room
+
+
+def starts(seed: int, count: int) -> list[tuple[float, float, float]]:
+    """Return poses of the centres: x, y [m], heading [deg]."""
+    rng, found = np.random.default_rng(seed), list[tuple[float, float, float]]()
+    while len(found) < count:
+        x, y = (float(rng.uniform(INSIDE - half, half - INSIDE)) for half in HALF)
+        if all(math.dist((x, y), other[:2]) >= max(APART, 2 * RADIUS + 0.05) for other in found):
+            found.append((round(x, 4), round(y, 4), round(float(rng.uniform(-180, 180)), 1)))
+    return found
+
+
+def drive(seed: int, duration_s: float) -> tuple[str, str | None, float, float]:
+    """Return how a run ended, its cause, the smallest gap [mm], and the mean control error [mm]."""
+    placed = [
+        f"robots.{k}.start={{x_m: {x}, y_m: {y}, heading_deg: {psi}}}" for k, (x, y, psi) in enumerate(starts(seed, 4))
+    ]
+    config = load_checked(
+        PLATOON, ["run.begin=go_to_start", f"run.duration_s={duration_s}", f"run.seed={seed}", *placed], lockstep=True
+    )
+    run = Lockstep(config)
+    outcome, cause = run.run()
+    told = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
+    error = told["control_error_mm"]
+    gap = told["min_gap_mm"]
+    return outcome, cause, math.nan if gap is None else gap, math.nan if error is None else error["mean"]
+
+
+def main() -> None:
+    """Drive all seeds and print a line each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--duration", type=float, default=88.0)
+    asked = parser.parse_args()
+    seeds = range(asked.first, asked.first + asked.seeds)
+    completed = 0
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        for seed, found in zip(seeds, pool.map(partial(drive, duration_s=asked.duration), seeds), strict=True):
+            outcome, cause, gap, error = found
+            completed += outcome == "completed"
+            print(f"seed {seed:4d}  {outcome}  gap {gap:6.1f} mm  control {error:5.2f} mm  {cause or ''}", flush=True)
+    print(f"{completed} of {len(seeds)} completed")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+"""How long an emergency stop takes, from the request to the robot's word that its target is zero.
+
+    python -m tools.measure.latency.estop --times 100 [--supervisor frozen|killed|flooded]
+    python -m tools.measure.latency.estop --cpu --times 20
+
+A run of the shipped platoon in real time, without pixels. Each time the fleet drives, a client of the bus asks for the
+emergency stop as `robofleet stop` does, then resets and starts it again, which takes about ten seconds. The figure is
+the time from its request to the first status that shows a latched gate, by the status's own stamp: one host, one clock.
+The target is zero then, and has been for up to the status's period of 20 ms. The supervisor can be stopped (SIGSTOP) or
+killed just before the request, or two clients flood it with theirs; afterwards it goes on, or is started again.
+
+``--cpu``: what `robofleet stop` itself takes until its request is out: seconds of the processors, modules, files.
+"""
+
+import argparse
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+
+from robofleet.bus.keys import REQUEST, STATE, STATUS, key
+from robofleet.bus.messages import RUN_STATE
+from robofleet.bus.requests import asked
+from robofleet.bus.zenoh_bus import ZenohBus
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config
+from robofleet.core.clock import MS, S, WallClock
+from robofleet.operator.estop import emergency_stop, urgent
+from robofleet.runs.children import Children
+from robofleet.safety.supervisor import Phase
+from tests.bus.alone import ROBOT_STATUS
+from tests.endpoints import own_endpoint
+from tests.operator.asked_run import asked_run, until_asked
+from tests.runs.realrun import PLATOON, own_folders
+from tests.runs.unlaunched import started
+
+_CLOCK = WallClock()
+_DRIVES_NS = S  # between the start and the stop
+_TROUBLED_NS = 50 * MS  # before the stop
+_FLOODERS = 2
+TROUBLES = ("frozen", "killed", "flooded")
+
+
+class Tries:
+    """A fleet that is started, stopped and started again; ``trouble`` is its supervisor's at each stop."""
+
+    def __init__(self, config: Config, fleet: Children, trouble: str | None) -> None:
+        self._config, self._fleet, self._trouble = config, fleet, trouble
+        self._arena, self._units, self._robots = config.arena.name, config.units, config.groups[0].robots
+        with urgent():  # its threads, as those of `robofleet stop`
+            self.bus = ZenohBus(self._arena, config.bus.endpoint, "estop", _CLOCK)
+        self._state = self.bus.newest(STATE)
+
+    def once(self) -> list[float]:
+        """Start the fleet and stop it; returns the time of every robot [ms]."""
+        self._ask(b"reset")
+        self._ask(b"start")
+        self._wait_running()
+        _CLOCK.sleep_until(_CLOCK.now_ns() + _DRIVES_NS)
+        statuses = self.bus.stream(key(self._arena, STATUS, "*"), capacity=4096)
+        with self._troubled():
+            asked_ns = _CLOCK.now_ns()
+            with urgent():
+                stopped = emergency_stop(self.bus, _CLOCK, self._units)
+        assert not stopped.silent, stopped.describe()
+        after_ms: dict[str, float] = {}
+        for _, full, payload in statuses.drain():
+            status = ROBOT_STATUS.decode(payload)
+            if status is not None and status.latch:
+                after_ms.setdefault(full, (status.stamp_ns - asked_ns) / MS)
+        assert len(after_ms) == len(self._robots)
+        return list(after_ms.values())
+
+    @contextmanager
+    def _troubled(self) -> Iterator[None]:
+        """Bring the supervisor its trouble, for as long as a stop takes."""
+        flooders: list[subprocess.Popen[bytes]] = []
+        if self._trouble == "frozen":
+            self._fleet.signal("supervisor", signal.SIGSTOP)
+        elif self._trouble == "killed":
+            self._fleet.kill("supervisor")
+        elif self._trouble == "flooded":
+            command = [
+                sys.executable,
+                "-m",
+                "tools.measure.latency.estop",
+                "--flood",
+                self._config.bus.endpoint,
+                self._arena,
+            ]
+            flooders = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(_FLOODERS)]
+            for flooder in flooders:
+                assert flooder.stdout is not None
+                flooder.stdout.readline()
+        try:
+            _CLOCK.sleep_until(_CLOCK.now_ns() + _TROUBLED_NS)
+            yield
+        finally:
+            for flooder in flooders:
+                flooder.kill()
+                flooder.wait()
+            if self._trouble == "frozen":
+                self._fleet.signal("supervisor", signal.SIGCONT)
+            elif self._trouble == "killed":
+                self._fleet.start_again("supervisor")
+
+    def _ask(self, what: bytes) -> None:
+        """Ask until it is done: robots come to rest, and a supervisor that has just started knows nobody."""
+        deadline_ns, answer = _CLOCK.now_ns() + 20 * S, b""
+        while not answer.startswith(b"ok"):
+            assert _CLOCK.now_ns() < deadline_ns, answer
+            with suppress(TimeoutError):  # it is being started again
+                answer = asked(self.bus, _CLOCK, "supervisor", what)
+            _CLOCK.sleep_until(_CLOCK.now_ns() + 50 * MS)
+
+    def _wait_running(self) -> None:
+        deadline_ns, state = _CLOCK.now_ns() + 60 * S, None
+        while state is None or state.phase != Phase.RUNNING:
+            payload = self._state.take()
+            state = state if payload is None else RUN_STATE.decode(payload)
+            assert _CLOCK.now_ns() < deadline_ns, state
+            if state is not None and state.phase == Phase.FAULT:  # of a machine that is busy
+                state = None
+                self._ask(b"reset")
+                self._ask(b"start")
+            _CLOCK.sleep_until(_CLOCK.now_ns() + 5 * MS)
+
+
+def flood(endpoint: str, arena: str) -> None:
+    """Ask a supervisor for something as fast as a process can, until this one is killed."""
+    bus = ZenohBus(arena, endpoint, "flooder", _CLOCK)
+    print("ready", flush=True)
+    while True:
+        bus.ask(REQUEST, "supervisor", b"status")
+
+
+def measure(folder: Path, times: int, trouble: str | None = None) -> list[float]:
+    """Return the time of every robot and try [ms]."""
+    endpoint = own_endpoint()
+    config = load_config(PLATOON, ["drivers.robots_per_process=1", "tracker.source=truth", f"bus.endpoint={endpoint}"])
+    fleet = started(config, folder, _CLOCK)
+    found: list[float] = []
+    try:
+        tries = Tries(config, fleet, trouble)
+        try:
+            for k in range(times):
+                one = tries.once()
+                found += one
+                print(f"{k + 1:4d}: {max(one):5.1f} ms", file=sys.stderr)
+        finally:
+            tries.bus.close()
+    finally:
+        fleet.reap(_CLOCK)
+    return found
+
+
+def print_cost(folder: Path, times: int) -> None:
+    """Print what the command takes until it asks."""
+    environment = own_folders(folder)
+    with asked_run(environment):
+        asking = [until_asked(["stop"], environment) for _ in range(times)]
+    cpu_s = [one.cpu_s for one in asking]
+    print(
+        f"robofleet stop, until it asks: p50 {np.median(cpu_s):.3f} s of the processors, worst {max(cpu_s):.3f} s; ",
+        end="",
+    )
+    print(f"{len(asking[0].modules)} modules, {len(asking[0].opened)} files")
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--times", type=int, default=100)
+    parser.add_argument("--supervisor", choices=TROUBLES)
+    parser.add_argument("--cpu", action="store_true")
+    parser.add_argument("--flood", nargs=2, help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.flood is not None:
+        flood(*asked.flood)
+    times, trouble = asked.times, asked.supervisor
+    with tempfile.TemporaryDirectory() as folder:
+        if asked.cpu:
+            print_cost(Path(folder), times)
+            return
+        found = measure(Path(folder), times, trouble)
+    p50, p99 = np.percentile(found, (50, 99))
+    print(f"supervisor {trouble or 'well'}: ", end="")
+    print(f"p50 {p50:.1f}, p99 {p99:.1f}, worst {max(found):.1f} ms of {times} stops of {len(found) // times} robots")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,259 @@
+"""How well tags are placed, ours and the peers', on ray-cast frames where the truth is known.
+
+    python -m tools.measure.tracking.accuracy [--json] [--frames N] [--only NAME] [--scenes NAME]
+
+A 1080p camera 2.5 m up sees 8 tags of 70 mm, 8 cm high, about 36 px, that drive as robots do: up to 0.2 m/s and
+2 rad/s, at 30 images a second of 4 ms. Each scene is three drives with other floors, tags, blur and light; a drive
+begins cold. Columns: position rms and largest error [mm], heading rms and largest [deg]; the mean error, which no
+filter takes away [mm]; how many of the tags were measured in their image (predicting is not measuring); and what was
+said that is wrong: of no such tag, or of a tag over 5 mm away, or of one twice. The rms are of the rest. The bound is
+Cramer and Rao's: the least rms that any unbiased estimator of the same greys can have, with gain, offset and a slope of
+the light unknown (and no cable).
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.targets import Target
+from tests.tracking.peers import CANDIDATES, UNTIMED, Setting, Sighting
+from tests.tracking.raycamera import RayCamera
+from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter
+
+Array = NDArray[np.float64]
+
+SIDE, HEIGHT = 0.07, 0.08
+SIZE = (1920, 1080)
+FOCAL = 1245.0  # 36 px for a tag in the middle [px]
+PERIOD = 1.0 / 30.0
+WRONG = 0.005  # [m]
+BOUND = "Cramer-Rao bound"
+LEAD_IN = 10  # images before the cable falls or the light goes out
+
+_K = np.array([[FOCAL, 0.0, 966.0], [0.0, FOCAL, 538.0], [0.0, 0.0, 1.0]])
+_BARREL = np.array([-0.1, 0.015, 0.0004, -0.0003, 0.0])
+_FISHEYE = np.array([-0.02, 0.003, -0.001, 0.0004])
+_DRIVES = ((0.7, 1.0), (0.55, 0.8), (0.9, 0.6))  # defocus [px], light
+
+
+class Scene(NamedTuple):
+    """What the frames are like."""
+
+    noise: float  # [grey levels], see RayCaster.image
+    darkness: float = 0.0  # the light, once it went out; 0: it stays on
+    cable_px: float = 0.0  # a cable so wide falls across every tag
+    line_time: float = 0.0  # [s]
+    fisheye: bool = False
+    steady: bool = False  # all drive at 0.2 m/s
+
+    @property
+    def troubled(self) -> bool:
+        """Whether something happens after LEAD_IN images, before which none count."""
+        return self.darkness > 0.0 or self.cable_px > 0.0
+
+
+SCENES = {
+    "noise 0": Scene(0.0),
+    "noise 2": Scene(2.0),
+    "noise 3.5": Scene(3.5),
+    "noise 5": Scene(5.0),
+    "cable of 2 px": Scene(3.5, cable_px=2.0),
+    "15 % light": Scene(3.5, darkness=0.15),
+    "rolling shutter, 20 ms": Scene(3.5, line_time=0.02 / SIZE[1], steady=True),
+    "fisheye": Scene(3.5, fisheye=True),
+}
+
+
+def cell_wide(family: str) -> float:
+    """Return the side of a family's tags whose cells are as large as those of 36h11 [m]."""
+    return SIDE / SQUARES["36h11"][1] * SQUARES[family][1]
+
+
+class Frame(NamedTuple):
+    """An image and what it shows."""
+
+    image: NDArray[np.uint8]
+    exposure_ns: int
+    prints: tuple[Print, ...]
+    level: float  # of the light
+    counts: bool
+
+
+class Score:
+    """What one candidate made of one scene."""
+
+    def __init__(self) -> None:
+        self.errors: list[tuple[float, float, float]] = []  # x, y [mm; world], psi [deg]
+        self.tags = self.wrong = 0
+
+    def add(self, prints: Sequence[Print], sightings: Sequence[Sighting]) -> None:
+        """Compare one image's sightings with the truth, each at its own instant."""
+        there = {tag.tag: tag for tag in prints}
+        self.tags += len(there)
+        for seen in sightings:
+            tag = there.pop(seen.tag, None)  # a second one of the same finds none
+            x, y, psi = along(tag.pose, tag.twist, seen.after_ns * 1e-9) if tag else (math.inf,) * 3
+            if math.hypot(seen.x - x, seen.y - y) < WRONG:
+                turned = math.degrees(math.remainder(seen.psi - psi, math.tau))
+                self.errors.append((float(seen.x - x) * 1e3, float(seen.y - y) * 1e3, turned))
+            else:
+                self.wrong += 1
+
+    def row(self) -> dict[str, float]:
+        """Return the columns of the table."""
+        if not self.errors:
+            return {"measured": 0.0, "wrong": self.wrong}
+        x, y, heading = np.array(self.errors).T
+        position = np.hypot(x, y)
+        return {
+            "rms_mm": _rms(position), "max_mm": float(position.max()),
+            "rms_deg": _rms(heading), "max_deg": float(np.abs(heading).max()),
+            "mean_mm": math.hypot(x.mean(), y.mean()),
+            "measured": len(self.errors) / self.tags, "wrong": self.wrong,
+        }  # fmt: skip
+
+
+def camera(scene: Scene, defocus: float) -> RayCamera:
+    """Return the camera: 2.5 m up, tilted by 2 degrees, an exposure of 4 ms."""
+    T = np.eye(4)
+    down, tilt = (cv2.Rodrigues(np.array(turn))[0] for turn in ([math.pi, 0.0, 0.0], [0.0, math.radians(2.0), 0.0]))
+    T[:3, :3] = down @ tilt
+    T[2, 3] = 2.5
+    distortion = _FISHEYE if scene.fisheye else _BARREL
+    return RayCamera(SIZE, _K, distortion, T, scene.fisheye, 0.004, scene.line_time, defocus)
+
+
+def drives(scene: Scene, frames: Sequence[int]) -> Iterator[tuple[Setting, RayCaster, Iterator[Frame]]]:
+    """Yield up to three drives; so many images of each count."""
+    for number, (wanted, (defocus, light)) in enumerate(zip(frames, _DRIVES, strict=False)):
+        rng = np.random.default_rng((1, number))
+        eye = camera(scene, defocus)
+        caster = RayCaster(eye, clutter(SIZE, rng), rng)
+        geometry = CameraGeometry(eye.K, eye.distortion, eye.T_world_camera, "fisheye" if eye.fisheye else "pinhole")
+        tags = rng.choice(587, 8, replace=False).tolist()
+        setting = Setting(geometry, SIZE, [Target(tag, SIDE, HEIGHT, 0.3) for tag in tags], scene.line_time)
+        yield setting, caster, _drive(scene, caster, tags, wanted, light, rng)
+
+
+def evaluate(scene: Scene, names: Sequence[str], frames: Sequence[int]) -> dict[str, dict[str, float]]:
+    """Return the rows of the table: candidates', and the bound's if it is named."""
+    scores, bounds = {name: Score() for name in names if name != BOUND}, []
+    for setting, caster, pictures in drives(scene, frames):
+        candidates = {name: CANDIDATES[name](setting) for name in scores}
+        begun = False
+        for frame in pictures:
+            for name, see in candidates.items():
+                seen = see(frame.image, frame.exposure_ns)
+                if frame.counts:
+                    scores[name].add(frame.prints, seen)
+            if BOUND in names and frame.counts and not begun:
+                bounds += [_least(caster, tag._replace(cable=None), frame.level, scene.noise) for tag in frame.prints]
+                begun = True
+    rows = {name: score.row() for name, score in scores.items()}
+    if bounds:
+        position, heading = np.array(bounds).T
+        rows[BOUND] = {"rms_mm": _rms(position), "rms_deg": _rms(heading)}
+    return rows
+
+
+def _drive(
+    scene: Scene, caster: RayCaster, tags: Sequence[int], frames: int, light: float, rng: np.random.Generator
+) -> Iterator[Frame]:
+    anchors = np.stack(np.meshgrid([-1.3, -0.45, 0.45, 1.3], [-0.45, 0.45]), axis=-1).reshape(8, 2)
+    starts = np.column_stack([anchors + rng.uniform(-0.15, 0.15, (8, 2)), rng.uniform(-math.pi, math.pi, 8)])
+    poses = list(map(tuple, starts.tolist()))
+    beat, phase = rng.uniform(1.5, 3.0, (2, 8)), rng.uniform(0.0, math.tau, (2, 8))  # [rad/s], [rad]
+    cables = [_cable(scene.cable_px, rng) for _ in tags]
+    lead_in = LEAD_IN if scene.troubled else 0
+    for k in range(lead_in + frames):
+        v, omega = np.array([[0.2], [2.0]]) * np.sin(beat * k * PERIOD + phase)
+        v = np.copysign(0.2, v) if scene.steady else v
+        twists = [(ahead, 0.0, turn) for ahead, turn in zip(v.tolist(), omega.tolist(), strict=True)]
+        trouble = scene.troubled and k >= lead_in
+        prints = tuple(
+            Print(tag, SIDE, HEIGHT, pose, twist, cable if trouble else None)
+            for tag, pose, twist, cable in zip(tags, poses, twists, cables, strict=True)
+        )
+        level = scene.darkness if trouble and scene.darkness else light
+        image = caster.image(prints, level, scene.noise)
+        yield Frame(image, round((1.0 + k * PERIOD) * 1e9), prints, level, k >= lead_in)
+        poses = [tuple(map(float, along(pose, twist, PERIOD))) for pose, twist in zip(poses, twists, strict=True)]
+
+
+def _cable(width_px: float, rng: np.random.Generator) -> Cable | None:
+    """Return a cable across the pattern, black, grey or white."""
+    forward, left = rng.uniform(-0.25 * SIDE, 0.25 * SIDE, 2).tolist()
+    width = width_px * (2.5 - HEIGHT) / FOCAL
+    cable = Cable(forward, left, rng.uniform(0.0, math.pi), width, 0.005, rng.choice([20.0, 110.0, 210.0]).item())
+    return cable if width_px else None
+
+
+def _least(caster: RayCaster, tag: Print, level: float, noise: float) -> tuple[float, float]:
+    """Return the bound's rms of position [mm] and heading [deg]: the inverse of the greys' Fisher information."""
+    patch = caster.patch(tag)
+    inside = patch.cover > 0.999
+    steps = np.array([1e-5, 1e-5, 2e-4])
+
+    def look(offset: Array) -> Array:
+        x, y, psi = np.array(tag.pose) + offset
+        return caster.light([tag._replace(pose=(x, y, psi))])[patch.where][inside].astype(np.float64) * level
+
+    slopes = [(look(step) - look(-step)) / (2.0 * step.sum()) for step in np.diag(steps)]
+    grey, (v, u) = look(np.zeros(3)), np.nonzero(inside)
+    J = np.stack([*slopes, np.ones_like(grey), grey, grey * (u - u.mean()), grey * (v - v.mean())], axis=1)
+    variance = noise**2 * (0.5 + 0.5 * grey / 128.0) + 1.0 / 12.0  # the last by rounding
+    J /= np.sqrt(variance)[:, None]
+    scale = np.linalg.norm(J, axis=0)  # of metres and greys, to keep the inverse sound
+    covariance = np.linalg.inv((J / scale).T @ (J / scale)) / np.outer(scale, scale)
+    return math.sqrt(covariance[0, 0] + covariance[1, 1]) * 1e3, math.degrees(math.sqrt(covariance[2, 2]))
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt((values**2).mean())
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="one JSON object, and nothing else")
+    parser.add_argument("--frames", type=int, default=90, help="images a scene")
+    parser.add_argument("--only", default="", help="candidates whose name has this in it")
+    parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
+    arguments = parser.parse_args()
+    names = [name for name in CANDIDATES if arguments.only in name]
+    scenes = {title: scene for title, scene in SCENES.items() if arguments.scenes in title}
+    if not names:
+        parser.error(f"--only {arguments.only}: of {', '.join(CANDIDATES)}")
+    if not scenes:
+        parser.error(f"--scenes {arguments.scenes}: of {', '.join(SCENES)}")
+    if arguments.frames < 1:
+        parser.error(f"--frames {arguments.frames}: at least 1")
+    cv2.setNumThreads(1)
+    tables = {}
+    for title, scene in scenes.items():
+        shown = [name for name in names if name != UNTIMED or scene.line_time]
+        tables[title] = evaluate(scene, [*shown, BOUND], [math.ceil(arguments.frames / len(_DRIVES))] * len(_DRIVES))
+        if not arguments.json:
+            _show(title, tables[title])
+    if arguments.json:
+        print(json.dumps(tables))
+
+
+def _show(title: str, rows: dict[str, dict[str, float]]) -> None:
+    widths = {"rms_mm": 8, "max_mm": 8, "mean_mm": 8, "rms_deg": 8, "max_deg": 8, "measured": 9, "wrong": 6}
+    print(f"{title:<30}" + "".join(f"{column:>{width + 1}}" for column, width in widths.items()))
+    for name, row in rows.items():
+        cells = (f"{row[c]:>{w + 1}.4g}" if c in row else " " * w + "-" for c, w in widths.items())
+        print(f"  {name:<28}" + "".join(cells), flush=True)
+    print()
+
+
+if __name__ == "__main__":
+    main()
