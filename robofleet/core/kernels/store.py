@@ -86,9 +86,7 @@ class KernelCache(_Cache):
         """Return the compiled function of a signature, None where there is none."""
         target_context.refresh()
         machine = target_context.codegen().magic_tuple()
-        if (
-            runs_shipped()
-        ):  # before the user's own, so that what is computed does not depend on what was compiled before
+        if runs_shipped():  # first: what was compiled here before must not change what is computed
             content = _shipped_content(self._name_of(sig, (machine[0], SHIPPED_CPU, "")))
             if (found := _rebuilt(target_context, content)) is not None:
                 return found
