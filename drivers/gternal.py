@@ -21,14 +21,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.differential_drive import DifferentialDrive, body_from_wheels
-from robofleet.vehicles.interface import (
-    STOP,
-    DriverContext,
-    DriverError,
-    DriverReading,
-    SensorReading,
-    WheelSpeeds,
-)
+from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+from robofleet.vehicles.readings import SensorReading
 from robofleet.vehicles.sensors import MOST_DISTANCES
 
 _BAUD = 500_000

@@ -3,14 +3,8 @@
 from typing import ClassVar
 
 from robofleet.vehicles.body import SimulatedBody
-from robofleet.vehicles.interface import (
-    STOP,
-    DriverContext,
-    DriverReading,
-    SensorReading,
-    TruePose,
-    WheelSpeeds,
-)
+from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, WheelSpeeds
+from robofleet.vehicles.readings import SensorReading, TruePose
 from robofleet.vehicles.sensors import SimulatedSensors
 
 _SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so long the motors go off

@@ -60,14 +60,13 @@ if TYPE_CHECKING:
         DriverError,
         DriverReading,
         RobotFault,
-        SensorReading,
         SimulatedDriver,
-        TruePose,
         WheelSpeeds,
         World,
         WorldObstacle,
         WorldRobot,
     )
+    from robofleet.vehicles.readings import SensorReading, TruePose
 
     __version__: str
 
@@ -104,9 +103,10 @@ _ROOMS = {
     ),
     "robofleet.vehicles.differential_drive": "DifferentialDrive",
     "robofleet.vehicles.interface": (
-        "STOP Driver DriverContext DriverError DriverReading RobotFault SensorReading SimulatedDriver TruePose "
-        "WheelSpeeds World WorldObstacle WorldRobot"
+        "STOP Driver DriverContext DriverError DriverReading RobotFault SimulatedDriver WheelSpeeds World "
+        "WorldObstacle WorldRobot"
     ),
+    "robofleet.vehicles.readings": "SensorReading TruePose",
 }
 _MODULES = {name: module for module, names in _ROOMS.items() for name in names.split()}
 

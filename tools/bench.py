@@ -34,7 +34,7 @@ with needing("bench", "lab"):
     from robofleet.control.path import nearest
     from robofleet.core.clock import S, stopwatch_ns
     from robofleet.experiments import closed_curve as track
-    from robofleet.experiments import comparison, simulate
+    from robofleet.experiments import comparison, comparison_results, simulate
     from robofleet.experiments.baselines.choice import Key, MissingLibraryError, build
     from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
     from robofleet.experiments.paper import parameters_of
@@ -95,7 +95,7 @@ def bicycle_updates() -> list[Row]:
 
     Every candidate sees the same states, those of the flow's own drive; beside its name, its own drive's peak error.
     """
-    parameters: comparison.ComparisonParameters = parameters_of("comparison")
+    parameters: comparison_results.ComparisonParameters = parameters_of("comparison")
     problem = parameters.lane_change(max(parameters.speeds_m_s))
     keys: tuple[Key, ...] = ("flow", "lqr", "osqp", "fatrop", "ipopt", "do-mpc")
     peaks: list[float] = []
@@ -151,7 +151,7 @@ class _Alone:
     name = "robofleet, update(x, r)"
 
     def __init__(
-        self, parameters: comparison.ComparisonParameters, problem: Problem, driven: Drive, plant: Plant
+        self, parameters: comparison_results.ComparisonParameters, problem: Problem, driven: Drive, plant: Plant
     ) -> None:
         law = parameters.laws.flow
         self._flow = NewtonRaphsonFlow(plant, law.settings(problem.step), (0.0, 0.0))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.bus.messages import UNIT_SENSORS
-from robofleet.vehicles.interface import SensorReading
+from robofleet.vehicles.readings import SensorReading
 from robofleet.vehicles.sensors import numbers, packed, unpacked
 
 SensorsSaid = tuple[NDArray[Any], NDArray[np.float64]]  # whose numbers they are (n,), as RobotSensors; the numbers

@@ -3,17 +3,14 @@
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
 from robofleet.config.robots import StartPose
-from robofleet.core.settings import Coordinate, Height, Length, Model, Name, within
+from robofleet.core.settings import MANY, ROBOTS, Coordinate, Height, Length, Model, Name, within
 from robofleet.vehicles import solids
 from robofleet.vehicles.solids import Solid
-
-if TYPE_CHECKING:
-    from robofleet.config.tree import Arena
 
 CORNERS = 200  # of one outline
 
@@ -72,12 +69,37 @@ def title(index: int, obstacle: Obstacle) -> str:
     return obstacle.name or f"obstacle{index + 1}"
 
 
-def standing(arena: "Arena") -> tuple[Solid, ...]:
+Side = Annotated[float, within(0.1, 1000)]
+Wall = Annotated[tuple[Coordinate, Coordinate, Coordinate, Coordinate], Field(strict=False)]
+
+
+class Arena(Model):
+    """The floor on which the robots may drive: a rectangle around the world's origin."""
+
+    name: Name
+    """Name of the arena on the bus and in commands such as ``robofleet stop NAME``. An arena has one run at a time."""
+    size_m: Annotated[tuple[Side, Side], Field(strict=False)]
+    """Length of the floor along x and along y."""
+    floor_m: Corners | None = None
+    """The floor's corners in their order, each as [x, y] in metres, where it is no rectangle: the robots stay inside.
+    All lie within ``size_m``. null: the whole rectangle."""
+    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MANY, strict=False)] = ()
+    """What stands on the floor. The barrier keeps every robot clear of it, and ``go_to`` drives round it."""
+    moving: Annotated[tuple[Moving, ...], Field(max_length=ROBOTS, strict=False)] = ()
+    """What carries a tag and is moved by somebody. The tracker finds it, and robots keep clear of it as of a robot in
+    no group."""
+    walls: Annotated[tuple[Wall, ...] | None, Field(max_length=MANY, strict=False)] = None
+    """What simulated distance sensors see beside robots: straight walls, each from one point to another, as
+    [x1, y1, x2, y2] in metres. null: the edges of the floor. They see obstacles, too. Robots keep clear of the edges
+    and of obstacles, and of no other wall."""
+
+
+def standing(arena: Arena) -> tuple[Solid, ...]:
     """Return the obstacles."""
     return tuple(_solid(title(i, obstacle), obstacle) for i, obstacle in enumerate(arena.obstacles))
 
 
-def every(arena: "Arena") -> tuple[Solid, ...]:
+def every(arena: Arena) -> tuple[Solid, ...]:
     """Return what robots keep clear of: the obstacles, and what lies outside a floor that is a polygon."""
     floor = () if arena.floor_m is None else (Solid("floor", arena.floor_m, floor=True),)
     return (*standing(arena), *floor)
@@ -90,7 +112,7 @@ def _solid(name: str, obstacle: Obstacle) -> Solid:
     return Solid(name, obstacle.polygon_m or ())
 
 
-def complaints(arena: "Arena") -> Iterator[tuple[str, str]]:
+def complaints(arena: Arena) -> Iterator[tuple[str, str]]:
     """Yield what cannot be: (dotted path, what is wrong and how to mend it)."""
     length, width = arena.size_m
     if arena.floor_m is not None:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from robofleet.config import obstacles
+from robofleet.config.obstacles import Arena
 from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.sensors import Distances
-from robofleet.config.tree import Arena, Config
+from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.core.patterns import OVERHEAD
 from robofleet.vehicles.differential_drive import DifferentialDrive

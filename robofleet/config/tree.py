@@ -13,7 +13,7 @@ from robofleet.config.calibrated import FloorTag
 from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
 from robofleet.config.mocap import MocapSettings
-from robofleet.config.obstacles import Corners, Moving, Obstacle
+from robofleet.config.obstacles import Arena
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import InjectedFault
 from robofleet.core.patterns import ENDPOINT_PATTERN, NETWORK_PATTERN, PRIVATE, TRACKER, driver_role, tracker_role
@@ -22,7 +22,6 @@ from robofleet.core.settings import (
     MANY,
     ROBOTS,
     TAGS,
-    Coordinate,
     Count,
     Delay,
     FamilyName,
@@ -37,30 +36,7 @@ from robofleet.core.settings import (
 )
 from robofleet.safety.supervisor import Roster
 
-Side = Annotated[float, within(0.1, 1000)]
-Wall = Annotated[tuple[Coordinate, Coordinate, Coordinate, Coordinate], Field(strict=False)]
 Most = Annotated[float, within(1e-6, 1e9)]
-
-
-class Arena(Model):
-    """The floor on which the robots may drive: a rectangle around the world's origin."""
-
-    name: Name
-    """Name of the arena on the bus and in commands such as ``robofleet stop NAME``. An arena has one run at a time."""
-    size_m: Annotated[tuple[Side, Side], Field(strict=False)]
-    """Length of the floor along x and along y."""
-    floor_m: Corners | None = None
-    """The floor's corners in their order, each as [x, y] in metres, where it is no rectangle: the robots stay inside.
-    All lie within ``size_m``. null: the whole rectangle."""
-    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MANY, strict=False)] = ()
-    """What stands on the floor. The barrier keeps every robot clear of it, and ``go_to`` drives round it."""
-    moving: Annotated[tuple[Moving, ...], Field(max_length=ROBOTS, strict=False)] = ()
-    """What carries a tag and is moved by somebody. The tracker finds it, and robots keep clear of it as of a robot in
-    no group."""
-    walls: Annotated[tuple[Wall, ...] | None, Field(max_length=MANY, strict=False)] = None
-    """What simulated distance sensors see beside robots: straight walls, each from one point to another, as
-    [x1, y1, x2, y2] in metres. null: the edges of the floor. They see obstacles, too. Robots keep clear of the edges
-    and of obstacles, and of no other wall."""
 
 
 class BusSettings(Model):

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
 
 from robofleet.config.camera import CameraSettings
 from robofleet.doctor import permission, udev, v4l2_device
@@ -25,15 +24,6 @@ print(json.dumps([(one.GetModelName(), one.GetSerialNumber()) for one in found])
 """
 _SHOWN = 3  # sizes of a format
 _SAME_RATE = 0.01  # relative
-
-
-class Usb(NamedTuple):
-    """What a camera's plug says."""
-
-    vendor_id: int
-    product_id: int
-    serial_number: str
-    socket: str
 
 
 def kernel_cameras(needs: Needs) -> Iterator[Finding]:
@@ -112,7 +102,7 @@ def shown(modes: tuple[Mode, ...]) -> str:
     return "; ".join(parts) or "it tells no formats"
 
 
-def usb_of(path: Path, sysfs: Path = _SYSFS) -> Usb | None:
+def usb_of(path: Path, sysfs: Path = _SYSFS) -> udev.Usb | None:
     """Return what the plug of a camera says; None where it is on no USB."""
     plug = (sysfs / path.name / "device").resolve().parent
     try:
@@ -123,7 +113,7 @@ def usb_of(path: Path, sysfs: Path = _SYSFS) -> Usb | None:
         serial_number = (plug / "serial").read_text().strip()
     except OSError:
         serial_number = ""
-    return Usb(vendor, product, serial_number, plug.name)
+    return udev.Usb(vendor, product, serial_number, plug.name)
 
 
 def basler_cameras(needs: Needs) -> Iterator[Finding]:

@@ -16,18 +16,6 @@ _LINKS = Path("/dev/robofleet"), Path("/dev/serial/by-id"), Path("/dev/serial/by
 _PROCESSES = Path("/proc")
 
 
-class Device(NamedTuple):
-    """A port that the system has. What an adapter does not tell is empty."""
-
-    path: str  # /dev/ttyUSB0
-    says: str  # manufacturer and product
-    vendor_id: int | None  # of USB; None: no USB device
-    product_id: int | None
-    serial_number: str
-    location: str  # the USB socket: 1-2.1, with the interface where the device has several: 1-2.1:1.0
-    links: tuple[str, ...]  # names that stay
-
-
 class Holder(NamedTuple):
     """A process that has a port open."""
 
@@ -35,14 +23,14 @@ class Holder(NamedTuple):
     command: str
 
 
-def devices() -> list[Device]:
+def devices() -> list[udev.Device]:
     """Return the ports, USB's first."""
     links: dict[str, list[str]] = {}
     for folder in _LINKS:
         for link in sorted(folder.glob("*")):
             links.setdefault(os.path.realpath(link), []).append(str(link))
     found = [
-        Device(
+        udev.Device(
             port.device,
             " ".join(dict.fromkeys(filter(None, (port.manufacturer, port.product)))) or "unnamed adapter",
             port.vid, port.pid, port.serial_number or "", port.location or "",
@@ -113,7 +101,7 @@ def _judged(path: str, says: str, robot: str | None, rule: str | None) -> Findin
     return ok(name, f"{says}; free", *pastes)
 
 
-def _described(device: Device) -> str:
+def _described(device: udev.Device) -> str:
     parts = [device.says]
     if device.vendor_id is not None:
         parts.append(f"{device.vendor_id:04x}:{device.product_id or 0:04x}")
@@ -123,7 +111,7 @@ def _described(device: Device) -> str:
     return ", ".join(parts)
 
 
-def _names(needs: Needs, found: list[Device]) -> dict[str, str]:
+def _names(needs: Needs, found: list[udev.Device]) -> dict[str, str]:
     """Return the robot that each port shall be named after: the configuration's; then r1, r2, ... in order."""
     names = {}
     ports = list(needs.ports())

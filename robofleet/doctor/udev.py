@@ -2,11 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from robofleet.doctor.cameras import Usb
-    from robofleet.doctor.serial_ports import Device
+from typing import NamedTuple
 
 FILE = "/etc/udev/rules.d/71-robofleet.rules"  # behind 60-serial.rules, which reads the numbers
 RELOAD = "udevadm control --reload && udevadm trigger"
@@ -14,7 +10,28 @@ _FTDI = 0x0403
 _OURS = "/dev/robofleet/"
 
 
-def serial_rules(devices: Sequence["Device"], names: Mapping[str, str]) -> dict[str, str]:
+class Usb(NamedTuple):
+    """What a camera's plug says."""
+
+    vendor_id: int
+    product_id: int
+    serial_number: str
+    socket: str
+
+
+class Device(NamedTuple):
+    """A port that the system has. What an adapter does not tell is empty."""
+
+    path: str  # /dev/ttyUSB0
+    says: str  # manufacturer and product
+    vendor_id: int | None  # of USB; None: no USB device
+    product_id: int | None
+    serial_number: str
+    location: str  # the USB socket: 1-2.1, with the interface where the device has several: 1-2.1:1.0
+    links: tuple[str, ...]  # names that stay
+
+
+def serial_rules(devices: Sequence[Device], names: Mapping[str, str]) -> dict[str, str]:
     """Return the rule of each USB port that has no name in /dev/robofleet yet, by its path.
 
     A chip without a number, or with one that another one has too, is named after its socket.
@@ -39,7 +56,7 @@ def serial_rules(devices: Sequence["Device"], names: Mapping[str, str]) -> dict[
     return rules
 
 
-def camera_rule(usb: "Usb", name: str) -> str:
+def camera_rule(usb: Usb, name: str) -> str:
     """Return the rule of a camera: of its first node, which gives the images."""
     keys = ['SUBSYSTEM=="video4linux"', 'ATTR{index}=="0"', *_usb(usb.vendor_id, usb.product_id)]
     if usb.serial_number and _plain(usb.serial_number):
@@ -53,11 +70,11 @@ def _usb(vendor_id: int, product_id: int) -> tuple[str, str]:
     return f'ENV{{ID_VENDOR_ID}}=="{vendor_id:04x}"', f'ENV{{ID_MODEL_ID}}=="{product_id:04x}"'
 
 
-def _socket(device: "Device") -> str:
+def _socket(device: Device) -> str:
     return device.location.partition(":")[0]
 
 
-def _number(device: "Device") -> tuple[int | None, int | None, str]:
+def _number(device: Device) -> tuple[int | None, int | None, str]:
     return device.vendor_id, device.product_id, device.serial_number
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from robofleet.experiments.baselines.choice import Key
 from robofleet.experiments.baselines.problem import Drive
-from robofleet.experiments.comparison import Compared, ComparisonParameters, Troubled
+from robofleet.experiments.comparison_results import Compared, ComparisonParameters, Troubled
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
 
 Found = Mapping[Key, Compared]

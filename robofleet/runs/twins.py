@@ -12,7 +12,7 @@ from robofleet.core.clock import MS, Clock, S
 from robofleet.nodes.node import LineWaker
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
-from robofleet.vehicles.interface import TruePose
+from robofleet.vehicles.readings import TruePose
 
 _TRUTH_NS = round(TRUTH.period_s * S)
 

@@ -36,7 +36,7 @@ from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.valid_json import dumps
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.scripts.script_link import FleetError, Link
-from robofleet.vehicles.interface import SensorReading
+from robofleet.vehicles.readings import SensorReading
 
 __all__ = ["Fleet", "FleetError"]
 

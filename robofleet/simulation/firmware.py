@@ -10,8 +10,9 @@ from collections.abc import Callable
 from typing import Protocol
 
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import STOP, Imperfections, RobotFault, SensorReading
+from robofleet.vehicles.interface import STOP, Imperfections, RobotFault
 from robofleet.vehicles.plant import Plant
+from robofleet.vehicles.readings import SensorReading
 
 
 class Hardware:

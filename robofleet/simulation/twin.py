@@ -12,7 +12,8 @@ from robofleet.simulation.faulty_line import Ledger, TwinTroubles
 from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.simulation.serial_line import SerialLine, Wire
 from robofleet.vehicles.body import SimulatedBody
-from robofleet.vehicles.interface import STOP, SensorReading, TruePose
+from robofleet.vehicles.interface import STOP
+from robofleet.vehicles.readings import SensorReading, TruePose
 from robofleet.vehicles.sensors import SimulatedSensors
 
 Others = Callable[[], Sequence[tuple[TruePose, float]]]  # where other robots are, and their bodies' radii [m]

@@ -20,9 +20,6 @@ from contextlib import contextmanager
 from multiprocessing import active_children, connection, get_context, parent_process
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-from robofleet.core.refusal import RefusedError
-
-LOCAL, RAY = "local", "ray"
 WORKER_DIED = "its worker process died (out of memory, or killed)"
 
 _AHEAD = 2  # units under way for each worker: one that works, one that waits
@@ -53,23 +50,6 @@ class Engine(Protocol):
 
     def each(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Results[Result]:
         """Yield what becomes of every item as it is finished; close the iterator to end what is under way."""
-
-
-@contextmanager
-def opened(on: str, jobs: int | None) -> Iterator[Engine]:
-    """Open the engine of ``--on``: ``local``, ``ray`` or ``ray://HOST:PORT``; RefusedError where there is none.
-
-    ``jobs``: how many workers; None: as many as there are processors.
-    """
-    if on == LOCAL:
-        yield Local(jobs or len(os.sched_getaffinity(0)))
-    elif on == RAY or on.startswith(f"{RAY}://"):
-        from robofleet.studies.cluster import cluster  # noqa: PLC0415 - an extra
-
-        with cluster(on.removeprefix(RAY).removeprefix("://"), jobs) as engine:
-            yield engine
-    else:
-        raise RefusedError(f"--on: {on!r} is no engine: write local, ray, or ray://HOST:PORT")
 
 
 def attempt(work: Callable[[Item], Result], item: Item) -> tuple[Result | None, str]:

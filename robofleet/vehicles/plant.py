@@ -9,7 +9,8 @@ import math
 import numpy as np
 
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
-from robofleet.vehicles.interface import DriverReading, Imperfections, TruePose, WheelSpeeds
+from robofleet.vehicles.interface import DriverReading, Imperfections, WheelSpeeds
+from robofleet.vehicles.readings import TruePose
 
 _RANDOM_BLOCK = 512
 _OBEYING = (None, None)  # of wheels that turn by themselves

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.vehicles.interface import SensorReading, TruePose
+from robofleet.vehicles.readings import SensorReading, TruePose
 
 Array = NDArray[np.float64]
 

@@ -48,7 +48,7 @@ from robofleet.bus.messages import (
 )
 from robofleet.core.settings import ROBOTS
 from robofleet.safety.gate import GateStatus, Latch, LeaseAction
-from robofleet.vehicles.interface import SensorReading
+from robofleet.vehicles.readings import SensorReading
 
 
 def test_a_command() -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from robofleet.drivers.serial_port import SerialPort
-from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, SensorReading, WheelSpeeds
+from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+from robofleet.vehicles.readings import SensorReading
 from tests.drivers.sparrow import Sparrow  # type: ignore[attr-defined]
 
 

@@ -20,15 +20,8 @@ from robofleet.nodes.unit import driver_settings
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
 from robofleet.vehicles.differential_drive import DifferentialDrive, wheels_from_body
-from robofleet.vehicles.interface import (
-    STOP,
-    Driver,
-    DriverContext,
-    DriverError,
-    DriverReading,
-    TruePose,
-    WheelSpeeds,
-)
+from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, DriverReading, WheelSpeeds
+from robofleet.vehicles.readings import TruePose
 from tests.drivers import serial_world
 
 LOOP_NS = 10 * MS  # the kit's

@@ -7,7 +7,8 @@ from contextlib import ExitStack, suppress
 
 import pytest
 
-from robofleet.vehicles.interface import DriverError, SensorReading, WheelSpeeds
+from robofleet.vehicles.interface import DriverError, WheelSpeeds
+from robofleet.vehicles.readings import SensorReading
 from robofleet.vehicles.sensors import is_sound
 from tests.drivers.contract_bench import Bench, Moment, Subject
 

@@ -8,7 +8,8 @@ import pytest
 
 from robofleet.config import slices
 from robofleet.simulation.twin import Twin
-from robofleet.vehicles.interface import DriverError, TruePose, WheelSpeeds
+from robofleet.vehicles.interface import DriverError, WheelSpeeds
+from robofleet.vehicles.readings import TruePose
 from robofleet.vehicles.sensors import Sensing, SimulatedSensors
 from tests.drivers.contract_bench import Bench, Subject
 

@@ -24,7 +24,8 @@ from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.foxglove.server import Server, written
 from robofleet.gateways.viewers.foxglove.services import services
 from robofleet.gateways.viewers.kept import RetainedMessages
-from robofleet.gateways.viewers.live import Opened, Viewers
+from robofleet.gateways.viewers.live import Viewers
+from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, Address, completed
 from robofleet.recording.scenes.drawn import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer

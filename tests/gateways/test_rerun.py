@@ -26,9 +26,10 @@ from robofleet.core import refusal
 from robofleet.core.clock import S
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.served import Served
-from robofleet.gateways.viewers.live import Opened, Viewers
+from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.rerun.server import Server
 from robofleet.gateways.viewers.rerun.shapes import of_entity
+from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.viewer_address import DEFAULTS, RERUN, Address, completed
 from robofleet.recording.run import Recording
 from robofleet.recording.scenes.drawn import Channel

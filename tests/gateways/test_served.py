@@ -16,7 +16,8 @@ from robofleet.config.names import SHIPPED
 from robofleet.core.clock import S
 from robofleet.gateways.place import ArenaAccess, is_over
 from robofleet.gateways.served import Served
-from robofleet.gateways.viewers.live import Opened, Viewers
+from robofleet.gateways.viewers.live import Viewers
+from robofleet.gateways.viewers.server import Opened
 from robofleet.recording.scenes.drawn import Channel
 from robofleet.safety.supervisor import NOBODY, Phase
 from tests.endpoints import short_folder

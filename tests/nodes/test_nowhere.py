@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from robofleet.drivers.simulated import SimulatedRobot
-from robofleet.vehicles.interface import TruePose
+from robofleet.vehicles.readings import TruePose
 
 Make = Callable[..., dict[str, Any]]
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from robofleet.core.clock import MS, S
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.differential_drive import arc
-from robofleet.vehicles.interface import DriverContext, SensorReading, Simulation, TruePose, WheelSpeeds
+from robofleet.vehicles.interface import DriverContext, Simulation, WheelSpeeds
+from robofleet.vehicles.readings import SensorReading, TruePose
 from robofleet.vehicles.sensors import (
     DistanceSensors,
     Errors,

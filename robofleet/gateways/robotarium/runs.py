@@ -14,7 +14,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import utc_now
 from robofleet.gateways.robotarium.drawing import Drawing
 from robofleet.scripts.fleet import Fleet, FleetError
-from robofleet.vehicles.interface import SensorReading
+from robofleet.vehicles.readings import SensorReading
 
 Array = NDArray[np.float64]
 Walls = Sequence[Sequence[float]]  # x1, y1, x2, y2 [m; world] of each

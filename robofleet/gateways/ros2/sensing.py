@@ -17,7 +17,7 @@ from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, single
 from robofleet.gateways.ros2.robots import heading
 from robofleet.gateways.ros2.topics import Frames
-from robofleet.vehicles.interface import SensorReading
+from robofleet.vehicles.readings import SensorReading
 
 _NOT_MEASURED = -1.0  # in the first place of a covariance: sensor_msgs/Imu
 _UT = 1e-6  # [T]

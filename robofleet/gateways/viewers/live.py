@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple, Protocol
 
 from robofleet.bus.bus import Stream
 from robofleet.bus.joining import joined
@@ -19,6 +18,7 @@ from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
 from robofleet.gateways.place import ArenaAccess, is_over
 from robofleet.gateways.served import Served
+from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.nodes.node import Lifeline
 from robofleet.operator.viewer_address import RERUN, Address
 from robofleet.recording.channels import keys
@@ -29,35 +29,6 @@ _JOIN_WITHIN_S = 60.0  # the router is the first process of a run
 _QUEUE = 65536  # messages
 _PERIOD_NS = 40 * MS
 _BATCH = 15  # ticks of a robot at once: half a second
-
-
-class Server(Protocol):
-    """Shows messages of channels to viewers. None of them is waited for."""
-
-    def tell(self, topic: str, log_ns: int, message: bytes) -> None:
-        """Take a message of a channel; ``log_ns``: a date."""
-
-    def step(self, log_ns: int) -> None:
-        """Show what was told, and again what was told seldom to who comes late; ``log_ns``: the date now."""
-
-    def close(self) -> None:
-        """Leave every viewer."""
-
-
-class Run(NamedTuple):
-    """The run that a server shows."""
-
-    config: Config
-    place: ArenaAccess
-    folder: Path  # for what a viewer needs
-    ask: Asking
-
-
-class Opened(NamedTuple):
-    """A server, and what its user is told."""
-
-    server: Server
-    line: str
 
 
 def serve(

@@ -1,9 +1,5 @@
 """A driver process: the robots of one unit, each behind its gate. It owns the gates; the drivers know no bus."""
 
-from typing import Any, Protocol
-
-from numpy.typing import NDArray
-
 from robofleet.bus import sensors
 from robofleet.bus.bus import Bus, Inbox, Publish, Request, Wake
 from robofleet.bus.keys import COMMAND, ENABLE, LEASE, SENSORS, STATUS, TRUTH
@@ -14,16 +10,14 @@ from robofleet.bus.messages import (
     UNIT_LEASES,
     UNIT_STATUS,
     UNIT_TRUTH,
-    LeaseAnswer,
     UnitLeases,
     UnitStatus,
     UnitTruth,
 )
-from robofleet.bus.sensors import SensorsSaid
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock
-from robofleet.nodes.unit.drivers import Drivers, behind_gates
+from robofleet.nodes.unit.drivers import Drivers, UnitMessage, behind_gates
 from robofleet.nodes.unit.gated_robot import Probe
 from robofleet.nodes.unit.keeping import StateStore
 from robofleet.nodes.unit.telling import ByCable, ByRadio, StatusScheduling
@@ -31,64 +25,6 @@ from robofleet.safety.gate import LeaseAction
 
 LOOP_NS = 10 * MS
 _ACTIONS = tuple(LeaseAction)
-Said = tuple[NDArray[Any], NDArray[Any]]  # a message's head (1,) and its items (N,)
-
-
-class Robots(Protocol):
-    """The robots of a unit (N,), each behind its gate."""
-
-    def __len__(self) -> int: ...
-
-    @property
-    def boot_id(self) -> int:
-        """What every message to them must echo."""
-
-    @property
-    def deadline_ns(self) -> int:
-        """When a gate must be asked again."""
-
-    @property
-    def hurries(self) -> bool:
-        """Whether the link was bad a short while ago: then a status goes out in every loop."""
-
-    @property
-    def newest_nonce_ns(self) -> int:
-        """The newest nonce that a command and a permission have echoed: by it the gates live."""
-
-    @property
-    def latch_is_new(self) -> bool:
-        """Whether the newest status does not tell of a gate's latch yet."""
-
-    @property
-    def any_open(self) -> bool:
-        """Whether a gate lets a controller's commands through."""
-
-    def set_back(self, from_ns: int, now_ns: int) -> None:
-        """Let every gate begin anew: the clock was set back from one instant to another."""
-
-    def pass_on(self, now_ns: int, command: Said | None, enable: Said | None, *, due: bool) -> None:
-        """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
-
-    def lease(self, session: int, action: LeaseAction, now_ns: int) -> tuple[LeaseAnswer, ...]:
-        """Answer a request for the leases."""
-
-    def keep(self, *, due: bool) -> None:
-        """Keep what must be kept of the gates: the disk is slow, so every robot's wheels went before."""
-
-    def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
-        """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
-
-    def truths(self) -> NDArray[Any] | None:
-        """Return the part of a truth of each that is simulated; None where all exist."""
-
-    def sensors(self) -> SensorsSaid:
-        """Return what is said of the sensors of each that tells of them; asked where somebody wants to know."""
-
-    def say(self) -> None:
-        """Say in the log what there is to complain about."""
-
-    def close(self) -> None:
-        """Motors off at once, drivers closed. Idempotent."""
 
 
 class DriverProcess:
@@ -185,7 +121,7 @@ class DriverProcess:
             self._robots.set_back(before_ns, now_ns)
         return now_ns
 
-    def _whole(self, command: Said | None) -> Said | None:
+    def _whole(self, command: UnitMessage | None) -> UnitMessage | None:
         """Return a message that says something to every robot of the unit, and to no other one."""
         if command is None or len(command[1]) == len(self._robots):
             return command

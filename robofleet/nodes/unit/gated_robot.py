@@ -28,15 +28,8 @@ from robofleet.nodes.unit.health import Health
 from robofleet.nodes.unit.keeping import RobotState, StateStore, kept
 from robofleet.safety import gate
 from robofleet.safety.gate import GateState, GateStatus, Inputs, Latch, LeaseAction
-from robofleet.vehicles.interface import (
-    STOP,
-    Driver,
-    DriverContext,
-    DriverError,
-    SensorReading,
-    SimulatedDriver,
-    WheelSpeeds,
-)
+from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, SimulatedDriver, WheelSpeeds
+from robofleet.vehicles.readings import SensorReading
 
 TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
 # In health a gate lives on nonces of up to 60 ms: a status every 20 ms, an enable every 40 ms.

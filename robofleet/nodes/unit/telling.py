@@ -11,7 +11,7 @@ from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.gated_robot import BAD_LINK_NS, NO_LINK_NS
 
 if TYPE_CHECKING:
-    from robofleet.nodes.unit.driver import Robots
+    from robofleet.nodes.unit.drivers import Robots
 
 _NEVER_NS = (1 << 63) - 1
 

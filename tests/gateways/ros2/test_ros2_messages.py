@@ -37,7 +37,7 @@ from robofleet.gateways.urdf import urdf
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.pictures import picture_size
-from robofleet.vehicles.interface import SensorReading
+from robofleet.vehicles.readings import SensorReading
 from tests.gateways.ros2 import user
 
 TRUTH = "tracker.source=truth", "tracker.truth.position_noise_m=0", "tracker.truth.heading_noise_rad=0"

@@ -25,7 +25,8 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.gateways.served import Served
 from robofleet.gateways.viewers.kept import RetainedMessages
-from robofleet.gateways.viewers.live import Opened, Viewers
+from robofleet.gateways.viewers.live import Viewers
+from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.page.hearing import Hearing
 from robofleet.operator.terminal.live import LiveView
 from robofleet.operator.terminal.terminal import Terminal

@@ -22,7 +22,7 @@ from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.viewers.foxglove.services import new_key, services
 from robofleet.gateways.viewers.kept import RetainedMessages
-from robofleet.gateways.viewers.live import Opened, Run
+from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.operator.viewer_address import Address
 from robofleet.recording.run import Recording
 from robofleet.recording.scenes.drawn import Channel as Described
