@@ -15,7 +15,7 @@ from robofleet.bus.keys import ENABLE, ESTOP, SAFE_REQUEST, STATE, STATUS
 from robofleet.bus.messages import UNIT_ENABLE, Enable, UnitEnable, UnitStatus
 from robofleet.bus.observer import Observer
 from robofleet.core.clock import MS, Clock
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Phase
 
 Units = Mapping[str, Sequence[str]]  # the robots of each unit

@@ -28,7 +28,7 @@ from robofleet.core.errors import RobofleetError
 from robofleet.operator.estop import SUPERVISOR, Stopped, emergency_stop, urgent
 from robofleet.recording.causes import halt_cause, named
 from robofleet.safety.advice import WAY_OUT
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 
 _CONNECT_WITHIN_S = 1.0
 _CONNECT_ELSEWHERE_WITHIN_S = 3.0
