@@ -20,19 +20,18 @@ class ArenaAccess(NamedTuple):
 
 
 def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, ArenaAccess]":
-    """Return the run that is meant; ``copy``: of its configuration, where it is elsewhere. RefusedError."""
+    """Return the run that is meant; ``copy``: of its configuration, where it is elsewhere.
+
+    BadInputError where there is none, or it is not clear which."""
     from robofleet.bus.permissions import OPERATOR  # noqa: PLC0415
     from robofleet.config.load import load_config  # noqa: PLC0415
-    from robofleet.operator.requests import NoArenaError, chosen, joined_arena  # noqa: PLC0415
+    from robofleet.operator.requests import chosen, joined_arena  # noqa: PLC0415
 
-    try:
-        joined = joined_arena(arena)
-        if joined is None:
-            run = chosen(arena, own=True)
-            folder = Path(run.folder)
-            return load_config(folder / "config.yaml"), ArenaAccess(run.endpoint, None, OPERATOR, folder)
-    except NoArenaError as error:
-        raise RefusedError(str(error)) from error
+    joined = joined_arena(arena)
+    if joined is None:
+        run = chosen(arena, own=True)
+        folder = Path(run.folder)
+        return load_config(folder / "config.yaml"), ArenaAccess(run.endpoint, None, OPERATOR, folder)
     if copy is None:
         raise RefusedError(f"{joined.arena} is another computer's: name a copy of its configuration in --config")
     return load_config(copy), ArenaAccess(joined.router, joined.credentials, joined.role)

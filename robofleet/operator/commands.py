@@ -2,14 +2,12 @@
 
 import os
 import sys
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from robofleet.core.refusal import WEB_PACKAGES, RefusedError, bad_input, need_extra
+from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra
 from robofleet.core.valid_json import dumps
 from robofleet.operator import direct
 from robofleet.operator.page.page_address import LOOPBACK, listening
@@ -113,22 +111,11 @@ def status(
     raise typer.Exit(direct.status(arena, as_json=as_json))
 
 
-def _chosen(choose: Callable[[str | None], T], arena: str | None) -> T:
-    """Return the arena that is meant; exit code 2 where that is not clear."""
-    from robofleet.operator.requests import NoArenaError  # noqa: PLC0415
-
-    try:
-        return choose(arena)
-    except NoArenaError as error:
-        print(error, file=sys.stderr)
-        raise typer.Exit(2) from error
-
-
 def _own_run(arena: str | None) -> "ArenaFile":
     """Return the own run that is meant."""
     from robofleet.operator.requests import chosen  # noqa: PLC0415
 
-    return _chosen(partial(chosen, own=True), arena)
+    return chosen(arena, own=True)
 
 
 def _told(done: bool, what: str) -> None:
@@ -158,8 +145,7 @@ def _be(
     from robofleet.runs import child  # noqa: PLC0415
 
     config = _for_one_process(file, robots, listen=row is table.ROUTER)
-    with bad_input():
-        child.main(row, config, file.parent, lifeline, robots, camera, take_over=take_over)
+    child.main(row, config, file.parent, lifeline, robots, camera, take_over=take_over)
 
 
 def supervisor(config: ConfigPath, lifeline: LifelineFd = None) -> None:
@@ -230,19 +216,17 @@ def driver(
 
 
 def _wrong(line: str) -> None:
-    with bad_input():
-        raise RefusedError(line)
+    raise RefusedError(line)
 
 
 def _wait_for_runs(unit: str) -> None:
     """Be the driver of this computer's robots, whatever run comes: as a program without the command line's packages."""
     from robofleet.config.robot_file import load_robot_file, robot_file  # noqa: PLC0415
 
-    with bad_input():
-        file = robot_file()
-        robot = load_robot_file(file)
-        if robot.unit != unit:
-            raise RefusedError(f"--unit {unit}: {file} says that this computer is {robot.unit}")
+    file = robot_file()
+    robot = load_robot_file(file)
+    if robot.unit != unit:
+        raise RefusedError(f"--unit {unit}: {file} says that this computer is {robot.unit}")
     os.execv(sys.executable, [sys.executable, "-P", "-X", "faulthandler", "-m", "robofleet.runs.daemon"])
 
 
@@ -260,8 +244,7 @@ def router(
     if print_config:
         from robofleet.hosts.network import settings_of  # noqa: PLC0415
 
-        with bad_input():
-            print(dumps(settings_of(_for_one_process(config))))
+        print(dumps(settings_of(_for_one_process(config))))
         return
     _be(table.ROUTER, config, lifeline)
 
@@ -288,18 +271,18 @@ def hosts(
     as an operator or a viewer sees the robots that are linked.
     """
     from robofleet.operator import hosts as asking  # noqa: PLC0415
-    from robofleet.operator import requests as operator  # noqa: PLC0415
+    from robofleet.operator.requests import UnreachableError, joined_arena  # noqa: PLC0415
 
     file = None if arena is None else Path(arena)
     named = file is None or not (file.exists() or file.suffix)  # as an arena
-    elsewhere_ = _chosen(operator.joined_arena, arena) if named else None
+    joined = joined_arena(arena) if named else None
     try:
-        if elsewhere_ is not None:
-            found = asking.hosts_elsewhere(elsewhere_)
+        if joined is not None:
+            found = asking.hosts_elsewhere(joined)
         else:
             file = Path(_own_run(arena).folder) / "config.yaml" if file is None or named else file
             found = asking.hosts(_for_one_process(file))
-    except operator.UnreachableError as error:
+    except UnreachableError as error:
         _told(False, str(error))
     if as_json:
         print(dumps(found))
@@ -340,26 +323,23 @@ def web(
     """
     from robofleet.operator.page.certificate import page_keys  # noqa: PLC0415
 
-    with bad_input():
-        need_extra("lab", *WEB_PACKAGES)
+    need_extra("lab", *WEB_PACKAGES)
     if lifeline is not None:
         from robofleet.operator.page import process  # noqa: PLC0415
 
         assert run is not None
         tree = _for_one_process(Path(run))
-        with bad_input():
-            socket_, keys = listening(host, port, "--host"), page_keys(tree.arena.name, host, "--host")
-            process.of_run(tree, Path(run).absolute().parent, lifeline, socket_, host, keys)
+        socket, keys = listening(host, port, "--host"), page_keys(tree.arena.name, host, "--host")
+        process.of_run(tree, Path(run).absolute().parent, lifeline, socket, host, keys)
         return
     from robofleet.operator.page import command  # noqa: PLC0415
 
-    with bad_input():
-        page_run = command.there(run, _own_run, _for_one_process)
-        with listening(host, port, "--host") as socket_:
-            keys = page_keys(page_run.config.arena.name, host, "--host")
-            done, line = command.serve(page_run, socket_, host, keys, browser=not no_browser)
-        if line:
-            _told(done, line)
+    page_run = command.there(run, _own_run, _for_one_process)
+    with listening(host, port, "--host") as socket:
+        keys = page_keys(page_run.config.arena.name, host, "--host")
+        done, line = command.serve(page_run, socket, host, keys, browser=not no_browser)
+    if line:
+        _told(done, line)
 
 
 def _for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool = False) -> "Config":
@@ -368,31 +348,30 @@ def _for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool
     from robofleet.bus.private_folder import PlaceError  # noqa: PLC0415
     from robofleet.config.load import ConfigFile  # noqa: PLC0415
 
-    with bad_input():
-        source = ConfigFile(config)
-        tree = source.config
-        known = [robot.id for robot in tree.robots]
-        for unknown in (name for name in robots if name not in known):
-            raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
-        if robots and robots not in tree.units.values():
-            unit = tree.unit_of[robots[0]]
-            raise RefusedError(
-                f"--robots: a process drives all robots of one unit: name {','.join(tree.units[unit])}, or give "
-                f"robots[].unit or drivers.robots_per_process in {config}"
-            )
-        if tree.bus.endpoint.endswith(":0"):
-            raise RefusedError(
-                f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
-                "name one, for example tcp/127.0.0.1:7447, or leave it out"
-            )
-        for robot in robots:
-            from robofleet.runs.check_drivers import of_robot  # noqa: PLC0415
+    source = ConfigFile(config)
+    tree = source.config
+    known = [robot.id for robot in tree.robots]
+    for unknown in (name for name in robots if name not in known):
+        raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
+    if robots and robots not in tree.units.values():
+        unit = tree.unit_of[robots[0]]
+        raise RefusedError(
+            f"--robots: a process drives all robots of one unit: name {','.join(tree.units[unit])}, or give "
+            f"robots[].unit or drivers.robots_per_process in {config}"
+        )
+    if tree.bus.endpoint.endswith(":0"):
+        raise RefusedError(
+            f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
+            "name one, for example tcp/127.0.0.1:7447, or leave it out"
+        )
+    for robot in robots:
+        from robofleet.runs.check_drivers import of_robot  # noqa: PLC0415
 
-            source.refuse(of_robot(tree, known.index(robot)))
-        try:
-            tree = settled(tree, listen=listen)
-            if listen:
-                check_free(tree)
-        except PlaceError as error:
-            raise RefusedError(f"{config}: {error}") from error
-        return tree
+        source.refuse(of_robot(tree, known.index(robot)))
+    try:
+        tree = settled(tree, listen=listen)
+        if listen:
+            check_free(tree)
+    except PlaceError as error:
+        raise RefusedError(f"{config}: {error}") from error
+    return tree

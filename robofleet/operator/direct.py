@@ -35,22 +35,22 @@ def run(words: Sequence[str]) -> int | None:
 
 def stop(arena: str | None) -> int:
     """Ask for the emergency stop of an arena, or of every run of this user."""
-    from robofleet.operator import requests as operator  # noqa: PLC0415
+    from robofleet.operator import requests  # noqa: PLC0415
 
     try:
-        answers = operator.stop_all(arena)
-    except operator.NoArenaError as error:
+        answers = requests.stop_all(arena)
+    except requests.NoArenaError as error:
         return _refused(error)
     return max(_answered(done, what) for done, what in answers)
 
 
 def request(what: str, arena: str | None) -> int:
     """Ask the supervisor of an arena."""
-    from robofleet.operator import requests as operator  # noqa: PLC0415
+    from robofleet.operator import requests  # noqa: PLC0415
 
     try:
-        done, answer = operator.ask(operator.joined_arena(arena) or operator.chosen(arena), what)
-    except operator.NoArenaError as error:
+        done, answer = requests.ask(requests.joined_arena(arena) or requests.chosen(arena), what)
+    except requests.NoArenaError as error:
         return _refused(error)
     then = _THEN.get(what)
     return _answered(done, f"{answer}: {then}" if done and then else answer)
@@ -58,13 +58,13 @@ def request(what: str, arena: str | None) -> int:
 
 def status(arena: str | None, *, as_json: bool = False) -> int:
     """Show the state of an arena."""
-    from robofleet.operator import requests as operator  # noqa: PLC0415
+    from robofleet.operator import requests  # noqa: PLC0415
 
     try:
-        found = operator.status(operator.chosen(arena))
-    except operator.NoArenaError as error:
+        found = requests.status(requests.chosen(arena))
+    except requests.NoArenaError as error:
         return _refused(error)
-    except operator.UnreachableError as error:
+    except requests.UnreachableError as error:
         return _answered(False, str(error))
     if as_json:
         print(dumps(found))

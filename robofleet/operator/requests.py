@@ -24,7 +24,7 @@ from robofleet.bus.permissions import OPERATOR, UNIT
 from robofleet.bus.requests import SAFE, SAFE_WORDS, asked
 from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.core.clock import MS, WallClock
-from robofleet.core.errors import RobofleetError
+from robofleet.core.errors import BadInputError, RobofleetError
 from robofleet.operator.estop import SUPERVISOR, Stopped, emergency_stop, urgent
 from robofleet.recording.causes import halt_cause, named
 from robofleet.safety.advice import WAY_OUT
@@ -40,7 +40,7 @@ _SILENT = "the robots get no permission to move: end the run with Ctrl-C in its 
 _BETWEEN_NS = 100 * MS  # two signals at once are one
 
 
-class NoArenaError(RobofleetError):
+class NoArenaError(BadInputError):
     """Raised where there is no run, or not the one that was named, or several. The message is a line."""
 
 
