@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 import robofleet
 from robofleet import cli
-from robofleet.config import starting
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
+from robofleet.operator import config_commands
 
 ROOT = Path(__file__).parents[1]
 
@@ -93,7 +93,7 @@ def test_init_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.Mo
     def full() -> dict[str, object]:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(starting, "schema", full)
+    monkeypatch.setattr(config_commands.schemas, "schema", full)
     done = CliRunner().invoke(cli.app, ["init", str(tmp_path / "lab")])
     assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
     assert "No space left on device" in done.stderr

@@ -2,14 +2,38 @@
 
 import json
 import shlex
+import shutil
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from robofleet.config import schema as schemas
-from robofleet.config.starting import write_starting_files
+from robofleet.config.names import SHIPPED
 from robofleet.core.refusal import RefusedError, new_folder
+
+# Guides explain the shipped folder; the paper's parameters are no laboratory's.
+_GUIDES = "*.md", "keys", "paper", "__pycache__"
+_SCHEMA = "schema.json"
+
+
+def write_starting_files(folder: Path) -> list[Path]:
+    """Copy the starting files into an empty folder, each configuration with its schema for editors.
+
+    Returns the configurations. Raises OSError where they cannot be written; the folder is empty then.
+    """
+    try:
+        shutil.copytree(SHIPPED, folder, ignore=shutil.ignore_patterns(*_GUIDES), dirs_exist_ok=True)
+        (folder / _SCHEMA).write_text(json.dumps(schemas.schema(), indent=1) + "\n")
+        configurations = sorted(folder.glob("*.yaml"))
+        for file in configurations:
+            file.write_text(f"# yaml-language-server: $schema={_SCHEMA}\n{file.read_text()}")
+    except OSError:
+        for entry in folder.iterdir():
+            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+        raise
+    return configurations
+
 
 ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/keys lists every key.")]
 Overrides = Annotated[

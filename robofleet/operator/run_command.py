@@ -1,5 +1,7 @@
 """The commands ``run``, ``go`` and ``check``."""
 
+import math
+import re
 import shlex
 import sys
 from collections.abc import Iterator
@@ -14,13 +16,13 @@ from typer.core import TyperCommand
 from robofleet.bus.arena_file import ArenaBusyError, claimed
 from robofleet.bus.endpoint import check_router, settled
 from robofleet.bus.private_folder import PlaceError
+from robofleet.config.load import Typed
 from robofleet.config.tree import Config
 from robofleet.config.yamlfile import printable
 from robofleet.core.clock import utc_now
 from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra, new_file, new_folder, unkept
 from robofleet.hosts.network import network
 from robofleet.nodes.unit.keeping import FileKeeping
-from robofleet.operator import going
 from robofleet.operator import viewer_address as viewers
 from robofleet.operator.config_commands import ConfigFile, Overrides
 from robofleet.operator.ending import Ending
@@ -33,6 +35,35 @@ from robofleet.reports.tables import proofs_table
 from robofleet.runs.check import load_checked, proofs
 from robofleet.runs.check_starts import warnings
 from robofleet.runs.companion import PageWanted
+
+_GOAL = re.compile(r"([a-z][a-z0-9_-]*)=([^,=]+),([^,=]+),([^,=]+)")
+_PATIENCE_S = 600.0  # a robot crosses any shipped arena in 20 s; many of them wait for each other
+
+
+def goal_overrides(goals: list[str]) -> list[str]:
+    """Return what changes a configuration into one that goes to ``ROBOT=X,Y,DEG``; RefusedError for another text."""
+    poses: dict[str, str] = {}
+    for text in goals:
+        found = _GOAL.fullmatch(text)
+        try:
+            robot, *numbers = found.groups() if found else ("",)
+            x, y, heading = map(float, numbers)
+            if not math.isfinite(x + y + heading):
+                raise ValueError(text)
+        except ValueError:
+            raise RefusedError(f"{text}: write ROBOT=X,Y,DEG in metres and degrees, as r1=0.5,0.2,90") from None
+        if robot in poses:
+            raise RefusedError(f"{text}: {robot} has a goal already: name each robot once")
+        poses[robot] = f"{{x_m: {x!r}, y_m: {y!r}, heading_deg: {heading!r}}}"
+    where = ", ".join(f"{robot}: {pose}" for robot, pose in poses.items())
+    group = f"{{name: go, behaviour: go_to, robots: [{', '.join(poses)}], settings: {{goals: {{{where}}}}}}}"
+    return [
+        Typed(f"groups=[{group}]", " ".join(goals)),
+        f"run.duration_s={_PATIENCE_S}",
+        "run.begin=where_they_stand",
+        "run.end=where_they_stand",
+        "run.bounds={}",
+    ]
 
 
 class RunCommand(TyperCommand):
@@ -141,7 +172,7 @@ def go(
 
     $ robofleet go configs/platoon.yaml r1=0.5,0.2,90 r2=-0.5,0.2,0 --lockstep
     """
-    changes = [*overrides, *going.overrides(goals)]
+    changes = [*overrides, *goal_overrides(goals)]
     run(config, lockstep=lockstep, overrides=changes, out=out, web=web, quiet=quiet)
 
 

@@ -2,6 +2,8 @@
 
 import shlex
 import sys
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -10,15 +12,41 @@ import typer
 from robofleet.core.clock import S, WallClock, utc_now
 from robofleet.core.refusal import how_to_install
 from robofleet.core.valid_json import dumps
+from robofleet.nodes.controller import compile_kernels
 from robofleet.operator.terminal.terminal import hangup_interrupts
 from robofleet.runs.check import load_checked
 from robofleet.studies import engines
+from robofleet.studies.engine import Engine
 from robofleet.studies.progress import bar
 from robofleet.studies.storm import report as storm_report
 from robofleet.studies.storm import workers
-from robofleet.studies.sweep import journal, page, running, table
+from robofleet.studies.sweep import journal, page, table
 from robofleet.studies.sweep import report as sweep_report
-from robofleet.studies.sweep.load import load
+from robofleet.studies.sweep.journal import Journal
+from robofleet.studies.sweep.load import Study, load
+from robofleet.studies.sweep.table import Ran
+from robofleet.studies.sweep.unit import Job, play
+
+Watch = Callable[[Ran], None]  # called after every run
+
+
+def run(study: Study, engine: Engine, journal: Journal, watch: Watch) -> list[Ran]:
+    """Play them, keep each in the journal, and return all runs by their numbers."""
+    left = [run for run in study.runs if run.number not in journal.played]
+    failures: dict[int, str] = {}
+    if left:
+        compile_kernels(left[0].config)  # once, on disk, before every worker wants the same
+    jobs = [Job(study.config.stem, run.config) for run in left]
+    with closing(engine.each(play, jobs)) as results:
+        for index, played, failure in results:
+            plan = left[index]
+            if played is None:
+                failures[plan.number] = failure
+            else:
+                journal.add(plan.number, played)
+            watch(Ran(plan, played, failure))
+    return [Ran(plan, journal.played.get(plan.number), failures.get(plan.number, "")) for plan in study.runs]
+
 
 On = Annotated[
     str,
@@ -81,7 +109,7 @@ def sweep(
                         shown.say(*sweep_report.lines(ran, shown.failed))
                         shown.add(failed=ran.outcome != "completed")
 
-                    runs = running.run(study, where, kept, watch)
+                    runs = run(study, where, kept, watch)
             except KeyboardInterrupt:
                 again = shlex.join(["robofleet", "sweep", str(sweep), "--on", on, "--out", str(folder)])
                 done = f"{len(kept.played):,} of {len(study.runs):,} runs are kept"

@@ -1,11 +1,13 @@
 """A camera of the kernel's (Video4Linux) through OpenCV: one buffer, exposure and gain by hand, the kernel's stamps."""
 
+import fcntl
 import math
 import os
+import struct
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -25,7 +27,39 @@ from robofleet.tracking.sources import (
     start_to_middle_ns,
     unmeasured,
 )
-from robofleet.tracking.v4l2_controls import EXPOSURE_ABSOLUTE, GAIN, Range, control_range
+
+EXPOSURE_ABSOLUTE, GAIN = 0x009A0902, 0x00980913  # V4L2_CID_EXPOSURE_ABSOLUTE [100 us], V4L2_CID_GAIN
+_QUERYCTRL = 0xC0445624
+_CONTROL = struct.Struct("=II32siiiiI2I")  # id, type, name, low, high, step, default, flags
+_UNUSABLE = 0x1 | 0x4  # disabled, read only
+
+Ioctl = Callable[[int, int, bytearray], object]
+
+
+class Range(NamedTuple):
+    """The values that a control can have."""
+
+    low: int
+    high: int
+    step: int
+
+
+def control_range(path: str, control: int, ioctl: Ioctl = fcntl.ioctl) -> Range | None:
+    """Return the range of a device's control; None where it has no such control."""
+    buffer = bytearray(_CONTROL.pack(control, 0, b"", 0, 0, 0, 0, 0, 0, 0))
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        ioctl(descriptor, _QUERYCTRL, buffer)
+    except OSError:
+        return None
+    finally:
+        os.close(descriptor)
+    _, _, _, low, high, step, _, flags, _, _ = _CONTROL.unpack(buffer)
+    return None if flags & _UNUSABLE else Range(low, high, step)
+
 
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL
 _EXPOSURE_UNIT_S = 1e-4  # of V4L2_CID_EXPOSURE_ABSOLUTE

@@ -12,7 +12,7 @@ from robofleet.config import groups
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
 from robofleet.core.refusal import RefusedError
-from robofleet.operator import going
+from robofleet.operator import run_command
 from robofleet.recording.run import Run
 from robofleet.runs.check import load_checked
 from robofleet.runs.lockstep import Lockstep
@@ -120,7 +120,7 @@ def test_a_park_that_cannot_be_reached_is_refused(overrides: list[str], place: s
 
 
 def test_go_makes_a_group_of_those_that_are_named() -> None:
-    config = configured(*going.overrides(["r2=0.5,0.2,90", "r4=-0.5,0.2,0"]))
+    config = configured(*run_command.goal_overrides(["r2=0.5,0.2,90", "r4=-0.5,0.2,0"]))
     assert [robot.id for robot in config.members] == ["r2", "r4"]
     run = Lockstep(config)
     assert run.run() == ("completed", None)
@@ -133,4 +133,4 @@ def test_go_makes_a_group_of_those_that_are_named() -> None:
 @pytest.mark.parametrize("goal", ["r1", "r1=1,2", "r1=a,b,c", "=1,2,3", "r1=1,2,3,4"])
 def test_a_goal_that_is_none(goal: str) -> None:
     with pytest.raises(RefusedError, match="write ROBOT=X,Y,DEG in metres and degrees"):
-        going.overrides([goal])
+        run_command.goal_overrides([goal])

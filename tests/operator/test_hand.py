@@ -16,7 +16,7 @@ from robofleet.bus.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STA
 from robofleet.bus.permissions import PAGE
 from robofleet.config.load import load_config
 from robofleet.config.names import SHIPPED
-from robofleet.gateways.gamepad import driving
+from robofleet.gateways.gamepad import command
 from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
 from robofleet.operator.hand import Hand, Hands, Stick
 from robofleet.runs.lockstep import Lockstep
@@ -210,7 +210,7 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
     config, bus = stand.config, stand._bus
 
     def drive() -> None:
-        driving.drive(EventPad(pad), config, bus, CLOCK, GROUP, over.is_set)
+        command.drive(EventPad(pad), config, bus, CLOCK, GROUP, over.is_set)
 
     thread = threading.Thread(target=drive)
     with Fleet(stand).alive() as fleet:
@@ -236,7 +236,7 @@ def test_a_gamepad_at_a_computer_drives_no_robot_of_the_arenas_next_run() -> Non
     bus = MemoryBus(config.arena.name, CLOCK, 0)
     say = bus.publisher(STATE)
     thread = threading.Thread(
-        target=driving.drive, args=(EventPad(device), config, bus, CLOCK, GROUP, lambda: False), daemon=True
+        target=command.drive, args=(EventPad(device), config, bus, CLOCK, GROUP, lambda: False), daemon=True
     )
     thread.start()
 
@@ -306,7 +306,7 @@ def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand
     wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
 
     def drive() -> None:
-        driving.drive(EventPad(pad), stand.config, stand._bus, CLOCK, GROUP, over.is_set, "r2")
+        command.drive(EventPad(pad), stand.config, stand._bus, CLOCK, GROUP, over.is_set, "r2")
 
     thread = threading.Thread(target=drive)
     with Fleet(stand).alive() as fleet:

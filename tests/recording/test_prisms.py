@@ -7,8 +7,7 @@ import pytest
 from foxglove_schemas_protobuf.Color_pb2 import Color
 
 from robofleet.config.load import load_config
-from robofleet.recording.scenes.prisms import prism, triangles
-from robofleet.recording.scenes.shapes import arena
+from robofleet.recording.scenes.shapes import arena, prism, triangles
 from robofleet.vehicles.solids import Solid, area, distances
 from tests.config.test_obstacles import OURS
 

@@ -12,8 +12,7 @@ from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import TRUTH
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
-from robofleet.simulation.sources import SimulatedCamera, TruthSource, World
-from robofleet.simulation.trigger import Trigger
+from robofleet.simulation.sources import SimulatedCamera, Trigger, TruthSource, World
 from robofleet.tracking.sources import CameraContext, ScheduledCamera
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.bus.alone import Truth

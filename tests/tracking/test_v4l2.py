@@ -16,8 +16,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock, stopwatch_ns
 from robofleet.tracking.sources import CameraContext, CameraError, Exposure, Frame
-from robofleet.tracking.v4l2 import V4L2Camera, device_identity
-from robofleet.tracking.v4l2_controls import EXPOSURE_ABSOLUTE, GAIN, Range, control_range
+from robofleet.tracking.v4l2 import EXPOSURE_ABSOLUTE, GAIN, Range, V4L2Camera, control_range, device_identity
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 EXPOSURE_S, READOUT_S = 0.006, 0.009

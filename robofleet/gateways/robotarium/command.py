@@ -16,8 +16,8 @@ from robofleet.config.names import SHIPPED
 from robofleet.config.yamlfile import printable
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra, new_folder
-from robofleet.gateways.robotarium import old_names, stand_in
 from robofleet.gateways.robotarium import script as scripts
+from robofleet.gateways.robotarium import stand_in
 from robofleet.gateways.robotarium.runs import Runs, Wanted
 from robofleet.scripts.fleet import FleetError
 
@@ -98,7 +98,7 @@ def _run(script: Path, arguments: list[str], runs: "Runs", version: int) -> int:
     if runs.wanted.quiet:
         mpl.use("Agg")
     if version == 1:
-        old_names.restore()
+        stand_in.restore()
     sys.argv[:] = [str(script), *arguments]
     try:
         with stand_in.installed(runs, version), warnings.catch_warnings():

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robofleet.core.clock import MS, S
-from robofleet.gateways.ros2.ages import UNKNOWN_NS, Ages
+from robofleet.gateways.ros2.velocities import UNKNOWN_NS, Ages
 
 PERIOD_NS = 30 * MS
 WAYS = st.lists(st.integers(0, 100 * MS), min_size=1, max_size=60)

@@ -23,7 +23,7 @@ from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, epoch_ns
-from robofleet.gateways.gamepad import driving
+from robofleet.gateways.gamepad import command
 from robofleet.gateways.gamepad.pads import ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
 from tests.gateways.piped_pad import PipedDevice
 from tests.operator.page.browser import chromium
@@ -41,7 +41,7 @@ def pad(config: Config, bus: ZenohBus) -> Iterator[Act]:
 
     def drive() -> None:
         with suppress(OSError, ValueError):  # it is closed
-            driving.drive(EventPad(one), config, bus, CLOCK, GROUP, lambda: False)
+            command.drive(EventPad(one), config, bus, CLOCK, GROUP, lambda: False)
 
     thread = threading.Thread(target=drive)
     thread.start()
