@@ -7,13 +7,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numba
-
 from robofleet.control.flow_settings import FlowError
 from robofleet.control.prediction import Plant
 from robofleet.core.kernels import INFINITE, snapshot
 
-_NUMBA = str(Path(numba.__file__).parent)
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 _PLACE = re.compile(r"(?:\bat|Raised from) (\S.*?) \((\d+)\)\s*$", re.MULTILINE)
 _WANTED = re.compile(r">>> (.+)")
@@ -33,10 +30,13 @@ def complaint(error: BaseException, function: Callable[..., Any]) -> str:
 
 def _places(text: str, error: BaseException) -> Iterator[tuple[str, int]]:
     """Where it was, the innermost place first; numba's own code is left out."""
+    import numba  # noqa: PLC0415 - as in ``blame``
+
+    numbas_own = str(Path(numba.__file__).parent)
     found = [(file, int(line)) for file, line in _PLACE.findall(text)]
     if (outermost := getattr(error, "loc", None)) is not None and outermost.line is not None:
         found.append((outermost.filename, outermost.line))
-    yield from ((file, line) for file, line in found if not file.startswith(_NUMBA))
+    yield from ((file, line) for file, line in found if not file.startswith(numbas_own))
 
 
 def _cause(text: str) -> str:
@@ -65,8 +65,6 @@ def plant_functions(plant: Plant) -> list[Suspect]:
 def blame(error: Exception, functions: Iterable[Suspect]) -> FlowError:
     """Return what to say of a model that failed with ``error``: the first of its functions that fails alone."""
     import numba  # noqa: PLC0415 - it takes a second to load, and most who import the law compile no model
-
-    from robofleet.control.blame import complaint  # noqa: PLC0415
 
     vector, omitted, returned = numba.float64[::1], numba.types.Omitted, []
     for name, function, count in functions:

@@ -16,7 +16,10 @@ from robofleet.doctor.needs import Needs
 
 _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[^]]*\])?([^;]*)(?:;.*extra == ['\"]([\w-]+)['\"].*)?")
 _FOR_DEVELOPERS = {"bench", "dev"}
-_KERNELS = "import json, robofleet.core.kernels.store as store; print(json.dumps(str(store.folder())))"
+_KERNELS = (
+    "import json, robofleet.core.kernels.store as s; "
+    "print(json.dumps([str(s.folder()), str(s.SHIPPED) if s.runs_shipped() else '']))"
+)
 _WITHOUT = {  # an extra that the configuration does not need, and what is not there without it
     "basler": "only Basler's cameras need it",
     "web": "only the operator's page (`--web`, `robofleet web`) needs it",
@@ -110,15 +113,16 @@ def kernels(needs: Needs) -> Iterator[Finding]:
     if not needs.whole_run or find_spec("numba") is None:
         return  # not needed, or said already
     try:
-        folder = Path(asked_elsewhere(_KERNELS))
+        folder, shipped = asked_elsewhere(_KERNELS)
     except NoAnswerError as error:
         cure = f"`{sys.executable} -c 'import numba'` says why"
         yield Finding("kernels", Mark.WARN, f"numba could not be asked: {error}", cure)
         return
-    files = [file for file in folder.glob("*") if not file.name.startswith(".")] if folder.is_dir() else []
-    if files:
-        size_mb = sum(file.stat().st_size for file in files) / 1e6
-        yield ok("kernels", f"{len(files)} compiled functions, {size_mb:.1f} MB, in {folder}")
-    else:
-        cure = "the first run compiles them, once; later ones load them"
-        yield Finding("kernels", Mark.WARN, f"none is compiled in {folder}", cure)
+    for kept_in in filter(None, (shipped, folder)):
+        files = [file for file in Path(kept_in).glob("*") if not file.name.startswith(".")]
+        if files:
+            size_mb = sum(file.stat().st_size for file in files) / 1e6
+            yield ok("kernels", f"{len(files)} compiled functions, {size_mb:.1f} MB, in {kept_in}")
+            return
+    cure = "the first run compiles them, once; later ones load them"
+    yield Finding("kernels", Mark.WARN, f"none is compiled in {folder}", cure)

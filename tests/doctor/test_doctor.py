@@ -29,7 +29,7 @@ def folder(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("TMPDIR", str(tmp_path_factory.mktemp("tmp")))
     monkeypatch.chdir(tmp_path)
-    for module, answer in ((software, str(tmp_path / "kernels")), (cameras, [])):
+    for module, answer in ((software, [str(tmp_path / "kernels"), ""]), (cameras, [])):
         monkeypatch.setattr(module, "asked_elsewhere", lambda _script, answer=answer: answer)  # numba takes seconds
     return tmp_path
 
