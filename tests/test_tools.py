@@ -18,6 +18,7 @@ TOOLS = Path(__file__).parents[1] / "tools"
 NEEDED = {  # a package that each needs, and the extras that bring it
     "bench": ("cv2", ".[bench,lab]"),
     "calibrate": ("cv2", ".[lab]"),
+    "compile_kernels": ("numba", ".[lab]"),
     "config_reference": ("typer", "."),
     "large_fleet": ("cv2", ".[bench,lab]"),
     "picture": ("cv2", ".[lab]"),

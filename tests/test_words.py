@@ -29,7 +29,6 @@ STANDING = {
     "robofleet/behaviours/track.py": {"of"},
     "robofleet/bus/messages.py": {"place", "told"},
     "robofleet/config/yamlfile.py": {"place"},
-    "robofleet/gateways/viewers/live.py": {"place"},
     "robofleet/recording/columns.py": {"of"},
     "robofleet/recording/gauge.py": {"of", "asked", "told", "said"},
     "robofleet/recording/reading.py": {"place", "said"},

@@ -11,10 +11,15 @@ from pathlib import Path
 
 os.environ |= {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": ""}  # numba reads them where it is loaded
 
-from robofleet.config.load import load_config
-from robofleet.core.kernels import store
-from robofleet.recording.measures import load_kernels
-from robofleet.runs.lockstep import Lockstep
+from packages import needing
+
+with needing("lab"):
+    import numba  # noqa: F401 - else the first of the modules below that is missing would be named
+
+    from robofleet.config.load import load_config
+    from robofleet.core.kernels import store
+    from robofleet.recording.measures import load_kernels
+    from robofleet.runs.lockstep import Lockstep
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 RUNS = (("platoon", ()), ("platoon", ("tracker.source=truth",)), ("obstacles", ()), ("mocap", ()))

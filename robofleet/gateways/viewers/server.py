@@ -25,7 +25,7 @@ class Run(NamedTuple):
     """The run that a server shows."""
 
     config: Config
-    place: ArenaAccess
+    access: ArenaAccess
     folder: Path  # for what a viewer needs
     ask: Asking
 

@@ -99,7 +99,7 @@ class Server(ServerListener):
 
 def opened(run: Run, at: Address, channels: Sequence[Described]) -> Opened:
     """Open the server of a run, and write its layout; OSError where its address cannot be used, RefusedError."""
-    layout, key = written(run.config, run.folder, asks=run.place.role == OPERATOR)
+    layout, key = written(run.config, run.folder, asks=run.access.role == OPERATOR)
     offered = services(run.ask, key) if key else []
     server = Server(run.config.arena.name, at, _certificate(run.config, at), channels, offered)
     return Opened(server, f"Foxglove, Lichtblick: open {at.url(server.port)}, with the layout {layout}")
