@@ -43,7 +43,7 @@ def notices(test: Callable[..., None], fixtures: Mapping[str, Callable[[], Any]]
 def _cases(test: Callable[..., None]) -> Iterator[dict[str, Any]]:
     """Give the keyword arguments of every case that a test's marks ask for."""
     tables = []
-    for mark in getattr(test, "pytestmark", []):
+    for mark in (mark for mark in getattr(test, "pytestmark", []) if mark.name == "parametrize"):
         names, rows = mark.args
         names = [names] if isinstance(names, str) else names
         tables.append([dict(zip(names, row if len(names) > 1 else [row], strict=True)) for row in rows])

@@ -41,7 +41,7 @@ def cases() -> Iterator[tuple[str, Callable[[Step], None]]]:
     for name, function in functions:
         if not name.startswith("test_") or "step" not in inspect.signature(function).parameters:
             continue
-        marks = [mark.args for mark in getattr(function, "pytestmark", [])]
+        marks = [mark.args for mark in getattr(function, "pytestmark", []) if mark.name == "parametrize"]
         sets = [[_named(names, values) for values in rows] for names, rows in marks]
         for chosen in product(*sets):
             arguments = {key: value for part in chosen for key, value in part.items()}
