@@ -1,5 +1,7 @@
 """What a run left: every message, and the columns that its figures are made from."""
 
+import re
+import warnings
 from array import array
 from bisect import bisect_left
 from collections import defaultdict
@@ -38,7 +40,26 @@ Array = NDArray[np.float64]
 SHOWN = 512  # messages of a key, for a live view
 _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing
 
-Duration = Annotated[int, Field(ge=0, lt=1 << 62)]
+_LONGEST_NS = 1 << 62
+Duration = Annotated[int, Field(ge=0, lt=_LONGEST_NS)]
+
+
+_DURATIONS = re.compile(rb'"(?P<name>tick_durations_ns|tracker_durations_ns)": \[(?P<values>[0-9, ]+)\]')
+
+
+def _integers(text: bytes) -> "array[int] | None":
+    """Return a list of durations, which may be millions, without an object for each; None where it is no such list."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # numpy warns where it cannot read on
+        try:
+            values = np.fromstring(text, np.int64, sep=",")
+        except (ValueError, DeprecationWarning):
+            return None
+    if len(values) != text.count(b",") + 1 or not (values < _LONGEST_NS).all():
+        return None
+    durations = array("q")
+    durations.frombytes(values.data.cast("B"))
+    return durations
 
 
 class EndingFile(BaseModel):
@@ -139,8 +160,18 @@ class Recording:
 
     def end(self, text: bytes) -> None:
         """Take how the run ended from its file; ValueError where it does not say so."""
-        for name, value in EndingFile.model_validate_json(text):
-            setattr(self, name, array("q", value) if isinstance(value, list) else value)
+        long: dict[str, array[int]] = {}
+
+        def cut(match: re.Match[bytes]) -> bytes:
+            values = _integers(match["values"])
+            if values is None:
+                return match[0]
+            long[match["name"].decode()] = values
+            return match[0][: match.start("values") - match.start()] + b"]"
+
+        for name, value in EndingFile.model_validate_json(_DURATIONS.sub(cut, text)):
+            short = array("q", value) if isinstance(value, list) else value
+            setattr(self, name, long.get(name, short))
 
     def measured(self, full: str, layout: Layout[Any], own: "Own") -> NDArray[Any]:
         """Return a key's messages of the right size whose figures can be true, as a structured array."""

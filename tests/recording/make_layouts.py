@@ -10,7 +10,8 @@ from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.recording.log import FILE
 from robofleet.recording.run import Recording
-from robofleet.reports.layouts import foxglove, plotjuggler
+from robofleet.reports.layouts import foxglove
+from robofleet.reports.layouts.layouts import layout as plotjuggler_layout
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -20,7 +21,7 @@ def layouts() -> Iterator[tuple[Path, bytes]]:
     config = load_config(CONFIGS / "platoon.yaml")
     recording, folder = Recording(config, said=groups.descriptions(config)), CONFIGS / "layouts"
     yield folder / "foxglove.json", foxglove.layout(recording)
-    yield folder / "plotjuggler.xml", plotjuggler.layout(recording, Path(FILE))
+    yield folder / "plotjuggler.xml", plotjuggler_layout(recording, Path(FILE))
 
 
 if __name__ == "__main__":
