@@ -30,5 +30,5 @@ def test_durations_are_those_of_the_file(durations: list[int]) -> None:
     "durations", ["[1 2]", "[1,,2]", "[ ]x", "[-1]", "[1.5]", f"[{1 << 62}]", f"[{'9' * 40}]", "[1,]"]
 )
 def test_what_is_no_list_of_durations_is_refused(durations: str) -> None:
-    with pytest.raises(ValueError, match="tracker_durations_ns|JSON"):
+    with pytest.raises(ValueError, match=r"tracker_durations_ns|JSON"):
         ended(durations)
