@@ -68,6 +68,7 @@ def test_a_told_disturbance_leaves_no_offset(law: str) -> None:
     assert blown < 1e-4
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("law", ["point_ahead", "unicycle"])
 def test_all_kinds_of_references_are_followed_to_millimetres(law: str) -> None:
     error = told(track(ON_THE_OVAL, TABLE, WAY, WAY | {"closed": True}, law=law), 30.0)

@@ -54,6 +54,7 @@ def test_euler_that_diverges(step: float) -> None:
     assert NewtonRaphsonFlow(BICYCLE, replace(GOOD, step=step), np.zeros(2)).warnings == []
 
 
+@pytest.mark.slow
 def test_unwise_settings_are_warned_of() -> None:
     (small,) = NewtonRaphsonFlow(BICYCLE, replace(GOOD, horizon=0.09), np.zeros(2)).warnings
     assert small.startswith("alpha * horizon is 2.7, less than 3")

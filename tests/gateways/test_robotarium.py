@@ -168,6 +168,7 @@ def test_a_script_of_either_version_runs_and_ends_where_the_original_ends(
     assert (place / "run" / "figure1.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [60, 150])
 def test_ideal_robots_are_on_their_way_where_the_original_has_them(steps: int, runs: Runs) -> None:
     poses = told(runs(SCRIPT_2.replace("range(400)", f"range({steps})"), "--ideal", "--quiet"))

@@ -35,6 +35,7 @@ def test_the_offset_vanishes() -> None:
     assert with_estimate < without / 3
 
 
+@pytest.mark.slow
 def test_a_stalled_robot_is_not_run_into() -> None:
     overrides = ["tracker.source=truth", "controller.disturbance=estimated", "run.duration_s=20"]
     run = Lockstep(load_config(PLATOON, [*overrides, stalls("r2", 12, 17)]))

@@ -56,6 +56,7 @@ def run(said: recorded.Said, tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_nothing_is_written_through_a_link(run: Path, tmp_path: Path) -> None:
     data = (run / FILE).read_bytes()
     (run / FILE).write_bytes(data[: len(data) * 3 // 4])  # a repair has something to do

@@ -101,6 +101,7 @@ def test_euler_amplifies_noise_from_robot_to_robot(truth: RunOf) -> None:
     assert growth("exact") <= 1.5
 
 
+@pytest.mark.slow
 def test_a_tracked_centre_stays_on_the_path(truth: RunOf) -> None:
     point, centre = (truth("run.duration_s=25", f"groups.0.settings.track={track}") for track in ("point", "centre"))
     assert centre["centre_error_mm"]["mean"] <= point["centre_error_mm"]["mean"] / 2

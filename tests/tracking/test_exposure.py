@@ -58,6 +58,7 @@ def responding(full: float, gamma: float = 1.0, gain_db: float = 1.0) -> Sensor:
     return lambda e: full * (e.time_s / 0.004 * 10.0 ** (e.gain * gain_db / 20.0)) ** gamma
 
 
+@pytest.mark.slow
 @given(
     full=st.floats(12.0, 5000.0),
     gamma=st.floats(0.4, 1.4),

@@ -215,6 +215,7 @@ def test_a_run_that_ends_is_told_from_a_link_that_is_lost(platoon_of: Callable[.
     assert not Over(There(config, tmp_path, None))(), "nobody has launched it"
 
 
+@pytest.mark.slow
 def test_a_page_that_is_opened_by_hand_ends_with_its_run(platoon_of: Callable[..., Config], tmp_path: Path) -> None:
     environment = own_folders(short_folder())
     run = tmp_path / "run"
