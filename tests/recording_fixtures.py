@@ -31,7 +31,7 @@ from robofleet.core.clock import MS, S
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.run import Recording
 from robofleet.reports.metrics import summary
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus, Truth
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT

@@ -53,8 +53,8 @@ class RobotStatus(NamedTuple):
     applied_exposure_ns: int  # of the newest command that reached the wheels
     applied_ns: int  # when it did [unit's clock]
     rejected: int  # messages refused so far
-    gate: int  # safety.gate.GateStatus
-    latch: int  # safety.gate.Latch: what holds the gate closed until it is cleared
+    gate: int  # safety.latches.GateStatus
+    latch: int  # safety.latches.Latch: what holds the gate closed until it is cleared
     latch_id: int  # counts the latches of this robot; who clears one names it
     faults: int  # vehicles.interface.RobotFault: what lasts, and what was felt since the gate was latched
     target_after_ns: int  # last stop: from the issue of the newest nonce echoed to a target of zero; -1: none yet
@@ -84,7 +84,7 @@ class Enable(NamedTuple):
     """One robot's part of a unit's permission."""
 
     epoch: int  # of the robot's lease, echoed
-    latch: int  # safety.gate.Latch that the gate must close by, until it is cleared; 0: none
+    latch: int  # safety.latches.Latch that the gate must close by, until it is cleared; 0: none
     clear: int  # latch_id that may be cleared, if the robot is at rest; 0: none
     limit_rad_s: float  # the fastest wheel that is permitted; 0: the wheels must stand
 

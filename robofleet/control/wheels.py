@@ -31,7 +31,6 @@ def limits(drives: tuple[DifferentialDrive, ...]) -> Array:
     return np.array([(d.wheel_radius, d.wheel_base, d.max_wheel_speed, d.max_speed) for d in drives]).reshape(-1, 4)
 
 
-@kernel
 def limited(
     velocities: Array, of_body: NDArray[np.bool_], poses: Array, l: float, geometry: Array, driving: NDArray[np.bool_]
 ) -> Request:
@@ -43,8 +42,17 @@ def limited(
     stands.
     """
     n = len(velocities)
-    points, u, wheels, saturated = np.empty((n, 2)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
-    for i in range(n):
+    request = Request(np.empty((n, 2)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n))
+    _limit(velocities, of_body, poses, l, geometry, driving, *request)  # arrays that a kernel returns cost more
+    return request
+
+
+@kernel
+def _limit(
+    velocities: Array, of_body: NDArray[np.bool_], poses: Array, l: float, geometry: Array, driving: NDArray[np.bool_],
+    points: Array, u: Array, wheels: Array, saturated: Array,
+) -> None:  # fmt: skip
+    for i in range(len(velocities)):
         psi = poses[i, 2]
         points[i, 0], points[i, 1] = _point_from_pose(poses[i, 0], poses[i, 1], psi, l)
         if not driving[i]:
@@ -61,7 +69,6 @@ def limited(
         wheels[i, 0], wheels[i, 1] = ratio * left, ratio * right
         u[i, 0], u[i, 1] = ratio * u_x, ratio * u_y
         saturated[i] = 1.0 if ratio < 1.0 else 0.0
-    return Request(points, u, wheels, saturated)
 
 
-KERNELS = (limited,)  # that are called from Python
+KERNELS = (_limit,)  # that are called from Python

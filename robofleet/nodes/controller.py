@@ -93,7 +93,8 @@ class Controller:
         self._runner, self._groups = BehaviourRunner(config, judge), groups.rows(config.groups)
         self._setpoints = SetpointInbox(config, bus)
         self._crawls = crawls(config)
-        self._robots = np.zeros((len(robots), len(RobotTick._fields)))  # of a tick's record
+        self._robots = rows = np.zeros((len(robots), len(RobotTick._fields)))  # of a tick's record
+        self._columns = rows[:, :3], rows[:, 3:5], rows[:, 5:7], rows[:, 7:9], *rows.T[9:]
         self._begin()
 
     def _begin(self) -> None:
@@ -267,23 +268,19 @@ class Controller:
         seq: int,
     ) -> None:  # fmt: skip
         """Publish what a tick read, and what came of it."""
-        flags = request.saturated, used, prediction.lost, final.change, final.blocked, self._runner.failed
-        robots = self._robots
-        robots[:, :3], robots[:, 3:5], robots[:, 5:7], robots[:, 7:9] = (
-            prediction.now,
-            request.points,
-            final.u,
-            final.wheels,
-        )
-        for column, values in enumerate(flags, start=9):
-            robots[:, column] = values
+        figures = (
+            prediction.now, request.points, final.u, final.wheels, request.saturated,
+            used, prediction.lost, final.change, final.blocked, self._runner.failed,
+        )  # fmt: skip
+        for column, values in zip(self._columns, figures, strict=True):
+            column[:] = values
         running = self._phase is Phase.RUNNING
         head = (
             self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
             *self._estimate.taken[0], self._estimate.exposure_ns, *self._newest_word, seq,
             self._phase, self._runner.arrived, self._timing.overruns, self._timing.lateness_ns, self._timing.compute_ns,
         )  # fmt: skip
-        self._publish_tick(TICK_RECORD.encode_array(head, robots, numbers.tobytes() + self._estimate.named))
+        self._publish_tick(TICK_RECORD.encode_array(head, self._robots, numbers.tobytes() + self._estimate.named))
 
 
 @kernel

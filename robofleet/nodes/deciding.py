@@ -109,12 +109,14 @@ class BehaviourRunner:
                 self._notify(k, behaviour.carried, row - own.start)
 
     def changed(self, u: Array) -> Flags | None:
-        """Tell what wheels and barrier let through of all velocities; returns who (N,) stands as its behaviour failed
-        over it, None where nobody."""
-        u, before, failures = u.copy(), self.failed.copy(), len(self._stopped)
+        """Tell what wheels and barrier let through of all velocities.
+
+        Returns whose behaviours (N,) have failed; None where none failed over it.
+        """
+        u, stopped = u.copy(), len(self._stopped)
         for k, (behaviour, own) in enumerate(self._crew):
             self._notify(k, behaviour.changed, u[own])
-        return self.failed != before if len(self._stopped) > failures else None
+        return self.failed != Event.NOTHING if len(self._stopped) > stopped else None
 
     def decide(
         self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, *, moving: bool,

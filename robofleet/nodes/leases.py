@@ -24,18 +24,18 @@ class Leases:
         self._requests: list[Answer | None] = [None] * len(units)
         self._again = [0] * len(units)
         self._session = np.uint64(session)
+        self._held = statuses.robots["session"]  # (N,) by whom; a view
         self.mine = np.zeros(len(statuses.robots), np.bool_)  # (N,) which robots answer to this controller
         self.refused = False  # somebody else holds the lease of a robot
 
     def update(self) -> None:
         """Ask every unit that is there and of which a robot is not ours, every few ticks."""
-        held = self._statuses.robots["session"]
-        np.equal(held, self._session, out=self.mine)
+        np.equal(self._held, self._session, out=self.mine)
         if self.mine.all():
             self.refused = False
             self._actions = [LeaseAction.ACQUIRE] * len(self._actions)
             return
-        self.refused = bool((~self.mine & (held != 0)).any())
+        self.refused = bool((~self.mine & (self._held != 0)).any())
         for number, unit in enumerate(self._statuses.units):
             if self._statuses.newest[number] is None:
                 continue

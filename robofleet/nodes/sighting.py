@@ -24,7 +24,7 @@ Instants = NDArray[np.int64]
 _STALE_TICKS = 15  # poses that echo an older tick come from a network that stood still
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True)  # frozen it would take a microsecond more of each tick
 class Prediction:
     """Of a tick: N members first, then the bystanders, M bodies in all; poses: x, y [m], psi [rad; world]."""
 
@@ -54,6 +54,7 @@ class FleetEstimate:
         c = config.controller
         self._point_ahead_m, self._offset_free = c.point_ahead_m, c.disturbance == "estimated"
         self._lost_after_s = c.filter.lost_after_s
+        self._undisturbed = np.zeros((self._members, 2))
 
     def begin(self) -> None:
         """Know nothing of the fleet."""
@@ -87,7 +88,7 @@ class FleetEstimate:
         now, poses, turning = self._filter.predict(tick_ns)
         unseen_s = ages(self._filter.measured_ns, tick_ns)
         lost = unseen_s > self._lost_after_s
-        w = self._filter.disturbance(poses, self._point_ahead_m) if self._offset_free else np.zeros_like(turning)
+        w = self._filter.disturbance(poses, self._point_ahead_m) if self._offset_free else self._undisturbed
         pushed = None
         if self._bodies > self._members:
             others = self._bystanders

@@ -24,7 +24,7 @@ from robofleet.nodes.rescues import Words
 from robofleet.safety import arming, busy, monitor, rescue
 from robofleet.safety.advice import WAY_OUT
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.monitor import MonitorSettings, MonitorState
 from robofleet.safety.requests import acknowledged, latched, refusal
 from robofleet.safety.rescue import Rescue

@@ -3,7 +3,7 @@
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from robofleet.bus.arena_file import ArenaFile
     from robofleet.config.tree import Config
     from robofleet.runs.table import Row
-
-T = TypeVar("T")
 
 
 def running_names() -> list[str]:
@@ -201,7 +199,7 @@ def driver(
     """
     if unit is not None:
         if config is not None or robots is not None:
-            _wrong("--unit: each run brings its configuration: leave CONFIG and --robots out")
+            raise RefusedError("--unit: each run brings its configuration: leave CONFIG and --robots out")
         _wait_for_runs(unit)
         return
     if config is None or robots is None:
@@ -209,14 +207,9 @@ def driver(
         example = (
             "`robofleet driver lab.yaml --robots r1,r2`, or on a robot's own computer `robofleet driver --unit r1`"
         )
-        _wrong(f"{missing}: is missing: {example}")
-        return
+        raise RefusedError(f"{missing}: is missing: {example}")
     names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
     _be(table.DRIVER, config, lifeline, names)
-
-
-def _wrong(line: str) -> None:
-    raise RefusedError(line)
 
 
 def _wait_for_runs(unit: str) -> None:

@@ -13,7 +13,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.core.patterns import unit_of_role
 from robofleet.operator.requests import JoinedArena, answering, reached
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 
 if TYPE_CHECKING:
     from rich.table import Table

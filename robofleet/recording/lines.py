@@ -7,7 +7,7 @@ from typing import NamedTuple
 from robofleet.bus.messages import BusyMachine, RunState, TrackerNews
 from robofleet.recording import busy_machine
 from robofleet.recording.causes import driven_out, halt_cause, named, run_cause
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import TrackerEvent, describe
 

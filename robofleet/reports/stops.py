@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from robofleet.recording.causes import driven_out, halt_cause, named, run_cause
 from robofleet.recording.run import Run
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 
 _WHY_WITHIN_NS = 1_000_000_000  # a gate that closes by itself does so before the supervisor knows why

@@ -28,7 +28,7 @@ from robofleet.runs.console import EMERGENCY_KEYS, READY, Console, Interrupts
 from robofleet.runs.readiness import missing
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import GONE_NS, SPOILT
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
 
 _HANDED_WITHIN_NS = 10 * S  # they join within a second of the router's start, and open their ports

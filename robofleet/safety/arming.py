@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robofleet.safety import wiggle
 from robofleet.safety.distances import least_room_m, room_m
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.monitor import faults_told
 from robofleet.safety.rounds import rounds, within
 from robofleet.safety.starts import Reason

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from robofleet.safety import supervisor
 from robofleet.safety.arming import missing
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import MOVING, TRANSITIONS, Event, Happening, Phase, RunStatus
 from robofleet.safety.view import NEVER, FleetView, Turns
 

@@ -27,8 +27,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 
 from robofleet.core.kernels import kernel_of_plain
-from robofleet.safety.latches import GateStatus as GateStatus  # noqa: PLC0414 - others have them from here
-from robofleet.safety.latches import Latch as Latch  # noqa: PLC0414
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import WheelSpeeds
 

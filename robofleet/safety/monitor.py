@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from robofleet.core.kernels import kernel
 from robofleet.safety import runaway
 from robofleet.safety.distances import CLOSEST_M
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.runaway import TURNING_RAD_S, Rolling
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, ROBOT, FleetView, Rows, rests

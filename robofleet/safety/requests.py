@@ -1,7 +1,7 @@
 """What an operator may ask for, and why it is refused: in words that say what to do. Pure."""
 
 from robofleet.safety.advice import WAY_OUT
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.monitor import SILENT_NS
 from robofleet.safety.supervisor import MOVING, TRANSITIONS, Event, Happening, Phase, RunStatus, describe
 from robofleet.safety.view import NEVER, FleetView, RobotView

@@ -15,7 +15,7 @@ sees by itself that the dead-man's button is held, and for which robot. It permi
 from collections.abc import Hashable, Iterable
 from typing import NamedTuple
 
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.monitor import LATE_NS, SILENT_NS
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase, RunStatus
 from robofleet.safety.view import NEVER, FleetView, RobotView

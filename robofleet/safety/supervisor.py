@@ -73,7 +73,7 @@ class Event(IntEnum):
     POSES_SILENT = 25  # of a source that is no camera, as a motion capture
     # a robot
     WIRED_STOP = 30
-    GATE_LATCHED = 31  # safety.gate.Latch
+    GATE_LATCHED = 31  # safety.latches.Latch
     ROBOT_FAULT = 32  # bits that only its own driver knows
     BATTERY_LOW = 33  # charge
     TAG_LATE = 34  # not seen for 100 ms: this robot stands still

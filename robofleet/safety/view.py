@@ -19,7 +19,7 @@ class RobotView(NamedTuple):
     build: int = 0
     session: int = 0  # of the controller that holds its lease
     boot_id: int = 0
-    latch: int = 0  # safety.gate.Latch
+    latch: int = 0  # safety.latches.Latch
     latch_id: int = 0
     faults: int = 0  # vehicles.interface.RobotFault
     battery: float = -1.0  # charge [0..1]; -1 where unknown

@@ -47,7 +47,8 @@ from robofleet.bus.messages import (
     WheelCommand,
 )
 from robofleet.core.settings import ROBOTS
-from robofleet.safety.gate import GateStatus, Latch, LeaseAction
+from robofleet.safety.gate import LeaseAction
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.readings import SensorReading
 
 

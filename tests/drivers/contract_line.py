@@ -17,7 +17,7 @@ from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.driver import DriverProcess
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.nodes.unit.keeping import MemoryKeeping
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.vehicles.interface import DriverError, RobotFault, WheelSpeeds
 from tests.bus.alone import ROBOT_STATUS
 from tests.drivers.contract_bench import LOOP_NS, Bench, Moment, Subject

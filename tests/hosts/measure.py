@@ -31,7 +31,7 @@ from robofleet.bus.messages import RUN_STATE, UNIT_STATUS
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network

@@ -9,7 +9,7 @@ import yaml
 
 from robofleet.bus.keys import STATUS
 from robofleet.recording.reading import read
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from tests.hosts.fleet import ALONE, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network, unavailable
 from tests.runs.realrun import wait, was_busy

@@ -13,7 +13,7 @@ from robofleet.core.clock import MS, S
 from robofleet.nodes.supervisor import Supervisor
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Happening, Phase
 from robofleet.safety.view import FleetView, Machine, Turns
 from robofleet.tracking.events import NO_TAG, TrackerEvent

@@ -8,7 +8,7 @@ import pytest
 
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.nodes.unit.attached import ReconnectingDriver
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, DriverError, DriverReading, RobotFault, WheelSpeeds
 from tests.runs.realrun import wait
 

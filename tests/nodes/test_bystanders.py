@@ -18,7 +18,7 @@ from robofleet.recording.run import Run
 from robofleet.reports.metrics import summary
 from robofleet.runs.check import load_checked, refusals
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS
 

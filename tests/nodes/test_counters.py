@@ -11,7 +11,7 @@ from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
 from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.keeping import MemoryKeeping, StoredRobot
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.interface import STOP
 from tests.bus.alone import ENABLE, ROBOT_STATUS, WHEEL_COMMAND

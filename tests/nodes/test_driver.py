@@ -8,7 +8,7 @@ import pytest
 
 from robofleet.bus.keys import COMMAND, ENABLE, LEASE, STATUS, TRUTH
 from robofleet.core.clock import MS, S
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WIRED_STOP, WheelSpeeds
 from tests.bus.alone import Enable, WheelCommand
 

@@ -20,7 +20,8 @@ from robofleet.core.clock import MS, S
 from robofleet.core.log_lines import Unfailing
 from robofleet.nodes.unit.health import Health
 from robofleet.nodes.unit.keeping import FileKeeping, MemoryKeeping, StoredRobot
-from robofleet.safety.gate import GateStatus, Latch, LeaseAction
+from robofleet.safety.gate import LeaseAction
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
 Make = Callable[..., Any]

@@ -9,7 +9,7 @@ import pytest
 
 from robofleet.bus.keys import STATUS
 from robofleet.core.clock import MS, S
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WIRED_STOP, DriverReading, RobotFault, WheelSpeeds
 from tests.runs.realrun import wait
 

@@ -9,7 +9,7 @@ from robofleet.bus.keys import STATUS
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.interface import STOP, DriverReading
 

@@ -13,7 +13,7 @@ from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.operator.estop import EmergencyStop, Stopped
 from robofleet.operator.requests import by_supervisor
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
 from tests.process_fixtures import PLATOON, Stand
 

@@ -31,7 +31,7 @@ from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.run import Recording
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import TRACKER
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
 

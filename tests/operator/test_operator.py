@@ -15,7 +15,7 @@ from robofleet.core.clock import S
 from robofleet.nodes.unit.keeping import FileKeeping, StoredRobot
 from robofleet.recording.reading import read
 from robofleet.runs.replay import replay
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from tests.runs.realrun import ALONE, CLOCK, GONE_WITHIN_S, PLATOON, RealRun, of_robots, own_folders, wait
 
 Start = Callable[..., RealRun]

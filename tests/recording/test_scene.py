@@ -14,7 +14,7 @@ from robofleet.config.barrier import body, keepout
 from robofleet.core.clock import S
 from robofleet.recording.run import Recording
 from robofleet.safety.distances import apart
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 from tests.bus.alone import ROBOT_STATUS

@@ -14,7 +14,7 @@ from robofleet.bus.messages import TRACKER_NEWS, TrackerNews
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S
 from robofleet.recording.run import Recording
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 
 Make = Callable[..., Any]

@@ -16,7 +16,7 @@ from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.run import Recording
 from robofleet.reports import report
 from robofleet.reports.plot import Plot
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from tests.recording_fixtures import PLATOON, Story
 
 Make = Callable[..., Any]

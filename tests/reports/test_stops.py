@@ -8,7 +8,7 @@ import pytest
 from robofleet.recording.causes import cause, named
 from robofleet.recording.run import Recording
 from robofleet.reports.bounds import JUDGED
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 
 Make = Callable[..., Any]

@@ -12,7 +12,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.recording.run import Recording
 from robofleet.reports.tables import proofs_table, status_table, summary_table
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 from tests.recording_fixtures import PLATOON
 

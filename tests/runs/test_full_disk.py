@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from tests.runs.realrun import ALONE, RealRun, own_folders, wait
 
 pytestmark = pytest.mark.long  # a driver on a full disk: test_driver_keeping.py

@@ -9,7 +9,7 @@ import pytest
 from robofleet.bus.keys import STATUS
 from robofleet.config.load import load_config
 from robofleet.recording.reading import read
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from tests.runs.realrun import ALONE, PLATOON, RealRun
 
 ROBOTS = ["r1", "r2", "r3", "r4"]

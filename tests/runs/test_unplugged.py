@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import yaml
 
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from tests.runs.realrun import PLATOON, RealRun
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Happening
 from robofleet.safety.view import FleetView, RobotView
 from robofleet.safety.wiggle import probe_speeds

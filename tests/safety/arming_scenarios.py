@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import NOBODY, Event
 from robofleet.safety.view import NEVER, FleetView
 from robofleet.safety.wiggle import BACK

@@ -8,19 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robofleet.safety import gate
-from robofleet.safety.gate import (
-    GATE,
-    INPUT,
-    NEVER_NS,
-    NOT_ASKED,
-    GateState,
-    GateStatus,
-    Inputs,
-    Latch,
-    LeaseAction,
-    record_of,
-    step_row,
-)
+from robofleet.safety.gate import GATE, INPUT, NEVER_NS, NOT_ASKED, GateState, Inputs, LeaseAction, record_of, step_row
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.robots import GTERNAL

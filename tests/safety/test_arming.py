@@ -8,7 +8,7 @@ import pytest
 from robofleet.safety import arming
 from robofleet.safety.arming import ArmingState, Stage
 from robofleet.safety.distances import least_room_m, room_m
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import FleetView

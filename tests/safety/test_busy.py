@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from robofleet.safety import busy, supervisor
 from robofleet.safety.busy import CONTROLLER, DRIVERS, SUPERVISOR, TRACKER, BusyState, Lateness
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import MOVING, Event, Happening, Phase, RunStatus
 from robofleet.safety.view import FleetView, Machine, RobotView
 

@@ -6,14 +6,8 @@ from typing import Any
 
 import pytest
 
-from robofleet.safety.gate import (
-    NEVER_NS,
-    VALID_NS,
-    GateState,
-    GateStatus,
-    Latch,
-    LeaseAction,
-)
+from robofleet.safety.gate import NEVER_NS, VALID_NS, GateState, LeaseAction
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 from tests.safety.gated import BOOT, MS, NOW, OTHER, SESSION, WHEELS, Gate, Step, opened
 

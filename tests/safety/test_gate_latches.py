@@ -4,14 +4,8 @@ from itertools import product
 
 import pytest
 
-from robofleet.safety.gate import (
-    LAPSE_NS,
-    VALID_NS,
-    GateState,
-    GateStatus,
-    Latch,
-    LeaseAction,
-)
+from robofleet.safety.gate import LAPSE_NS, VALID_NS, GateState, LeaseAction
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP
 from tests.safety.gated import BOOT, MS, NOW, OTHER, SESSION, WHEELS, Gate, Step, opened
 

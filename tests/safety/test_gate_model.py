@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
 from robofleet.safety import gate
-from robofleet.safety.gate import GateState, GateStatus, Latch, LeaseAction
+from robofleet.safety.gate import GateState, LeaseAction
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 from tests.safety.gated import BOOT, DRIVE, MS, NOW, OTHER, SESSION, Arrived, Command, Permission, S, plain
 

@@ -5,13 +5,8 @@ from itertools import pairwise
 
 import pytest
 
-from robofleet.safety.gate import (
-    LAPSE_NS,
-    UNKNOWN,
-    VALID_NS,
-    GateStatus,
-    Latch,
-)
+from robofleet.safety.gate import LAPSE_NS, UNKNOWN, VALID_NS
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 from tests.safety.gated import BOOT, DRIVE, FAST, MS, NOW, OTHER, WHEELS, Arrived, Gate, Step, opened, written
 

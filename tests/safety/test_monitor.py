@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from robofleet.safety import monitor
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.monitor import SILENT_NS, MonitorSettings, MonitorState
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, FleetView, RobotView

@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 
 from robofleet.safety.advice import WAY_OUT
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.requests import acknowledged, gone, latched, refusal
 from robofleet.safety.supervisor import NOBODY, TRANSITIONS, Event, Happening, Phase, RunStatus
 from robofleet.safety.view import NEVER, FleetView, RobotView

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.rescue import NEWER_TICKS, WORD_NS, WORD_TICKS, Rescue, Word, watch
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase, RunStatus
 from robofleet.safety.view import FleetView, RobotView

@@ -15,7 +15,8 @@ from robofleet.nodes.unit import drivers
 from robofleet.nodes.unit.keeping import MemoryKeeping
 from robofleet.operator.estop import EmergencyStop
 from robofleet.safety import gate, monitor, runaway, supervisor
-from robofleet.safety.gate import GateState, Inputs, Latch
+from robofleet.safety.gate import GateState, Inputs
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.studies.storm import episode
 from robofleet.studies.storm.episode import play

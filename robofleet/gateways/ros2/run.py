@@ -21,7 +21,7 @@ from robofleet.gateways.served import Served
 from robofleet.gateways.urdf import HEIGHT_M
 from robofleet.recording.causes import halt_cause, named
 from robofleet.recording.state_words import state_words
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 
 _EVERY_NS = S  # from one word of the diagnostics to the next

@@ -27,7 +27,8 @@ from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.health import Health
 from robofleet.nodes.unit.keeping import RobotState, StateStore, kept
 from robofleet.safety import gate
-from robofleet.safety.gate import GateState, GateStatus, Inputs, Latch, LeaseAction
+from robofleet.safety.gate import GateState, Inputs, LeaseAction
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, SimulatedDriver, WheelSpeeds
 from robofleet.vehicles.readings import SensorReading
 

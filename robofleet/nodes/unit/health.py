@@ -5,7 +5,7 @@ import sys
 
 from robofleet.nodes.unit.attached import in_words, sound
 from robofleet.safety import runaway
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.runaway import Turning
 from robofleet.vehicles.interface import STOP, Driver, DriverReading, RobotFault, WheelSpeeds
 

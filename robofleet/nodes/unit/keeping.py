@@ -10,7 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from robofleet.safety.gate import GateState, Latch
+from robofleet.safety.gate import GateState
+from robofleet.safety.latches import Latch
 
 _MOST = 1 << 63  # half of what the wire carries: so many leases or latches nobody lives to see
 _HALF = 4096  # bytes: the halves of a file share no block of a disk

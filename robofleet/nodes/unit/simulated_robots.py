@@ -23,19 +23,8 @@ from robofleet.nodes.unit.gated_robot import BAD_LINK_NS, HURRY_NS, LOOK_NS, NO_
 from robofleet.nodes.unit.health import said_of_a_runaway
 from robofleet.nodes.unit.keeping import RobotState, StateStore, kept
 from robofleet.safety import runaway
-from robofleet.safety.gate import (
-    DRIVE,
-    GATE,
-    INPUT,
-    NEVER_NS,
-    GateState,
-    GateStatus,
-    Inputs,
-    Latch,
-    LeaseAction,
-    record_of,
-    step_row,
-)
+from robofleet.safety.gate import DRIVE, GATE, INPUT, NEVER_NS, GateState, Inputs, LeaseAction, record_of, step_row
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.simulation import bodies as simulated
 from robofleet.simulation.bodies import Bodies
 from robofleet.vehicles.interface import DriverContext, RobotFault

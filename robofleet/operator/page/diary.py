@@ -7,7 +7,7 @@ from robofleet.bus.messages import RunState, TrackerNews
 from robofleet.operator.page.frames import Frame, event
 from robofleet.operator.page.hearing import Hearing
 from robofleet.recording.lines import Line, busy_line, latch_line, news_line, said_line, state_lines
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 
 _KEPT = 100  # lines, for who opens the page later
 

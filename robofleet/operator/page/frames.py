@@ -25,7 +25,7 @@ from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.recording.causes import named, own_state
 from robofleet.recording.state_words import state_words
 from robofleet.safety.distances import apart
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.outlines import TagOutlines
 

@@ -51,7 +51,7 @@ class FleetScene:
         self._parked = {robot.tag: self._driven + k for k, robot in enumerate(config.bystanders)}
         self._image: tuple[int, bytes] | None = None  # the newest one, where there are bystanders, and its date
         self.state: RunState | None = None  # as the supervisor said it last
-        self.latches = [0] * len(self._robots)  # safety.gate.Latch
+        self.latches = [0] * len(self._robots)  # safety.latches.Latch
         self._ticked: tuple[int, bytes] | None = None  # the newest tick not drawn yet, and its date
         self._truths: dict[str, tuple[int, bytes]] = {}  # the same of every unit's truth
         self._items: tuple[RobotTick, ...] = ()  # of the tick drawn last

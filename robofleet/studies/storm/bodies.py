@@ -13,7 +13,7 @@ from robofleet.config import groups
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.studies.storm.gates import intervals
 from robofleet.studies.storm.ledger import GateDecision, Outage
 from robofleet.studies.storm.verdict import Violation

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.core.clock import MS, S
-from robofleet.safety.gate import NEVER, GateState, Latch, LeaseAction
+from robofleet.safety.gate import NEVER, GateState, LeaseAction
+from robofleet.safety.latches import Latch
 from robofleet.studies.storm.ledger import GateDecision, Outage
 from robofleet.studies.storm.verdict import Violation
 from robofleet.vehicles.differential_drive import DifferentialDrive

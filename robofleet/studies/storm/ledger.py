@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from robofleet.bus.bus import MemoryBus
 from robofleet.core.clock import Clock
-from robofleet.safety.gate import GateState, GateStatus, Inputs
+from robofleet.safety.gate import GateState, Inputs
+from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import STOP
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from robofleet.core.clock import MS, S
 from robofleet.core.patterns import driver_role
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.studies.storm.fleet import States

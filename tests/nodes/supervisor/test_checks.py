@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from robofleet.core.clock import S
 from robofleet.safety.arming import ArmingState, Stage
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Happening, Phase
 from robofleet.safety.wiggle import PROBE_RAD_S, Wiggle
 from tests.nodes.stand import Stand

@@ -17,7 +17,7 @@ from robofleet.bus.keys import CAMERA, POSES, STATE, TICK
 from robofleet.bus.messages import FleetPoses, RobotTick, TickRecord
 from robofleet.core.clock import MS, S
 from robofleet.safety import monitor
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.interface import RobotFault
 from tests.nodes.stand import Stand

@@ -5,7 +5,7 @@ import pytest
 from robofleet.bus.keys import RECORDER, STATUS, TICK
 from robofleet.bus.messages import RecorderStatus, RobotTick, TickRecord
 from robofleet.core.clock import MS, S
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.nodes.stand import Stand
 

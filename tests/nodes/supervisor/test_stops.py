@@ -10,7 +10,8 @@ from robofleet.bus import bus
 from robofleet.bus.keys import COMMAND, ENABLE, LEASE, REQUEST, SAFE_REQUEST, STATUS, Topic
 from robofleet.bus.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.core.clock import MS, S
-from robofleet.safety.gate import Latch, LeaseAction
+from robofleet.safety.gate import LeaseAction
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.vehicles.interface import STOP, WIRED_STOP, RobotFault
 from tests.bus.alone import Enable, WheelCommand

@@ -9,7 +9,7 @@ from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
 from robofleet.bus.messages import RobotTick
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from tests.operator.page.browser import DESKTOP, show_as
 from tests.operator.page.webstand import WebStand, placed

@@ -13,7 +13,7 @@ from robofleet.bus import keys
 from robofleet.bus.keys import key
 from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
-from robofleet.safety.gate import Latch
+from robofleet.safety.latches import Latch
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
 from tests.operator.page.browser import chromium, show_as
 from tests.operator.page.openpage import SOON_S

@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed
 from robofleet.bus import keys, messages
 from robofleet.bus.messages import Note, NoteKind, TagPose
 from robofleet.core.clock import MS, S
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.camera import CameraGeometry
 from tests.operator.page.webstand import CLOCK, Frame, OpenPage, WebStand, placed, web_stand

@@ -21,7 +21,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra
 from robofleet.operator.page.command import Over, There
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from tests.endpoints import own_endpoint, short_folder
 from tests.operator.page.webstand import CLOCK, WebStand, web_stand
 from tests.runs.realrun import ALONE, PLATOON, RealRun, own_folders, wait

@@ -25,7 +25,7 @@ from robofleet.core.clock import S, WallClock
 from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.page_address import Addresses
 from robofleet.operator.page.server import Served, serve
-from robofleet.safety.gate import GateStatus, Latch
+from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from robofleet.core.clock import MS
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.runs.serialstand import MOTION, commanded, ticks
 

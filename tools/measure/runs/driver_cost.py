@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 
 from robofleet.core.clock import S
-from robofleet.safety.gate import GateStatus
+from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.runs.serialstand import CLOCK, MOTION, commanded, ticks
 
