@@ -2,7 +2,6 @@
 
 import json
 import os
-import runpy
 import signal
 import subprocess
 import sys
@@ -29,19 +28,8 @@ from robofleet.core.clock import S, WallClock
 from robofleet.reports.after import SUMMARY
 from robofleet.runs.children import ended_by
 from robofleet.safety.supervisor import Phase, RunStatus
+from robofleet.scripts import script_own
 from robofleet.scripts.script_link import FleetError, ended, held, refuse
-
-
-def _watch(descriptor: int) -> None:
-    while os.read(descriptor, 1):
-        pass
-    os.kill(os.getpid(), signal.SIGINT)
-
-
-if __name__ == "__main__":
-    threading.Thread(target=_watch, args=(int(sys.argv.pop(1)),), daemon=True).start()
-    runpy.run_module("robofleet", run_name="__main__", alter_sys=True)
-
 
 _JOINED_WITHIN_S = 3.0
 _POLL_S = 0.02
@@ -206,7 +194,7 @@ class OwnRun:
         file.write_text(resolved_yaml(config))
         self._stderr = (directory / "stderr").open("w+b")
         theirs, self._lifeline = os.pipe()
-        command = [sys.executable, "-P", "-m", __name__, str(theirs), "run", str(file), "--quiet"]
+        command = [sys.executable, "-P", "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
         self._process = subprocess.Popen(
             [*command, "--out", str(self.folder.absolute())], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             stderr=self._stderr, start_new_session=True, pass_fds=[theirs],

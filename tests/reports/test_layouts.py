@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,6 +55,17 @@ def written(viewer: str, run_file: Path, tmp_path: Path) -> bytes:
     assert result.exit_code == 0, result.output
     assert str(out) in result.output
     return out.read_bytes()
+
+
+@pytest.mark.parametrize("viewer", VIEWERS)
+def test_without_a_name_it_is_beside_the_run_and_named_after_its_viewer(
+    viewer: str, run_file: Path, tmp_path: Path
+) -> None:
+    shutil.copy(run_file, tmp_path)
+    assert CliRunner().invoke(app, ["layout", viewer, str(tmp_path)]).exit_code == 0
+    (layout,) = {*tmp_path.iterdir()} - {tmp_path / run_file.name}
+    assert layout.stem == viewer
+    assert layout.suffix in {".json", ".xml", ".rbl"}
 
 
 def leaves(layout: Any) -> Iterator[str]:
