@@ -58,7 +58,7 @@ class Cost:
 
     def assert_nothing_left(self, subject: Subject, openings: int) -> None:
         """Descriptors, threads and processes are as many after the last as after the second."""
-        left = []
+        others, left = _belongings(), []  # of whatever else this process does, which may end meanwhile
         with Bench(subject) as bench:
             for _ in range(openings):
                 with suppress(DriverError):
@@ -66,7 +66,7 @@ class Cost:
                     bench.drive(cruise(self.subject, 1.0, 1.0), 0.03)
                     bench.give_up()
                 bench.let_pass(0.1)
-                left.append((len(serial_world.open_descriptors()), threading.active_count(), _children()))
+                left.append([len(now - before) for now, before in zip(_belongings(), others, strict=True)])
         assert left[-1] == left[1]
 
     def test_its_memory_does_not_grow(self) -> None:
@@ -118,6 +118,8 @@ def _processor_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _children() -> int:
+def _belongings() -> tuple[set[int], set[threading.Thread], set[str]]:
+    """Return this process's descriptors, threads and children."""
     tasks = Path(f"/proc/{os.getpid()}/task").iterdir()
-    return sum(len((task / "children").read_text().split()) for task in tasks)
+    children = {child for task in tasks for child in (task / "children").read_text().split()}
+    return set(serial_world.open_descriptors()), set(threading.enumerate()), children
