@@ -134,6 +134,8 @@ def test_every_command_of_a_guide_works(guide: Path, monkeypatch: pytest.MonkeyP
 def understand(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a command if that is cheap, else parse it; raises where it would not work."""
     name, *arguments = re.sub(r"^.*\.venv/bin/", "", words[0]), *words[1:]
+    if name in {"python", "python3"} and arguments[:2] == ["-m", "pip"]:
+        name, *arguments = arguments[1:]
     if name == "robofleet":
         robofleet(arguments, monkeypatch)
     elif name in {"python", "python3"} and arguments[:1] == ["-m"]:
