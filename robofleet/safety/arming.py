@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robofleet.safety import wiggle
 from robofleet.safety.distances import least_room_m, room_m
 from robofleet.safety.latches import Latch
-from robofleet.safety.monitor import faults_told
+from robofleet.safety.monitor import LEAST_FREE_BYTES, SILENT_NS, faults_told
 from robofleet.safety.rounds import rounds, within
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import NOBODY, Event, Happening
@@ -24,13 +24,11 @@ from robofleet.vehicles.interface import WIRED_STOP
 from robofleet.vehicles.solids import Solid, distances
 
 _PATIENCE_NS = 5_000_000_000  # for what may still come: a lease, a tag, rest
-_SILENT_NS = 500_000_000  # a process that said nothing for so long is not there
 _FRESH_NS = 150_000_000  # four images of a 30 Hz camera
 _ANSWER_NS = 200_000_000  # from the e-stop to its acknowledgement
 _CLEAR_NS = 1_000_000_000
 _PROOF_NS = 60_000_000_000  # a minute: longer, and somebody may have carried a robot away and brought another one
 _CHARGE = 0.2
-_FREE_BYTES = 200_000_000
 
 
 class Stage(IntEnum):
@@ -114,7 +112,7 @@ def _wrong(settings: ArmingSettings, view: FleetView) -> Happening | None:
     for row, robot in enumerate(view.robots):
         if robot.heard_ns != NEVER and (unfit := _unfit(robot, settings.build)):
             return Happening(unfit[0], row, unfit[1])
-    return Happening(Event.DISK_FULL) if view.free_bytes < _FREE_BYTES else None
+    return Happening(Event.DISK_FULL) if view.free_bytes < LEAST_FREE_BYTES else None
 
 
 def _unfit(robot: RobotView, build: int) -> tuple[Event, float] | None:
@@ -156,7 +154,7 @@ def missing(view: FleetView) -> Happening | None:
         return view.cameras_out[0]._replace(event=Event.CAMERA_OUT)
     rows = list(enumerate(view.robots))
     checks = (
-        (Event.DRIVER_SILENT, lambda r: r.driven and now_ns - r.heard_ns >= _SILENT_NS),
+        (Event.DRIVER_SILENT, lambda r: r.driven and now_ns - r.heard_ns >= SILENT_NS),
         (Event.TAG_LOST, lambda r: max(now_ns - r.seen_ns, r.unseen_ns) >= _FRESH_NS),
         (Event.LEASE_LOST, lambda r: r.driven and (not r.session or r.session != view.robots[0].session)),
         (Event.GATE_LATCHED, lambda r: r.latch != Latch.NONE),
@@ -166,7 +164,7 @@ def missing(view: FleetView) -> Happening | None:
 
 
 def _silent(now_ns: int, heard_ns: int) -> bool:
-    return now_ns - heard_ns >= _SILENT_NS
+    return now_ns - heard_ns >= SILENT_NS
 
 
 def _cramped(settings: ArmingSettings, view: FleetView, room: Room = least_room_m) -> Happening | None:
