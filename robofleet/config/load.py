@@ -17,7 +17,6 @@ from pydantic import BaseModel, JsonValue, ValidationError
 from pydantic_core import ErrorDetails
 
 from robofleet.config import groups, moving, starts
-from robofleet.config.csvfile import read_table
 from robofleet.config.faults import (
     Complaint,
     counted,
@@ -28,11 +27,12 @@ from robofleet.config.faults import (
     place_of,
     plain_words,
 )
+from robofleet.config.files.csvfile import read_table
+from robofleet.config.files.names import SHIPPED, missing, nearest
+from robofleet.config.files.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, parse_yaml, read_yaml
 from robofleet.config.groups import named
-from robofleet.config.names import SHIPPED, missing, nearest
 from robofleet.config.numbers import numbered
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, parse_yaml, read_yaml
 from robofleet.core.errors import BadInputError
 from robofleet.core.plugins import PluginError, reach
 

@@ -7,7 +7,7 @@ from robofleet.config.barrier import body, keepout
 from robofleet.config.tree import Config
 from robofleet.safety.barrier import Barrier
 from robofleet.tracking.bystanders import Bystanders
-from robofleet.tracking.estimator import FilterNoise, FleetFilter
+from robofleet.tracking.filter.estimator import FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 

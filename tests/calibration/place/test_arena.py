@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from robofleet.calibration.consensus import Agreement, agree, chance, limit
-from robofleet.calibration.fiducials import Marks
-from robofleet.calibration.placing import Lens, change_between, moved, on_plane, place, rotation_vector
+from robofleet.calibration.place.consensus import Agreement, agree, chance, limit
+from robofleet.calibration.place.fiducials import Marks
+from robofleet.calibration.place.placing import Lens, change_between, moved, on_plane, place, rotation_vector
 from robofleet.calibration.store import CalibrationError
 from robofleet.tracking.camera import CameraGeometry
 

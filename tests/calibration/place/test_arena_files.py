@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.calibration.fiducials import look
-from robofleet.calibration.placing import moved
-from robofleet.calibration.survey import Survey
+from robofleet.calibration.place.fiducials import look
+from robofleet.calibration.place.placing import moved
+from robofleet.calibration.place.survey import Survey
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.calibration.consensus import agree
-from robofleet.calibration.fiducials import Marks
-from robofleet.calibration.placing import Lens, change_between, moved
+from robofleet.calibration.place.consensus import agree
+from robofleet.calibration.place.fiducials import Marks
+from robofleet.calibration.place.placing import Lens, change_between, moved
+from robofleet.calibration.place.together import SurveyView, agree_together
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.together import SurveyView, agree_together
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 from tests.calibration.place.test_arena import CAMERA, DOWN, LENS, PIXEL, SIZE, SURVEY_M

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.calibration import verify
-from robofleet.calibration.consensus import agree, chance
-from robofleet.calibration.fiducials import Marks
-from robofleet.calibration.placing import Lens, moved
+from robofleet.calibration.place import verify
+from robofleet.calibration.place.consensus import agree, chance
+from robofleet.calibration.place.fiducials import Marks
+from robofleet.calibration.place.placing import Lens, moved
+from robofleet.calibration.place.verify import Calibrated, Verdict, judge
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.verify import Calibrated, Verdict, judge
 from robofleet.config.calibrated import SeenMark
 from robofleet.tracking.camera import CameraGeometry
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from robofleet.calibration.consensus import agree
-from robofleet.calibration.fiducials import Marks
-from robofleet.calibration.placing import Lens, moved
+from robofleet.calibration.place.consensus import agree
+from robofleet.calibration.place.fiducials import Marks
+from robofleet.calibration.place.placing import Lens, moved
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 
