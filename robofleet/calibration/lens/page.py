@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from robofleet.calibration.lens import floor
 from robofleet.calibration.lens.board import BoardView
 from robofleet.calibration.lens.gathering import Gathering
 from robofleet.calibration.lens.intrinsics import Measured
-from robofleet.calibration.lens.projection import floor
 from robofleet.calibration.lens.views import Lean, cell_counts, tilt
 from robofleet.calibration.report import Report, in_words
 from robofleet.core.figures import COLOURS, QUIET, STYLE

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from robofleet.tracking.bystanders import Bystanders
+from robofleet.tracking.filter.estimator import Bystanders
 
 MS = 1_000_000
 START_NS = 10**9
