@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 import robofleet
 from robofleet import cli
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.operator import config_commands
 
 ROOT = Path(__file__).parents[1]

@@ -16,7 +16,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, WallClock
 from robofleet.core.plugins import PluginError, load
-from robofleet.tracking import files
+from robofleet.tracking.cameras import files
 from robofleet.tracking.sources import Camera, CameraContext, CameraError
 
 Image = NDArray[np.uint8]

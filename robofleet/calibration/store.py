@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from robofleet.config.calibrated import Provenance
 from robofleet.config.faults import plain_words
-from robofleet.config.yamlfile import Source, read_yaml
+from robofleet.config.files.yamlfile import Source, read_yaml
 from robofleet.core.clock import utc_now
 from robofleet.core.errors import BadInputError
 from robofleet.core.settings import Model

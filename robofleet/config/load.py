@@ -16,8 +16,8 @@ import yaml
 from pydantic import BaseModel, JsonValue, ValidationError
 from pydantic_core import ErrorDetails
 
-from robofleet.config import groups, moving, starts
-from robofleet.config.csvfile import read_table
+from robofleet.config import groups
+from robofleet.config.completed import file_path, numbered, placed, with_moving_obstacles
 from robofleet.config.faults import (
     Complaint,
     counted,
@@ -28,11 +28,11 @@ from robofleet.config.faults import (
     place_of,
     plain_words,
 )
+from robofleet.config.files.csvfile import read_table
+from robofleet.config.files.names import SHIPPED, missing, nearest
+from robofleet.config.files.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, parse_yaml, read_yaml
 from robofleet.config.groups import named
-from robofleet.config.names import SHIPPED, missing, nearest
-from robofleet.config.numbers import numbered
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, parse_yaml, read_yaml
 from robofleet.core.errors import BadInputError
 from robofleet.core.plugins import PluginError, reach
 
@@ -151,7 +151,7 @@ class ConfigFile:
     def refuse(self, complaints: Iterable[Complaint]) -> None:
         """Raise a ConfigError that shows the place of every complaint, if there is one."""
         for path, message in complaints:
-            parts = moving.place(self.config, path).split(".")
+            parts = file_path(self.config, path).split(".")
             self._complain(tuple(int(p) if p.isdigit() else p for p in parts), message)
         if self._faults:
             raise self._error()
@@ -173,13 +173,13 @@ class ConfigFile:
                 message = self._moved(loc) if error["type"] == "extra_forbidden" else None
                 self._complain(loc, message or plain_words(error), at_key=error["type"] == "extra_forbidden")
             raise self._error() from None
-        self.config = numbered(moving.added(self.config))
+        self.config = numbered(with_moving_obstacles(self.config))
         self.refuse([*cross_checks(self.config), *self._unreachable()])
         pairs = zip(named(self.config).groups, kept, strict=True)
         made = tuple(group.model_copy(update={"settings": settings}) for group, settings in pairs)
         self.config = self.config.model_copy(update={"groups": made})
         try:
-            self.config = starts.placed(self.config)
+            self.config = placed(self.config)
         except ValueError as impossible:
             self.refuse([("groups", f"cannot be made: {impossible}")])
 

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from robofleet.core.clock import Clock, S, WallClock
-from robofleet.doctor import cameras, computer, network, places, serial_ports, software
+from robofleet.doctor import cameras, computer, places, serial_ports, software
 from robofleet.doctor.findings import Finding, Mark
 from robofleet.doctor.needs import Needs
 
@@ -26,8 +26,8 @@ CHECKS: dict[str, Check] = {  # in the order in which they are said
     "serial ports": serial_ports.serial_ports,
     "cameras": cameras.kernel_cameras,
     "Basler cameras": cameras.basler_cameras,
-    "browser": network.browser,
-    "network": network.network,
+    "browser": computer.browser,
+    "network": computer.network,
 }
 _TOLD_AFTER_S, _AT_MOST_S = 3.0, 25.0
 

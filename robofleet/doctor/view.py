@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from robofleet.config.yamlfile import printable
+from robofleet.config.files.yamlfile import printable
 from robofleet.doctor import udev
 from robofleet.doctor.findings import Finding, Mark
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.parameters import Parameters
+from robofleet.config.files.parameters import Parameters
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.control.flow import FlowError, FlowSettings, Integrator, NewtonRaphsonFlow, Plant
 from robofleet.control.prediction import compile_plant

@@ -10,7 +10,7 @@ from robofleet.behaviours.interface import Shape
 from robofleet.bus.keys import NOTE, key
 from robofleet.bus.messages import NOTE as LAYOUT
 from robofleet.bus.messages import NoteKind
-from robofleet.config.yamlfile import printable
+from robofleet.config.files.yamlfile import printable
 from robofleet.recording.groups_said import ShapeSaid
 from robofleet.recording.run import Own, Recording
 

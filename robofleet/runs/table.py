@@ -202,9 +202,8 @@ def _tracker(edges: Edges) -> Node:
 
     from robofleet.bus.ticks import TickFollower  # noqa: PLC0415
     from robofleet.nodes.pose_sources import compiling, pose_source  # noqa: PLC0415
-    from robofleet.nodes.tracker import Tracker  # noqa: PLC0415
+    from robofleet.nodes.tracker import Tracker, WatchedPoses  # noqa: PLC0415
     from robofleet.simulation.faulty_poses import FaultyFeed, FaultyPoses  # noqa: PLC0415
-    from robofleet.tracking.silence import WatchedPoses  # noqa: PLC0415
     from robofleet.tracking.sources import PoseContext  # noqa: PLC0415
 
     cv2.setNumThreads(1)  # parts of an image are too small to share

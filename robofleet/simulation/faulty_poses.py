@@ -9,9 +9,9 @@ from robofleet.bus.messages import TagPose
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.simulation.faults import Injection, Schedule, struck
+from robofleet.tracking.cameras.watch import CameraWatch
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.sources import Exposure, ExposureLimits, Feed, Frame, Lost, Observation, PoseSource
-from robofleet.tracking.watch import CameraWatch
 
 _APART_M = 0.5  # of a tag's two prints
 

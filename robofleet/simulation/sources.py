@@ -17,7 +17,7 @@ from robofleet.core.clock import MS, Clock, S
 from robofleet.simulation.arena import NOBODY, TruthHistory
 from robofleet.simulation.effects import effects
 from robofleet.simulation.scene import ScenePlay, scene_renderer
-from robofleet.tracking.exposure import nothing_left
+from robofleet.tracking.cameras.exposure import nothing_left
 from robofleet.tracking.sources import CameraContext, Exposure, ExposureLimits, Frame, Observation
 
 

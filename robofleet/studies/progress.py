@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from robofleet.config.yamlfile import printable
+from robofleet.config.files.yamlfile import printable
 from robofleet.core.clock import S, stopwatch_ns
 
 _LINE_NS = 10 * S

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import corrected, pose_covariance, sensitivity
 from robofleet.tracking.events import Notice, TrackerEvent
-from robofleet.tracking.tracker import TagSighting
+from robofleet.tracking.tags.tracker import TagSighting
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -3,7 +3,7 @@
 import math
 
 from robofleet.config.calibrated import TagOffset
-from robofleet.tracking.covariance import Covariance
+from robofleet.tracking.tags.covariance import Covariance
 
 
 def centre_from_tag(x: float, y: float, psi: float, offset: TagOffset) -> tuple[float, float, float]:

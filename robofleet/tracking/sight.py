@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.covariance import Covariance, covariance
+from robofleet.tracking.cameras.light import Light, SeenTag, TagLight
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import News, Notice
-from robofleet.tracking.light import Light, SeenTag, TagLight
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
-from robofleet.tracking.targets import floor_tags_in_view, floor_targets, robot_targets
-from robofleet.tracking.tracker import TagSighting, TagTracker
+from robofleet.tracking.tags.covariance import Covariance, covariance
+from robofleet.tracking.tags.targets import floor_tags_in_view, floor_targets, robot_targets
+from robofleet.tracking.tags.tracker import TagSighting, TagTracker
 
 _BLIND_IMAGES = 10  # with robots in sight and no floor tag that lies where it was: the camera may look elsewhere
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robofleet.config.files.parameters import load_parameters
 from robofleet.config.load import ConfigError
-from robofleet.config.parameters import load_parameters
 from robofleet.control.flow import FlowSettings, Integrator
 from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.stability import (

@@ -19,7 +19,7 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import pose_covariance, sensitivity
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import NO_TAG, Notice, TrackerEvent
-from robofleet.tracking.tracker import TagSighting
+from robofleet.tracking.tags.tracker import TagSighting
 
 ROOT = Path(__file__).parents[2]
 MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))

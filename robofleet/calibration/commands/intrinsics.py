@@ -7,7 +7,6 @@ import cv2
 import typer
 from rich.console import Console
 
-from robofleet.calibration.board import Board
 from robofleet.calibration.commands.shared import (
     CameraName,
     ConfigsFolder,
@@ -18,12 +17,13 @@ from robofleet.calibration.commands.shared import (
     report_file,
 )
 from robofleet.calibration.commands.shared import live as live_camera
-from robofleet.calibration.floor import Ceiling
 from robofleet.calibration.frames import open_camera
-from robofleet.calibration.gathering import Gathering, gather
-from robofleet.calibration.intrinsics import COEFFICIENTS, Asked, Measured, measure
-from robofleet.calibration.intrinsics_page import page
-from robofleet.calibration.live import Screen, capture, lens_config
+from robofleet.calibration.lens.board import Board
+from robofleet.calibration.lens.floor import Ceiling
+from robofleet.calibration.lens.gathering import Gathering, gather
+from robofleet.calibration.lens.intrinsics import COEFFICIENTS, Asked, Measured, measure
+from robofleet.calibration.lens.live import Screen, capture, lens_config
+from robofleet.calibration.lens.page import page
 from robofleet.calibration.sizes import count, size
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.calibrated import CameraModel

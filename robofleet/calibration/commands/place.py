@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from robofleet.calibration import frames
-from robofleet.calibration.arena import Wanted, calibrate_arena, calibrate_together
 from robofleet.calibration.commands.shared import (
     CameraName,
     ConfigsFolder,
@@ -17,9 +16,10 @@ from robofleet.calibration.commands.shared import (
     report_file,
 )
 from robofleet.calibration.commands.shared import live as live_camera
+from robofleet.calibration.extrinsics.arena import Wanted, calibrate_arena, calibrate_together
+from robofleet.calibration.extrinsics.verify import verify as verify_camera
 from robofleet.calibration.sizes import size
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.verify import verify as verify_camera
 from robofleet.config.tree import Config
 
 SurveyFile = Annotated[Path, typer.Argument(metavar="SURVEY", help="YAML with floor_tags and points, in metres.")]

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robofleet.config.faults import counted
+from robofleet.config.files.parameters import Loc, load_placed, mistake_at
+from robofleet.config.files.yamlfile import Mistake, Node, printable
 from robofleet.config.load import Change, ConfigError, spelled
-from robofleet.config.parameters import Loc, load_placed, mistake_at
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import Mistake, Node, printable
 from robofleet.runs.check import Study as CheckedStudy
 from robofleet.runs.check import load_checked
 from robofleet.studies.progress import Bar

@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from robofleet.calibration.board import Board, BoardView
-from robofleet.calibration.floor import COLUMNS as COLUMNS_ASKED
-from robofleet.calibration.floor import ROWS as ROWS_ASKED
-from robofleet.calibration.floor import Ceiling, FloorErrors
-from robofleet.calibration.intrinsics import Asked, Measured, measure
-from robofleet.calibration.lens import Lens
+from robofleet.calibration.lens.board import Board, BoardView
+from robofleet.calibration.lens.floor import COLUMNS as COLUMNS_ASKED
+from robofleet.calibration.lens.floor import ROWS as ROWS_ASKED
+from robofleet.calibration.lens.floor import Ceiling, FloorErrors
+from robofleet.calibration.lens.intrinsics import Asked, Measured, measure
+from robofleet.calibration.lens.projection import Lens
+from robofleet.calibration.lens.views import COLUMNS, ROWS, Lean, tilt
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.views import COLUMNS, ROWS, Lean, tilt
 from robofleet.tracking.camera import CameraGeometry
 
 BOARD = Board()

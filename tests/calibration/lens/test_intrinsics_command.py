@@ -14,13 +14,13 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.calibration.board import Board
-from robofleet.calibration.floor import Ceiling
-from robofleet.calibration.gathering import Gathering, gather
-from robofleet.calibration.intrinsics import Asked, measure
-from robofleet.calibration.live import picture
+from robofleet.calibration.lens.board import Board
+from robofleet.calibration.lens.floor import Ceiling
+from robofleet.calibration.lens.gathering import Gathering, gather
+from robofleet.calibration.lens.intrinsics import Asked, measure
+from robofleet.calibration.lens.live import picture
+from robofleet.calibration.lens.views import Offer
 from robofleet.calibration.store import load, save
-from robofleet.calibration.views import Offer
 from robofleet.config.calibrated import CameraModel, PoseSettings
 from robofleet.config.load import load_config
 

@@ -18,10 +18,10 @@ from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.nodes.pose_sources import CameraPoses
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.cameras.light import SeenTag, TagLight
 from robofleet.tracking.events import Notice
-from robofleet.tracking.light import SeenTag, TagLight
 from robofleet.tracking.sources import Exposure, PoseContext
-from robofleet.tracking.targets import robot_targets
+from robofleet.tracking.tags.targets import robot_targets
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.bus.alone import Truth
 
