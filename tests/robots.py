@@ -2,8 +2,11 @@
 
 from dataclasses import replace
 
+from robofleet.testing.behaviours import GTERNAL
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import Imperfections
+
+__all__ = ["CREATE2", "CREATE2_IDEAL", "GTERNAL", "IDEAL", "WORN", "stalls"]
 
 IDEAL = Imperfections(
     motor_lag=0.0,
