@@ -12,16 +12,16 @@ import pytest
 
 from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import STATUS
+from robofleet.bus.messages import UNIT_STATUS
 from robofleet.config.troubles import LineFault, LinkFault
 from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.driver import DriverProcess
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.nodes.unit.keeping import MemoryKeeping
 from robofleet.safety.latches import Latch
+from robofleet.testing.driver_bench import LOOP_NS, DriverBench, DriverSubject, Moment
+from robofleet.testing.driver_motion import EVEN_S, OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out, travel
 from robofleet.vehicles.interface import DriverError, RobotFault, WheelSpeeds
-from tests.bus.alone import ROBOT_STATUS
-from tests.drivers.contract_bench import LOOP_NS, Bench, Moment, Subject
-from tests.drivers.contract_motion import EVEN_S, OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out, travel
 
 BAD_S, SHARE, LATE_S = 2.0, 0.15, 0.05
 SILENT_S = 0.6  # at most, until a robot that does not answer is an error
@@ -37,31 +37,31 @@ LineTrouble = Literal["line_cut", "line_garbage", "line_late"]
 
 
 class BadLines:
-    """``subject`` is what is tried."""
+    """Checks of bad lines. ``subject`` is the driver under test."""
 
-    subject: Subject
+    subject: DriverSubject
 
     @property
-    def asked(self) -> WheelSpeeds:
-        """What the wheels are asked to do."""
+    def setpoint(self) -> WheelSpeeds:
+        """The commanded speeds."""
         return cruise(self.subject, 1.0, -0.6)
 
-    def driven(self, bench: Bench, *, hold: bool = False) -> list[Moment]:
+    def driven(self, bench: DriverBench, *, hold: bool = False) -> list[Moment]:
         """Drive until the wheels turn evenly, and return the half second after that."""
         if bench.driver is None:
             bench.make()
-        bench.drive_on(self.asked, SETTLE_S, hold=hold)
-        return bench.drive_on(self.asked, EVEN_S, hold=hold)
+        bench.drive_on(self.setpoint, SETTLE_S, hold=hold)
+        return bench.drive_on(self.setpoint, EVEN_S, hold=hold)
 
     @pytest.mark.parametrize("kind", ["line_cut", "line_garbage", "line_late"])
     def test_bad_lines_are_borne(self, kind: LineTrouble) -> None:
         """No error but the driver's own, no angle that cannot be, no wrong motion that lasts; good again afterwards."""
         on_the_line(self.subject)
         fault = LineFault(kind=kind, at_s=0.0, duration_s=BAD_S, share=SHARE, delay_s=LATE_S)
-        with Bench(self.subject, fault) as bench:
+        with DriverBench(self.subject, fault) as bench:
             before = self.driven(bench, hold=True)
             bench.strike()
-            during = bench.drive_on(self.asked, BAD_S, hold=True)
+            during = bench.drive_on(self.setpoint, BAD_S, hold=True)
             after = self.driven(bench, hold=True)
             assert bench.twin is not None
             assert bench.twin.ledger is not None
@@ -89,67 +89,69 @@ class BadLines:
         assert after.reading is not None
         for side in (0, 1):
             turned = abs(after.angles[side] - before.angles[side]) if self.subject.encoders else 0.0
-            read = abs(after.reading[side] - before.reading[side])
-            assert read == pytest.approx(turned, abs=STALE_S * max(self.asked))
+            read = abs(after.reading[:2][side] - before.reading[:2][side])
+            assert read == pytest.approx(turned, abs=STALE_S * max(self.setpoint))
 
     def test_a_robot_that_does_not_answer_is_an_error_and_stands_when_it_does_again(self) -> None:
         on_the_line(self.subject)
-        with Bench(self.subject, LinkFault(kind="firmware_hangs", robot="r1", at_s=0.0, duration_s=AWAY_S)) as bench:
+        with DriverBench(
+            self.subject, LinkFault(kind="firmware_hangs", robot="r1", at_s=0.0, duration_s=AWAY_S)
+        ) as bench:
             before = self.driven(bench)
             bench.strike()
-            silent = bench.drive_on(self.asked, AWAY_S)
+            silent = bench.drive_on(self.setpoint, AWAY_S)
             returned = bench.drive_on(None, BACK_S)
             assert bench.driver is not None, "it was not made again"
             after = self.driven(bench)
         failed_s = next((k * LOOP_NS / S for k, moment in enumerate(silent) if moment.reading is None), math.inf)
         assert failed_s <= SILENT_S
-        assert travel(returned) <= run_out(self.subject, self.asked) + SEEN_S * max(self.asked)
+        assert travel(returned) <= run_out(self.subject, self.setpoint) + SEEN_S * max(self.setpoint)
         assert mean(after) == pytest.approx(mean(before), rel=OFF, abs=OFF_RAD_S)
 
     @pytest.mark.parametrize("word", ["read", "write"])
     def test_a_plug_that_is_pulled_out_is_an_error_at_the_next_word(self, word: str) -> None:
         on_the_line(self.subject)
-        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0)) as bench:
+        with DriverBench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0)) as bench:
             driver = bench.make()
-            bench.drive(self.asked, 0.3)
+            bench.drive(self.setpoint, 0.3)
             bench.strike()
             bench.let_pass(0.01)
             with pytest.raises(DriverError, match=bench.port.name):
                 if word == "read":
                     driver.read()
                 else:
-                    driver.write(self.asked)
+                    driver.write(self.setpoint)
 
     def test_a_robot_that_is_plugged_in_again_stands_and_drives_again(self) -> None:
         on_the_line(self.subject)
-        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=AWAY_S)) as bench:
+        with DriverBench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=AWAY_S)) as bench:
             before = self.driven(bench)
             bench.strike()
-            bench.drive_on(self.asked, AWAY_S)
+            bench.drive_on(self.setpoint, AWAY_S)
             returned = bench.drive_on(None, BACK_S)
             assert bench.driver is not None, "it was not made again"
             after = self.driven(bench)
-        assert travel(returned) <= run_out(self.subject, self.asked) + SEEN_S * max(self.asked)
+        assert travel(returned) <= run_out(self.subject, self.setpoint) + SEEN_S * max(self.setpoint)
         assert mean(after) == pytest.approx(mean(before), rel=OFF, abs=OFF_RAD_S)
 
     def test_a_robot_that_turns_when_its_line_is_opened_stands_when_it_has_been(self) -> None:
         on_the_line(self.subject)
-        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=0.02)) as bench:
+        with DriverBench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0, duration_s=0.02)) as bench:
             bench.make()
-            bench.drive(self.asked, SETTLE_S)
+            bench.drive(self.setpoint, SETTLE_S)
             bench.strike()
             bench.let_pass(0.01)
             bench.give_up()
             bench.let_pass(0.02)
             bench.make()
-            assert travel(bench.drive(None, 1.0)) <= run_out(self.subject, self.asked)
+            assert travel(bench.drive(None, 1.0)) <= run_out(self.subject, self.setpoint)
 
     def test_the_status_says_within_100_ms_that_the_plug_was_pulled_out(self) -> None:
         on_the_line(self.subject)
-        with Bench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0)) as bench:
-            said: list[tuple[int, bytes]] = []
+        with DriverBench(self.subject, LinkFault(kind="unplugged", robot="r1", at_s=0.0)) as bench:
+            payloads: list[tuple[int, bytes]] = []
             bus = MemoryBus(bench.config.arena.name, bench.clock, 0)
-            bus.listen(STATUS, "r1", lambda at_ns, payload: said.append((at_ns, payload)))
+            bus.listen(STATUS, "r1", lambda at_ns, payload: payloads.append((at_ns, payload)))
             process = DriverProcess(
                 bench.config, "r1", bus, bench.clock, lambda _: None, 77, 0, MemoryKeeping(),
                 ConfiguredDrivers(bench.config, bench.clock.now_ns),
@@ -162,21 +164,22 @@ class BadLines:
             finally:
                 with suppress(ExceptionGroup):  # its line is gone
                     process.close()
-        told = [(at_ns, status) for at_ns, payload in said if (status := ROBOT_STATUS.decode(payload)) is not None]
-        lost = [at_ns for at_ns, status in told if status.faults & RobotFault.UNREACHABLE]
-        latched = [at_ns for at_ns, status in told if status.latch == Latch.DRIVER_FAILED]
-        assert told[0][0] < healthy_ns < lost[0] == latched[0] <= healthy_ns + TOLD_NS
+        decoded = [(at_ns, UNIT_STATUS.decode(payload)) for at_ns, payload in payloads]
+        statuses = [(at_ns, unit.robots[0]) for at_ns, unit in decoded if unit is not None]
+        lost = [at_ns for at_ns, status in statuses if status.faults & RobotFault.UNREACHABLE]
+        latched = [at_ns for at_ns, status in statuses if status.latch == Latch.DRIVER_FAILED]
+        assert statuses[0][0] < healthy_ns < lost[0] == latched[0] <= healthy_ns + TOLD_NS
 
     def test_a_robot_that_takes_nothing_keeps_nobody_waiting(self) -> None:
         """A tty's buffer that is full: each call returns or raises, and none waits."""
-        with Bench(self.subject) as bench:
+        with DriverBench(self.subject) as bench:
             driver = bench.make()
             waited_ns = bench.waited_ns
             try:
                 with _no_longer_than(_BLOCKED_S):
                     for _ in range(_CALLS):
                         with suppress(DriverError, OSError):
-                            driver.write(self.asked)
+                            driver.write(self.setpoint)
                         with suppress(DriverError, OSError):
                             driver.read()
                         assert bench.waited_ns == waited_ns

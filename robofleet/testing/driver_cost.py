@@ -7,15 +7,17 @@ import threading
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from robofleet.core.clock import S
+from robofleet.testing import serial_world
+from robofleet.testing.driver_bench import LOOP_NS, DriverBench, DriverSubject
+from robofleet.testing.driver_motion import cruise, on_the_line
 from robofleet.vehicles.interface import DriverError, WheelSpeeds
-from tests.drivers import serial_world
-from tests.drivers.contract_bench import LOOP_NS, Bench, Subject
-from tests.drivers.contract_motion import cruise, on_the_line
 
 LOOPS = 200
 LOOP_COST_S = 0.8e-3  # of the processor, one read and a third of a write: 8 % at 100 Hz
@@ -25,12 +27,12 @@ LEFT_BYTES = 16.0  # a loop, at most: an object that stays is larger
 
 
 class Cost:
-    """``subject`` is what is tried."""
+    """Checks of cost. ``subject`` is the driver under test."""
 
-    subject: Subject
+    subject: DriverSubject
 
     def test_it_does_not_keep_the_processor_busy(self) -> None:
-        with Bench(self.subject) as bench:
+        with DriverBench(self.subject) as bench:
             bench.make()
             before = _processor_s()
             outside = 0.0
@@ -38,7 +40,7 @@ class Cost:
                 assert bench.driver is not None
                 bench.driver.read()
                 if k % 3 == 0:
-                    bench.driver.write(self.asked)
+                    bench.driver.write(self.setpoint)
                 entered = _processor_s()
                 bench.let_pass(0.01)
                 outside += _processor_s() - entered
@@ -54,12 +56,12 @@ class Cost:
 
     def test_nothing_is_left_of_those_that_could_not_be_made(self) -> None:
         on_the_line(self.subject)
-        self.assert_nothing_left(self.subject._replace(twin="tests.drivers.strangers:Mute"), OPENINGS)
+        self.assert_nothing_left(replace(self.subject, twin="robofleet.testing.driver_port:Mute"), OPENINGS)
 
-    def assert_nothing_left(self, subject: Subject, openings: int) -> None:
+    def assert_nothing_left(self, subject: DriverSubject, openings: int) -> None:
         """Descriptors, threads and processes are as many after the last as after the second."""
         others, left = _belongings(), []  # of whatever else this process does, which may end meanwhile
-        with Bench(subject) as bench:
+        with DriverBench(subject) as bench:
             for _ in range(openings):
                 with suppress(DriverError):
                     bench.make()
@@ -86,26 +88,26 @@ class Cost:
         with self.driving() as bench:
             before = _resident_bytes()
             for _ in range(HOUR_LOOPS // 3000):
-                bench.drive(self.asked, 30.0)
+                bench.drive(self.setpoint, 30.0)
             assert _resident_bytes() - before <= LEFT_BYTES * HOUR_LOOPS
 
     @contextmanager
-    def driving(self) -> Iterator[Bench]:
+    def driving(self) -> Iterator[DriverBench]:
         """Give a bench whose driver has all that it needs to go on."""
-        with Bench(self.subject) as bench:
+        with DriverBench(self.subject) as bench:
             bench.make()
-            bench.drive(self.asked, 0.5)
+            bench.drive(self.setpoint, 0.5)
             yield bench
 
-    def held_after(self, bench: Bench, loops: int) -> int:
+    def held_after(self, bench: DriverBench, loops: int) -> int:
         """Return what Python has allocated after so many loops [bytes]."""
-        bench.drive(self.asked, loops * LOOP_NS / S)
+        bench.drive(self.setpoint, loops * LOOP_NS / S)
         gc.collect()
         return tracemalloc.get_traced_memory()[0]
 
     @property
-    def asked(self) -> WheelSpeeds:
-        """What the wheels are asked to do."""
+    def setpoint(self) -> WheelSpeeds:
+        """The commanded speeds."""
         return cruise(self.subject, 1.0, -0.6)
 
 
@@ -118,7 +120,7 @@ def _processor_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _belongings() -> tuple[set[int], set[threading.Thread], set[str]]:
+def _belongings() -> tuple[set[Any], ...]:
     """Return this process's descriptors, threads and children."""
     tasks = Path(f"/proc/{os.getpid()}/task").iterdir()
     children = {child for task in tasks for child in (task / "children").read_text().split()}

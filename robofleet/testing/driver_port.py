@@ -1,6 +1,7 @@
 """The contract's checks of settings and ports: what cannot be is refused in words, and nothing moves."""
 
 import math
+import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -11,24 +12,61 @@ from pydantic import ValidationError
 from robofleet.core.plugins import load
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.nodes.unit import driver_settings
+from robofleet.simulation.firmware import Hardware
+from robofleet.testing.driver_bench import DriverBench, DriverSubject
+from robofleet.testing.driver_motion import cruise, on_the_line, travel
 from robofleet.vehicles.interface import STOP, DriverError, is_concurrent
-from tests.drivers.contract_bench import Bench, Subject
-from tests.drivers.contract_motion import cruise, on_the_line, travel
 
-# What may answer instead, and the kind of robot that it is one of.
+# Other devices that may be at the port, and the kind of robot that each is given out for.
 OTHERS = {
     "gternal": "gternal",
     "arduino_bridge": "arduino",
     "create2": "create2",
-    "tests.drivers.sparrow:SparrowFirmware": "gternal",
-    "tests.drivers.strangers:Mute": "gternal",
-    "tests.drivers.strangers:Echo": "gternal",
-    "tests.drivers.strangers:Chatter": "gternal",
+    "robofleet.testing.driver_port:Mute": "gternal",
+    "robofleet.testing.driver_port:Echo": "gternal",
+    "robofleet.testing.driver_port:Chatter": "gternal",
 }
 
 
-class Interrupted(Bench):
-    """A bench on which something happens the first time that a driver waits."""
+class Mute:
+    """Nothing that answers."""
+
+    baud = 115200
+    watchdog_s: float | None = 1.0
+
+    def __init__(self, hardware: Hardware) -> None:
+        """Move nothing."""
+
+    def opened(self, now_ns: int) -> None:
+        """Do nothing."""
+
+    def receive(self, data: bytes, now_ns: int) -> bytes:
+        """Answer nothing."""
+        return b""
+
+    def loop(self, now_ns: int) -> bytes:
+        """Send nothing."""
+        return b""
+
+
+class Echo(Mute):
+    """A modem, or a plug whose two pins touch."""
+
+    def receive(self, data: bytes, now_ns: int) -> bytes:
+        """Return what came."""
+        return data
+
+
+class Chatter(Mute):
+    """Noise, as a wrong baud rate gives."""
+
+    def loop(self, now_ns: int) -> bytes:
+        """Send noise."""
+        return zlib.crc32(str(now_ns).encode()).to_bytes(4, "little") * 3
+
+
+class Interrupted(DriverBench):
+    """A bench on which ``meanwhile`` is called the first time that a driver waits."""
 
     meanwhile: Callable[[], None] | None = None
 
@@ -40,19 +78,19 @@ class Interrupted(Bench):
 
 
 class Port:
-    """``subject`` is what is tried."""
+    """Checks of the port. ``subject`` is the driver under test."""
 
-    subject: Subject
+    subject: DriverSubject
 
     def test_a_setting_that_there_is_not_is_refused_in_words(self) -> None:
-        with Bench(self.subject._replace(settings={**self.subject.settings, "prot": "/dev/ttyUSB0"})) as bench:
+        with DriverBench(replace(self.subject, settings={**self.subject.settings, "prot": "/dev/ttyUSB0"})) as bench:
             paths, words = zip(*driver_settings.complaints(bench.config, 0), strict=True)
         assert any(path.startswith("robots.0.settings") for path in paths)
         assert all(words)
 
     def test_a_port_that_is_not_given_is_refused_in_words(self) -> None:
         on_the_line(self.subject)
-        with Bench(self.subject._replace(twin=None)) as bench:
+        with DriverBench(replace(self.subject, twin=None)) as bench:
             found = dict(driver_settings.complaints(bench.config, 0))
         assert found["robots.0.settings.port"]
 
@@ -69,7 +107,7 @@ class Port:
 
     def test_a_port_that_is_absent_is_named(self) -> None:
         on_the_line(self.subject)
-        with Bench(self.subject) as bench:
+        with DriverBench(self.subject) as bench:
             assert bench.twin is not None
             bench.twin.close()
             with pytest.raises(DriverError, match=bench.port.name):
@@ -77,7 +115,7 @@ class Port:
 
     def test_a_port_that_somebody_has_is_named_and_left_alone(self) -> None:
         on_the_line(self.subject)
-        with Bench(self.subject) as bench:
+        with DriverBench(self.subject) as bench:
             holder = SerialPort(str(bench.port), 115200)
             try:
                 bench.let_pass(0.1)
@@ -112,14 +150,14 @@ class Port:
         on_the_line(self.subject)
         if other == self.subject.twin:
             pytest.skip("it is its own language")
-        with Bench(self.subject._replace(twin=other, vehicle=OTHERS[other], sensors=False)) as bench:
+        with DriverBench(replace(self.subject, twin=other, vehicle=OTHERS[other], sensors=False)) as bench:
             with pytest.raises(DriverError, match=bench.port.name):
                 bench.make()
             bench.let_pass(1.0)
             assert bench.fastest == 0.0
 
     def test_closing_again_is_fine_and_so_is_closing_without_a_line(self) -> None:
-        with Bench(self.subject) as bench:
+        with DriverBench(self.subject) as bench:
             driver = bench.make()
             bench.drive(cruise(self.subject, 1.0, 1.0), 0.2)
             driver.close()
@@ -132,7 +170,7 @@ class Port:
                 again.close()
 
     def test_one_that_was_closed_can_be_made_again_on_its_port(self) -> None:
-        with Bench(self.subject) as bench:
+        with DriverBench(self.subject) as bench:
             for _ in range(3):
                 bench.make()
                 assert travel(bench.drive(cruise(self.subject, 1.0, 1.0), 0.5)) > 0.0

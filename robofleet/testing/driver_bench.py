@@ -1,9 +1,10 @@
-"""What the contract's checks stand on: a driver, the twin of its robot, the truth, and the kit's loop around them."""
+"""The bench of the drivers' contract: a driver, its robot's twin, the true wheels, and the loop of a driver process."""
 
 import os
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
+from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -12,6 +13,7 @@ from unittest.mock import patch
 from robofleet.bus.arena_file import twin_port
 from robofleet.config import slices
 from robofleet.config.load import load_config
+from robofleet.config.names import SHIPPED
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.core.plugins import load
@@ -19,41 +21,52 @@ from robofleet.drivers.dead_man import DeadMan
 from robofleet.nodes.unit import driver_settings
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
+from robofleet.testing import serial_world
 from robofleet.vehicles.differential_drive import DifferentialDrive, wheels_from_body
 from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, DriverReading, WheelSpeeds
 from robofleet.vehicles.readings import TruePose
-from tests.drivers import serial_world
 
 LOOP_NS = 10 * MS  # the kit's
 _WRITES = 3  # a command comes in every third loop
 _AGAIN_NS = S // 5  # so long after a failure the kit makes a driver anew
-_PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+_PLATOON = SHIPPED / "platoon.yaml"
 _IDEAL = ("wheel_gain_spread", "wheel_base_spread", "slip_s_per_rad", "slip_noise", "top_speed_sag")
 
 
-class Subject(NamedTuple):
-    """A driver, and what it is tried on. Names are those of a configuration's ``robots[]``."""
+@dataclass(frozen=True)
+class DriverSubject:
+    """A driver under test. The names are those of a configuration's ``robots[]``.
+
+    Attributes:
+        driver: The driver: an entry point of ``robofleet.drivers``, or ``module:Class``.
+        twin: The twin's firmware. None: the driver simulates its robot.
+        vehicle: A file of ``configs/robots``, or the path of a .yaml file.
+        settings: The driver's settings, without the port.
+        sensors: Whether the driver reads its vehicle's sensors.
+        encoders: Whether the robot has encoders. If not, its driver reads angles and speeds of 0.
+    """
 
     driver: str
-    twin: str | None  # None: the robot is simulated by its driver
-    vehicle: str = "gternal"  # of configs/robots, or the path of a .yaml file, from the working folder
-    settings: Mapping[str, Any] = {}  # without the port
-    sensors: bool = False  # True: it is asked for those of its vehicle, and tells of them
-    encoders: bool = True  # False: the robot has none, and its driver says so by angles and speeds of 0
+    twin: str | None
+    _: KW_ONLY
+    vehicle: str = "gternal"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    sensors: bool = False
+    encoders: bool = True
 
     @property
     def stops_after_s(self) -> float | None:
-        """Without a word for so long the robot stops by itself [s]; None: it does not."""
+        """How long after the last command the robot stops by itself [s]. None: it does not."""
         return 0.2 if self.twin is None else load("robofleet.twins", self.twin).watchdog_s
 
     @property
     def drive(self) -> DifferentialDrive:
-        """The kind of robot, as believed."""
+        """The robot's wheels and limits, as configured."""
         return slices.drive(_config(self).robots[0])
 
 
 class Moment(NamedTuple):
-    """The end of one loop of the kit."""
+    """The end of one loop."""
 
     at_ns: int
     speeds: WheelSpeeds  # the wheels' true ones, mean over the loop [rad/s]
@@ -62,13 +75,32 @@ class Moment(NamedTuple):
     made: int  # how many drivers have been made
 
 
-class Bench:
-    """A robot, its driver once it is made, and a clock that passes when it is let. ``faults`` wait for ``strike``.
+class DriverBench:
+    """A robot, its driver once it is made, and a simulated clock. Use it as a context.
 
-    The body's wheels are all alike and do not slip; ``faster`` ones could do more than the driver believes.
+    The wheels are alike and do not slip.
+
+    Attributes:
+        config: The configuration, of which r1 is the robot.
+        port: The robot's serial port.
+        twin: The robot's twin. None: the driver simulates the robot.
+        driver: The driver. None: it is not made yet, or given up.
+        believed: The robot's wheels and limits, as configured.
+        sensors: The robot's sensors that the driver reads. None: it reads none.
+        clock: The simulated clock.
+        angles: Angles by which the wheels have truly turned [rad].
+        fastest: The largest true speed of a wheel so far [rad/s].
+        waited_ns: How long drivers have waited for the robot so far [ns].
     """
 
-    def __init__(self, subject: Subject, *faults: Any, faster: float = 1.0) -> None:
+    def __init__(self, subject: DriverSubject, *faults: Any, faster: float = 1.0) -> None:
+        """Prepare the bench.
+
+        Args:
+            subject: The driver under test.
+            faults: Faults of the configuration. They begin with ``strike``.
+            faster: The true top speed of the wheels, as a multiple of the configured one.
+        """
         self.config = _config(subject, faster).model_copy(update={"faults": faults})
         self.believed, self.sensors = subject.drive, slices.sensors(self.config.robots[0])
         self.clock = SimulatedClock()
@@ -103,17 +135,25 @@ class Bench:
 
     @property
     def now_ns(self) -> int:
-        """The instant [ns]."""
+        """The simulated time [ns]."""
         return self.clock.now_ns()
 
     def make(self) -> Driver:
-        """Make the driver, on the port where the last one was."""
+        """Make the driver, on the same port as the one before.
+
+        Returns:
+            The driver.
+        """
         self.driver = load("robofleet.drivers", self.config.robots[0].driver)(self.context())
         self._made.append(self.driver)
         return self.driver
 
     def context(self) -> DriverContext:
-        """Return what the driver is made from."""
+        """Make the context of the driver.
+
+        Returns:
+            What the driver is made from.
+        """
         robot = self.config.robots[0]
         simulation = slices.simulation(self.config, robot, None)
         settings, world = driver_settings.of(self.config, robot), slices.world(self.config)
@@ -128,24 +168,42 @@ class Bench:
         )
 
     def strike(self) -> None:
-        """Let the faults begin."""
+        """Begin the faults."""
         self._schedule.begin(self.now_ns)
 
     def let_pass(self, seconds: float) -> None:
-        """Let time pass for the robot; its driver is not asked."""
+        """Let time pass for the robot. The driver is not called.
+
+        Args:
+            seconds: How long [s].
+        """
         end_ns = self.now_ns + round(seconds * S)
         self._step()  # it hears what was written before
         while self.now_ns < end_ns:
             self._pass_until(end_ns)
 
     def drive(self, wheels: WheelSpeeds | None, seconds: float) -> list[Moment]:
-        """Read in every loop and command the wheels as the kit does (None: not at all); what is raised goes up."""
+        """Call the driver as its process does: ``read`` in every loop, ``write`` in every third one.
+
+        Args:
+            wheels: The commanded speeds [rad/s]. None: nothing is written.
+            seconds: How long [s].
+
+        Returns:
+            The end of each loop.
+        """
         return [self._loop(wheels, k) for k in range(round(seconds * S / LOOP_NS))]
 
     def drive_on(self, wheels: WheelSpeeds | None, seconds: float, *, hold: bool = False) -> list[Moment]:
-        """Do the same through failures: a driver that failed is closed and made again, and told nothing from then.
+        """Drive through failures: a driver that fails is closed and made again, and then only read.
 
-        ``hold`` goes on with the wheels.
+        Args:
+            wheels: The commanded speeds [rad/s]. None: nothing is written.
+            seconds: How long [s].
+            hold: Go on to command the wheels after a failure.
+
+        Returns:
+            The end of each loop.
         """
         moments: list[Moment] = []
         again_ns = 0
@@ -163,14 +221,23 @@ class Bench:
         return moments
 
     def run(self, step: Callable[[int], int], seconds: float) -> None:
-        """Step a process whenever it asks to be."""
+        """Step a process whenever it asks to be stepped.
+
+        Args:
+            step: Takes the time [ns], and returns when to step again [ns].
+            seconds: How long [s].
+        """
         end_ns = self.now_ns + round(seconds * S)
         while self.now_ns < end_ns:
             next_ns = step(self.now_ns)
             self.let_pass((min(end_ns, next_ns) - self.now_ns) / S)
 
     def unheard(self) -> int:
-        """Return how many bytes wait at the robot's end."""
+        """Count the bytes that the robot has not read.
+
+        Returns:
+            How many bytes wait at the robot's end of the line.
+        """
         return 0 if self.twin is None else serial_world.unread(self.port)
 
     def give_up(self) -> None:
@@ -236,7 +303,7 @@ def _loaded(driver: str, twin: str | None, vehicle: str, settings: str, sensors:
     return config if faster == 1.0 else load_config(_PLATOON, [*own, *ideal, fast])
 
 
-def _config(subject: Subject, faster: float = 1.0) -> Config:
+def _config(subject: DriverSubject, faster: float = 1.0) -> Config:
     named = subject.vehicle.endswith(".yaml")
     vehicle = str(Path(subject.vehicle).absolute()) if named else subject.vehicle
     return _loaded(subject.driver, subject.twin, vehicle, str(dict(subject.settings)), subject.sensors, faster)

@@ -53,7 +53,7 @@ def terminal(descriptor: int) -> tuple[int, bool] | None:
     try:
         device = os.fstat(descriptor).st_rdev
         if device == _PTMX:
-            return _asked(descriptor, _NUMBER), True
+            return _ioctl_int(descriptor, _NUMBER), True
     except OSError:
         return None
     return (os.minor(device), False) if os.major(device) == _PTS else None
@@ -62,7 +62,7 @@ def terminal(descriptor: int) -> tuple[int, bool] | None:
 def unread(port: Path) -> int:
     """Return how many bytes wait at the robot's end of the port."""
     number = int(port.resolve().name)
-    return sum(_asked(d, termios.FIONREAD) for d in open_descriptors() if terminal(d) == (number, True))
+    return sum(_ioctl_int(d, termios.FIONREAD) for d in open_descriptors() if terminal(d) == (number, True))
 
 
 def open_descriptors() -> list[int]:
@@ -75,12 +75,12 @@ def _write_and_arrive(descriptor: int, data: Any, /) -> int:
     if end is None:
         return _write(descriptor, data)
     other = _open_end(end[0], not end[1])
-    before = _UNREAD if other is None else _asked(other, termios.FIONREAD)
+    before = _UNREAD if other is None else _ioctl_int(other, termios.FIONREAD)
     written = _write(descriptor, data)
     if other is not None and before < _UNREAD:
         clock = WallClock()
         deadline_ns = clock.now_ns() + _PATIENCE_NS
-        while _asked(other, termios.FIONREAD) < min(before + written, _UNREAD) and clock.now_ns() < deadline_ns:
+        while _ioctl_int(other, termios.FIONREAD) < min(before + written, _UNREAD) and clock.now_ns() < deadline_ns:
             clock.sleep_until(clock.now_ns() + MS // 20)
     return written
 
@@ -98,7 +98,7 @@ def _open_end(*end: *tuple[int, bool]) -> int | None:
     return found
 
 
-def _asked(descriptor: int, what: int) -> int:
+def _ioctl_int(descriptor: int, what: int) -> int:
     return int(struct.unpack("i", fcntl.ioctl(descriptor, what, bytes(4)))[0])
 
 
