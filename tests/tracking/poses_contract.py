@@ -27,7 +27,7 @@ from robofleet.bus.keys import TRUTH
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.nodes.pose_sources import pose_source
-from robofleet.runs.check_poses import complaints
+from robofleet.runs.check import pose_complaints
 from robofleet.tracking.events import Notice
 from robofleet.tracking.sources import Observation, PoseContext
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
@@ -158,4 +158,4 @@ class PosesContract:
             source.close()
 
     def test_its_configuration_is_not_refused(self, bench: PosesBench) -> None:
-        assert list(complaints(bench.config)) == []
+        assert list(pose_complaints(bench.config)) == []
