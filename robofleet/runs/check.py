@@ -18,11 +18,13 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.core.plugins import PluginError, load
 from robofleet.nodes import views
-from robofleet.runs import check_drivers, check_faults, check_poses, check_starts, reality
+from robofleet.nodes.pose_sources import POSES
+from robofleet.runs import check_drivers, check_faults, check_starts
 from robofleet.safety.distances import least_room_m
 from robofleet.safety.gate import VALID_NS
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.sources import AdjustableCamera, ScheduledCamera
+from robofleet.vehicles.interface import SimulatedDriver
 from robofleet.vehicles.solids import distances
 
 _LONGEST_TICK_S = VALID_NS / S - 0.03  # status period, bus and lateness come off what the gate grants
@@ -63,9 +65,7 @@ def load_checked(
     if not any(path.startswith("robots.") for path, _ in complaints):
         complaints += shared.unreachable(config, check_drivers.unreachable, "arena", "bus", "drivers", "robots")
     if not any(path.startswith(("robots.", "tracker.")) for path, _ in complaints):
-        complaints += shared.unreachable(
-            config, check_poses.unreachable, "arena", "robots", "tracker", "camera", "cameras"
-        )
+        complaints += shared.unreachable(config, unreachable, "arena", "robots", "tracker", "camera", "cameras")
     source.refuse(complaints)
     return config
 
@@ -76,8 +76,8 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
     """
     faults = check_faults.complaints(config, lockstep=lockstep)
-    complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality.complaints(config), *faults]
-    complaints += check_poses.complaints(config, lockstep=lockstep)
+    complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality_complaints(config), *faults]
+    complaints += pose_complaints(config, lockstep=lockstep)
     if config.tracker.source == "camera":
         for (path, _), view in zip(config.camera_keys, config.views, strict=True):
             complaints += _camera_source(view, path, lockstep)
@@ -290,3 +290,60 @@ def _none(_config: Config) -> tuple[Complaint, ...]:
 
 def _shown(value: float, unit: str) -> str:
     return f"{value:.4g} {unit}".rstrip()
+
+
+def pose_complaints(config: Config, *, lockstep: bool = False) -> Iterator[Complaint]:
+    """Yield why the source of poses cannot work. Nothing is opened."""
+    source = config.tracker.source
+    try:
+        found = load(POSES, source)
+    except PluginError as error:
+        yield "tracker.source", str(error)
+        return
+    in_lockstep = getattr(found, "works_in_lockstep", None)
+    if lockstep and source != "camera" and not (in_lockstep is not None and in_lockstep(config)):
+        yield "tracker.source", f"{source!r} keeps real time, and lockstep does not: run without --lockstep"
+    yield from getattr(found, "refusals", _none)(config)
+
+
+def unreachable(config: Config) -> list[Complaint]:
+    """Ask the source of poses who is there; returns who does not answer."""
+    return list(getattr(load(POSES, config.tracker.source), "unreachable", _none)(config))
+
+
+def reality_complaints(config: Config) -> Iterator[Complaint]:
+    """Yield the robots whose poses could never come."""
+    source, cameras = config.tracker.source, [camera.source for _, camera in config.camera_keys]
+    real = [camera for camera in cameras if camera != "simulated"]
+    capture = config.tracker.mocap.system if source == "mocap" else ""
+    if source == "camera" and not config.seen:
+        yield "tracker.source", "there is no robot that the camera could see, all are simulated: take truth"
+    for i, robot in enumerate(config.robots):
+        try:
+            mend = f"give {robot.id} a driver" if robot.twin is None else f"remove {robot.id}'s twin"
+            tells, looks = _tells(robot), source == "camera" and any(map(_looks, cameras))
+        except PluginError:
+            continue  # said already
+        if tells and looks and robot.reality == "real":
+            yield f"robots.{i}.reality", f"{cameras[0]!r} cannot see {robot.id}, which is simulated: write simulated"
+        elif not tells and robot.reality == "simulated":
+            yield f"robots.{i}.reality", f"nobody knows where {robot.id} is, {robot.driver!r} cannot tell: write real"
+        elif not tells and source == "truth":
+            yield f"robots.{i}.driver", f"{robot.driver!r} cannot tell where {robot.id} is: take tracker.source camera"
+        elif not tells and capture == "simulated":
+            message = f"a simulated motion capture cannot measure {robot.id}: name tracker.mocap.system"
+            yield f"robots.{i}.driver", message
+        elif tells and capture not in ("", "mock", "simulated") and robot.reality == "real":
+            yield f"robots.{i}.driver", f"{capture!r} cannot measure a simulated robot: {mend}"
+        elif not tells and source == "camera" and not real:
+            yield f"robots.{i}.driver", f"a simulated camera cannot see {robot.id}: take a real one, or give it a twin"
+
+
+def _tells(robot: Robot) -> bool:
+    """Return whether a robot says where it truly is: there is none, or its twin."""
+    return robot.twin is not None or issubclass(load("robofleet.drivers", robot.driver), SimulatedDriver)
+
+
+def _looks(camera: str) -> bool:
+    """Return whether a camera's images are of what exists now."""
+    return not issubclass(load("robofleet.cameras", camera), ScheduledCamera)

@@ -122,7 +122,7 @@ class Bodies:
             self._supply(now_ns)
         return now_ns
 
-    def row(self, row: int) -> tuple[Any, ...]:
+    def row(self, row: int) -> tuple[Any, Any, Any, Any]:
         """Return a robot's part of the arrays, as kernels take it."""
         return self.bodies[row], self.plants[row], self.coming[row], self.noise[row]
 

@@ -242,14 +242,10 @@ KERNELS = (_pass_on, _look, _fill_statuses, _fill_truths, simulated.advance_all,
 def compile_kernels(say: Say) -> None:
     """Compile every kernel, or load it from the cache, by calling it for no robots; ``say`` is told how far it is."""
     gates, inputs, links, drives = (np.ones(1, kind) for kind in (GATE, INPUT, LINK, DRIVE))
-    arena = (
-        np.zeros(1, simulated.BODY),
-        np.ones(1, simulated.PLANT),
-        np.zeros((1, 1), simulated.COMING),
-        np.zeros((1, 1)),
-    )
-    body = tuple(rows[0] for rows in arena)
-    nobody = tuple(rows[:0] for rows in arena)
+    bodies, plants = np.zeros(1, simulated.BODY), np.ones(1, simulated.PLANT)
+    coming, noise = np.zeros((1, 1), simulated.COMING), np.zeros((1, 1))
+    body = bodies[0], plants[0], coming[0], noise[0]
+    nobody = bodies[:0], plants[:0], coming[:0], noise[:0]
     statuses, truths = np.zeros(0, UNIT_STATUS.item_dtype), np.zeros(0, UNIT_TRUTH.item_dtype)
     with told("robots", KERNELS, say):
         _pass_on(gates[:0], inputs[:0], links[:0], drives[:0], *nobody, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)

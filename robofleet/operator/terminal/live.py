@@ -27,9 +27,8 @@ from robofleet.operator.terminal.live_state import UNDER_WAY, WAITING, banner, c
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.operator.terminal.qr_code import qr_code
 from robofleet.operator.terminal.terminal import Terminal
-from robofleet.recording import busy_machine
 from robofleet.recording.run import Recording
-from robofleet.recording.state_words import StateWords, state_words
+from robofleet.recording.state_words import StateWords, busy_notice, state_words
 from robofleet.runs.console import READY
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import describe
@@ -110,7 +109,7 @@ class LiveView:
         """Say once that the machine is busy, as soon as that is known."""
         if (busy := recording.newest(BUSY)) is not None:
             self._noticed = True
-            print(busy_machine.notice(busy, self._ids), file=sys.stderr)
+            print(busy_notice(busy, self._ids), file=sys.stderr)
 
     def _goes_on(self, recording: Recording) -> bool:
         state = recording.newest(STATE)
@@ -163,7 +162,7 @@ class LiveView:
         if state is not None and words is not None and (seen := banner(state, words, by_key=by_key, way=held)):
             parts += ["", seen]
         elif (busy := recording.newest(BUSY)) is not None:
-            parts += ["", Text(busy_machine.notice(busy, self._ids), "yellow")]
+            parts += ["", Text(busy_notice(busy, self._ids), "yellow")]
         if tick is not None:
             statuses = [recording.newest_status(robot.id) for robot in self._config.members]
             way = live_robots.Way(self._way, to_go_m) if self._way.phase is not None else None

@@ -29,7 +29,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, SimulatedClock
 from robofleet.gateways.ros2 import camera, run, sensing, topics, transforms
-from robofleet.gateways.ros2.floor import grid
+from robofleet.gateways.ros2.gateway import grid
 from robofleet.gateways.ros2.graph import stamped
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.sensing import Sensing
