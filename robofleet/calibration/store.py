@@ -61,7 +61,9 @@ def load(file: Path, kind: type[M]) -> M:
     except FileNotFoundError as error:
         raise CalibrationError(f"{file}: {error.strerror}") from error
     except ValidationError as invalid:
-        faults = (f"{': '.join(_where(file, e['loc']))}: {plain_words(e, kind)}" for e in invalid.errors())
+        paths = (".".join(map(str, error["loc"])) for error in invalid.errors())
+        words = (plain_words(error, kind) for error in invalid.errors())
+        faults = (": ".join(filter(None, (str(file), *fault))) for fault in zip(paths, words, strict=True))
         raise CalibrationError(faults) from invalid
 
 
@@ -83,10 +85,6 @@ def save(file: Path, calibration: Model) -> Path | None:
     except OSError as error:
         raise CalibrationError(f"{file}: cannot be written: {error.strerror}") from error
     return kept
-
-
-def _where(file: Path, loc: tuple[int | str, ...]) -> tuple[str, ...]:
-    return (str(file), ".".join(map(str, loc))) if loc else (str(file),)
 
 
 def _keep(file: Path) -> Path:

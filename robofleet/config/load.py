@@ -30,7 +30,16 @@ from robofleet.config.faults import (
 )
 from robofleet.config.files.csvfile import read_table
 from robofleet.config.files.names import SHIPPED, missing, nearest
-from robofleet.config.files.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, parse_yaml, read_yaml
+from robofleet.config.files.yamlfile import (
+    NUMBER_LIKE,
+    Mistake,
+    Node,
+    Position,
+    Source,
+    keys_of,
+    parse_yaml,
+    read_yaml,
+)
 from robofleet.config.groups import named
 from robofleet.config.tree import Config
 from robofleet.core.errors import BadInputError
@@ -151,8 +160,7 @@ class ConfigFile:
     def refuse(self, complaints: Iterable[Complaint]) -> None:
         """Raise a ConfigError that shows the place of every complaint, if there is one."""
         for path, message in complaints:
-            parts = file_path(self.config, path).split(".")
-            self._complain(tuple(int(p) if p.isdigit() else p for p in parts), message)
+            self._complain(keys_of(file_path(self.config, path)), message)
         if self._faults:
             raise self._error()
 
@@ -248,15 +256,8 @@ class ConfigFile:
 
     def _complain(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a fault at the value or the nearest one above it, unless one was reported there already."""
-        node, depth = self._root, 0
-        for part in loc:
-            if node.bad or (child := node.child(part)) is None:
-                break
-            node, depth = child, depth + 1
-        if not node.bad:
-            position = node.key if at_key else node.place
-            path = ".".join(filter(None, (position.path, *map(str, loc[depth:]))))
-            self._faults.append(Mistake(replace(position, path=path), message))
+        if (mistake := self._root.mistake(loc, message, at_key=at_key)) is not None:
+            self._faults.append(mistake)
 
     def _error(self) -> ConfigError:
         def position(fault: Mistake) -> tuple[int, int, int]:

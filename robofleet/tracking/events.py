@@ -111,6 +111,10 @@ class News:
             self._said_ns[event, tag] = now_ns
             self._happenings.append(Notice(event, tag, float(value)))
 
+    def add(self, notice: Notice) -> None:
+        """Add what happens once."""
+        self._happenings.append(notice)
+
     def take(self) -> tuple[Notice, ...]:
         """Return what was added since the last call."""
         taken, self._happenings = tuple(self._happenings), []

@@ -213,7 +213,10 @@ def measure(views: Sequence[BoardView], conditions: Asked) -> Measured:
     try:
         with np.errstate(all="ignore"):  # steps that lead nowhere overflow, and are taken back
             whole = fit(conditions.kind, conditions.coefficients, conditions.size, views)
-            while len(whole.views) > VIEWS / 2 and (surprise := whole.surprise).max() > _accepted(surprise):
+            while len(whole.views) > VIEWS / 2:
+                surprise = whole.surprise
+                if surprise.max() <= max(_PULL, _PULL_RATIO * float(np.median(surprise))):
+                    break
                 worst = int(surprise.argmax())
                 left_out.append(whole.views[worst])
                 whole = whole.without([worst])
@@ -222,10 +225,6 @@ def measure(views: Sequence[BoardView], conditions: Asked) -> Measured:
     if not whole.noise_px < _HOPELESS_PX:
         raise CalibrationError(_HOPELESS)
     return Measured(conditions, whole, tuple(Outlier(view, typical(_against(whole, view))) for view in left_out))
-
-
-def _accepted(surprise: Array) -> float:
-    return max(_PULL, _PULL_RATIO * float(np.median(surprise)))
 
 
 def _against(whole: Fit, view: BoardView) -> Array:
