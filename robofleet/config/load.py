@@ -360,9 +360,9 @@ class ConfigFile:
         """Return what the file holds if the value at ``path`` is the name of one, else the node itself."""
         if not isinstance(node.value, str):
             return node
-        if (columns := _kept_at(path, TABLES)) is not None:
+        if (columns := _entry_at(path, TABLES)) is not None:
             return self._table(node, columns)
-        folder = _kept_at(path, FOLDERS)
+        folder = _entry_at(path, FOLDERS)
         if folder is None:
             return node
         for file in self._candidates(node.value, folder):
@@ -425,7 +425,7 @@ def _each_once(invalid: ValidationError, root: type[BaseModel]) -> Iterator[Erro
         yield error
 
 
-def _kept_at(path: Loc, kinds: Mapping[tuple[str, ...], Loaded]) -> Loaded | None:
+def _entry_at(path: Loc, kinds: Mapping[tuple[str, ...], Loaded]) -> Loaded | None:
     """Return what a table of paths says of this one; ``*`` in it is any part."""
     for pattern, kept in kinds.items():
         if len(pattern) == len(path) and all(wild in ("*", part) for wild, part in zip(pattern, path, strict=True)):

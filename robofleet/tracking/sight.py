@@ -77,7 +77,7 @@ class FleetSight:
             wrong = self._camera is not self._tracker.geometry
             if wrong:
                 self._tracker.moved(self._camera)
-        self._blind = 0 if drift.witnessed else self._blind + 1
+        self._blind = 0 if drift.floor_seen else self._blind + 1
         if wrong or not drift.trusted or self._blind > _BLIND_IMAGES:
             robots = [pose for pose in robots if pose.coasted_ns]
         return Sight(tuple(map(self._robot, self._doubted(drift, robots))), refused, happenings + self._news.take())

@@ -31,7 +31,7 @@ _NAMED = 3  # views that contradict the others most
 _SHARED = 2.0  # what leaving out views tells over what noise tells: beyond it the views share errors
 
 
-class Asked(NamedTuple):
+class Conditions(NamedTuple):
     """What is measured, with what, and for which ceiling."""
 
     board: Board
@@ -60,7 +60,7 @@ class HeldOut(NamedTuple):
 class Measured:
     """A lens and all that is known of it."""
 
-    conditions: Asked
+    conditions: Conditions
     fit: Fit
     outliers: tuple[Outlier, ...]
 
@@ -203,7 +203,7 @@ class Measured:
         )
 
 
-def measure(views: Sequence[BoardView], conditions: Asked) -> Measured:
+def measure(views: Sequence[BoardView], conditions: Conditions) -> Measured:
     """Fit a lens to views; those that do not fit the others are left out, worst first.
 
     Raises:

@@ -71,7 +71,7 @@ def calibrate_arena(camera: Path, images: Sequence[Named], report: Path, wanted:
     refuse_other_sizes(images, model)
     seen = look(survey, images, lens.size)
     agreement = _agreement(lens, seen, wanted.survey_mm)
-    return _kept(_judged(camera, model, survey, images, seen, agreement, wanted), report)
+    return _written(_judged(camera, model, survey, images, seen, agreement, wanted), report)
 
 
 def calibrate_together(
@@ -109,7 +109,7 @@ def calibrate_together(
         seen = Look(with_places(view, agreement), tuple(f"{camera.stem}: {note}" for note in notes))
         judged.append(_judged(camera, model, survey, images[k], seen, agreement, wanted))
     return [
-        _kept(camera_images, report.with_name(f"{report.stem}-{camera_images.camera.stem}{report.suffix}"))
+        _written(camera_images, report.with_name(f"{report.stem}-{camera_images.camera.stem}{report.suffix}"))
         for camera_images in judged
     ]
 
@@ -148,7 +148,7 @@ def _judged(
     return Found(camera, model, agreement, seen.marks, region, sigma, notes)
 
 
-def _kept(found: Found, report: Path) -> Result:
+def _written(found: Found, report: Path) -> Result:
     """Write the page and the camera's file."""
     camera, model, agreement, marks, region, sigma_mm, notes = found
     write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, region, sigma_mm, notes)

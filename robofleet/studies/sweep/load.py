@@ -76,7 +76,7 @@ def load(file: Path, progress: Progress) -> Study:
             replay = f"{words} --seed {seeded.run.seed}"
             plans.append(Planned(len(plans) + 1, setting.values, name, seeded.run.seed, seeded, replay))
     if broken.lines:
-        raise ConfigError(broken.said(count))
+        raise ConfigError(broken.all_lines(count))
     random = sweep.random.keys.items() if sweep.random else ()
     spans = {key: distribution.log_uniform is not None for key, distribution in random if distribution.span is not None}
     return Study(file.stem, file, config, sweep.keys, spans, tuple(plans), _digest(plans))
@@ -133,7 +133,7 @@ class _Broken:
             self.lines.setdefault(position, (line, f"run {number}: {values}"))
             self._times[position] = self._times.get(position, 0) + 1
 
-    def said(self, count: int) -> Iterator[str]:
+    def all_lines(self, count: int) -> Iterator[str]:
         """Yield the lines; what is wrong with every setting needs no example."""
         for position, (line, example) in self.lines.items():
             times = self._times[position]
