@@ -14,72 +14,50 @@ from pydantic import Field
 from robofleet.behaviours import Behaviour, Bound, Decision, Figure, Refusal, Situation, Team
 from robofleet.behaviours.interface import Array
 from robofleet.behaviours.limits import point_speeds, slowed
-from robofleet.core.settings import MANY, Model, Name, within
+from robofleet.core.settings import MANY, Name, within
 
 Edge = Annotated[tuple[Name, Name], Field(strict=False)]
-
-
-class GraphSettings(Model):
-    """Which robots are neighbours."""
-
-    graph: Literal["ring", "complete", "line"] = "ring"
-    """``ring``: each robot and the next one of the group, the last one and the first. ``line``: the same without the
-    last and the first. ``complete``: all robots."""
-    edges: Annotated[tuple[Edge, ...], Field(min_length=1, max_length=MANY, strict=False)] | None = None
-    """Pairs of robots, in the place of ``graph``."""
-
-    def adjacency(self, robots: Sequence[str]) -> Array:
-        """Return the matrix A (N, N): 1 where two robots are neighbours, else 0."""
-        n = len(robots)
-        pairs = {
-            "ring": [(i, (i + 1) % n) for i in range(n)],
-            "line": [(i, i + 1) for i in range(n - 1)],
-            "complete": [(i, j) for i in range(n) for j in range(i)],
-        }[self.graph]
-        if self.edges is not None:
-            pairs = [(robots.index(a), robots.index(b)) for a, b in self.edges if {a, b} <= set(robots)]
-        matrix = np.zeros((n, n))
-        for i, j in pairs:
-            matrix[i, j] = matrix[j, i] = float(i != j)
-        return matrix
-
-    def laplacian(self, robots: Sequence[str]) -> Array:
-        """Return the graph's Laplacian L (N, N): (L x)_i is the sum of x_i - x_j over the neighbours j."""
-        matrix = self.adjacency(robots)
-        return np.asarray(np.diag(matrix.sum(axis=1)) - matrix)
-
-    def refusals(self, robots: Sequence[str]) -> Iterator[Refusal]:
-        """Yield edges of robots that are not there, and a graph that is in parts."""
-        for k, edge in enumerate(self.edges or ()):
-            for end, robot in enumerate(edge):
-                if robot not in robots:
-                    yield Refusal(f"settings.edges.{k}.{end}", f"{robot} is not in the group: name one that is")
-            if edge[0] == edge[1]:
-                yield Refusal(f"settings.edges.{k}", f"{edge[0]} is no neighbour of itself: name two robots")
-        reached = np.linalg.matrix_power(np.eye(len(robots)) + self.adjacency(robots) / len(robots), len(robots))[0]
-        if alone := [robot for robot, way in zip(robots, reached, strict=True) if way == 0.0]:
-            message = f"no edges lead from {robots[0]} to {', '.join(alone)}: add one"
-            yield Refusal("settings.edges", message)
 
 
 class Consensus(Behaviour):
     """Robots that meet."""
 
-    class Settings(GraphSettings):
+    class Settings(Behaviour.Settings):
         """The neighbours, the gain, and the highest speed."""
 
+        graph: Literal["ring", "complete", "line"] = "ring"
+        """``ring``: each robot and the next one of the group, the last one and the first. ``line``: the same without
+        the last and the first. ``complete``: all robots."""
+        edges: Annotated[tuple[Edge, ...], Field(min_length=1, max_length=MANY, strict=False)] | None = None
+        """Pairs of robots, in the place of ``graph``."""
         gain_per_s: Annotated[float, within(1e-3, 100)] = 0.5
         """Speed of a robot, by its distance from a neighbour (k)."""
         speed_m_s: Annotated[float, within(1e-3, 10)] = 0.08
         """Highest speed of a robot. Who asks for less than half of its top speed may wait for others, and is not taken
         for blocked by them."""
 
+        def adjacency(self, robots: Sequence[str]) -> Array:
+            """Return the matrix A (N, N): 1 where two robots are neighbours, else 0."""
+            n = len(robots)
+            pairs = {
+                "ring": [(i, (i + 1) % n) for i in range(n)],
+                "line": [(i, i + 1) for i in range(n - 1)],
+                "complete": [(i, j) for i in range(n) for j in range(i)],
+            }[self.graph]
+            if self.edges is not None:
+                pairs = [(robots.index(a), robots.index(b)) for a, b in self.edges if {a, b} <= set(robots)]
+            matrix = np.zeros((n, n))
+            for i, j in pairs:
+                matrix[i, j] = matrix[j, i] = float(i != j)
+            return matrix
+
     figures = (Figure("disagreement", "m", "mm", "Distance from the middle of the group."),)
 
     def __init__(self, settings: Settings, team: Team) -> None:
         """Know who is whose neighbour."""
         super().__init__(settings, team)
-        self._laplacian = settings.laplacian(team.robots)
+        adjacency = settings.adjacency(team.robots)
+        self._laplacian = np.diag(adjacency.sum(axis=1)) - adjacency
 
     def decide(self, now: Situation) -> Decision:
         """Return the agreement protocol's velocities."""
@@ -93,5 +71,15 @@ class Consensus(Behaviour):
         yield from point_speeds(self.team, "settings.speed_m_s", self.settings.speed_m_s)
 
     def refusals(self) -> Iterator[Refusal]:
-        """Yield what is wrong with the graph."""
-        yield from self.settings.refusals(self.team.robots)
+        """Yield edges of robots that are not there, and a graph that is in parts."""
+        robots, n = self.team.robots, len(self.team)
+        for k, edge in enumerate(self.settings.edges or ()):
+            for end, robot in enumerate(edge):
+                if robot not in robots:
+                    yield Refusal(f"settings.edges.{k}.{end}", f"{robot} is not in the group: name one that is")
+            if edge[0] == edge[1]:
+                yield Refusal(f"settings.edges.{k}", f"{edge[0]} is no neighbour of itself: name two robots")
+        reached = np.linalg.matrix_power(np.eye(n) + self.settings.adjacency(robots) / n, n)[0]
+        if alone := [robot for robot, way in zip(robots, reached, strict=True) if way == 0.0]:
+            message = f"no edges lead from {robots[0]} to {', '.join(alone)}: add one"
+            yield Refusal("settings.edges", message)

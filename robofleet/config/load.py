@@ -30,7 +30,16 @@ from robofleet.config.faults import (
 )
 from robofleet.config.files.csvfile import read_table
 from robofleet.config.files.names import SHIPPED, missing, nearest
-from robofleet.config.files.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, parse_yaml, read_yaml
+from robofleet.config.files.yamlfile import (
+    NUMBER_LIKE,
+    Mistake,
+    Node,
+    Position,
+    Source,
+    keys_of,
+    parse_yaml,
+    read_yaml,
+)
 from robofleet.config.groups import named
 from robofleet.config.tree import Config
 from robofleet.core.errors import BadInputError
@@ -151,8 +160,7 @@ class ConfigFile:
     def refuse(self, complaints: Iterable[Complaint]) -> None:
         """Raise a ConfigError that shows the place of every complaint, if there is one."""
         for path, message in complaints:
-            parts = file_path(self.config, path).split(".")
-            self._complain(tuple(int(p) if p.isdigit() else p for p in parts), message)
+            self._complain(keys_of(file_path(self.config, path)), message)
         if self._faults:
             raise self._error()
 
@@ -248,15 +256,8 @@ class ConfigFile:
 
     def _complain(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a fault at the value or the nearest one above it, unless one was reported there already."""
-        node, depth = self._root, 0
-        for part in loc:
-            if node.bad or (child := node.child(part)) is None:
-                break
-            node, depth = child, depth + 1
-        if not node.bad:
-            position = node.key if at_key else node.place
-            path = ".".join(filter(None, (position.path, *map(str, loc[depth:]))))
-            self._faults.append(Mistake(replace(position, path=path), message))
+        if (mistake := self._root.mistake(loc, message, at_key=at_key)) is not None:
+            self._faults.append(mistake)
 
     def _error(self) -> ConfigError:
         def position(fault: Mistake) -> tuple[int, int, int]:
@@ -359,9 +360,9 @@ class ConfigFile:
         """Return what the file holds if the value at ``path`` is the name of one, else the node itself."""
         if not isinstance(node.value, str):
             return node
-        if (columns := _kept_at(path, TABLES)) is not None:
+        if (columns := _entry_at(path, TABLES)) is not None:
             return self._table(node, columns)
-        folder = _kept_at(path, FOLDERS)
+        folder = _entry_at(path, FOLDERS)
         if folder is None:
             return node
         for file in self._candidates(node.value, folder):
@@ -424,7 +425,7 @@ def _each_once(invalid: ValidationError, root: type[BaseModel]) -> Iterator[Erro
         yield error
 
 
-def _kept_at(path: Loc, kinds: Mapping[tuple[str, ...], Loaded]) -> Loaded | None:
+def _entry_at(path: Loc, kinds: Mapping[tuple[str, ...], Loaded]) -> Loaded | None:
     """Return what a table of paths says of this one; ``*`` in it is any part."""
     for pattern, kept in kinds.items():
         if len(pattern) == len(path) and all(wild in ("*", part) for wild, part in zip(pattern, path, strict=True)):

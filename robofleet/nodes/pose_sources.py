@@ -77,7 +77,7 @@ class CameraPoses:
         self._seen: list[Notice] = []
         self._sight = FleetSight(config)
         self._virtual = VirtualPoses(config, config.virtual, context.bus, context.rng)
-        self._exposure = exposure_controller(config, feed.exposure_limits()) if camera.adjusts_exposure else None
+        self._exposure = exposure_controller(config, feed.device.exposure_limits()) if camera.adjusts_exposure else None
 
     def next_ns(self) -> int | None:
         """Return when the next observation will be ready; None: a message or an image will wake the process."""
@@ -106,7 +106,7 @@ class CameraPoses:
         if self._exposure is not None and taken.exposure is not None:
             exposure = self._exposure.look(self._sight.light(taken.image), taken.exposure)
             if exposure is not None:
-                self._feed.adjust(exposure)
+                self._feed.device.adjust(exposure)
             self._seen += self._exposure.news()
         poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi, *r.covariance) for r in sight.robots)
         poses += self._virtual.at(exposed_ns)

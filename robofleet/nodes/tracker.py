@@ -10,7 +10,7 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.nodes.pictures import Pictures
-from robofleet.tracking.events import Notice, TrackerEvent
+from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.sources import Observation, PoseSource
 
 _IDLE_NS = 100 * MS
@@ -103,7 +103,7 @@ class WatchedPoses:
         self._source = source
         self._heard_ns = now_ns
         self._deadline_ns: int | None = now_ns + _FIRST_NS
-        self._news: list[Notice] = []
+        self._news = News()
 
     def next_ns(self) -> int | None:
         """Return when the next observation will be ready, or silence is to be told."""
@@ -115,18 +115,16 @@ class WatchedPoses:
         observation = self._source.observe(now_ns)
         if observation is not None:
             if self._deadline_ns is None:
-                self._news.append(Notice(TrackerEvent.POSES_BACK, value=(now_ns - self._heard_ns) / S))
+                self._news.add(Notice(TrackerEvent.POSES_BACK, value=(now_ns - self._heard_ns) / S))
             self._heard_ns, self._deadline_ns = now_ns, now_ns + _SILENT_NS
         elif self._deadline_ns is not None and now_ns >= self._deadline_ns:
             self._deadline_ns = None
-            self._news.append(Notice(TrackerEvent.POSES_SILENT, value=(now_ns - self._heard_ns) / S))
+            self._news.add(Notice(TrackerEvent.POSES_SILENT, value=(now_ns - self._heard_ns) / S))
         return observation
 
     def news(self) -> tuple[Notice, ...]:
         """Return what happened since the last call."""
-        news = self._source.news() + tuple(self._news)
-        self._news.clear()
-        return news
+        return self._source.news() + self._news.take()
 
     def close(self) -> None:
         """Let go of the source."""

@@ -120,7 +120,7 @@ def sweep(
         print(f"there is no {table.PARQUET}, it needs pyarrow: {how_to_install('sweep')}", file=sys.stderr)
     files.append(page.write(study, runs, folder, files))
     if as_json:
-        print(dumps(sweep_report.told(study, runs, folder)))
+        print(dumps(sweep_report.as_json(study, runs, folder)))
     else:
         sweep_report.summarise(study, runs, files)
     if any(ran.outcome != "completed" for ran in runs):

@@ -73,10 +73,10 @@ def arena(
         tag_height_m = config.tracker.tag_height_m if tag_height_m is None else tag_height_m
     page = report_file(report, "arena")
     taken = _taken(files, images or [], config, count)
+    wanted = Wanted(survey, survey_mm, sides, tag_height_m or 0.0)
     if len(files) == 1:
-        results = [calibrate_arena(files[0], survey, taken[0], page, survey_mm, sides, tag_height_m or 0.0)]
+        results = [calibrate_arena(files[0], taken[0], page, wanted)]
     else:
-        wanted = Wanted(survey, survey_mm, sides, tag_height_m or 0.0)
         results = calibrate_together(files, taken, page, wanted)
     for file, result in zip(files, results, strict=True):
         for note in result.notes:

@@ -60,29 +60,18 @@ class Wanted(NamedTuple):
     tag_height_m: float = 0.0
 
 
-def calibrate_arena(
-    camera: Path,
-    survey_file: Path,
-    images: Sequence[Named],
-    report: Path,
-    survey_mm: float | None = None,
-    arena_m: tuple[float, float] | None = None,
-    tag_height_m: float = 0.0,
-) -> Result:
+def calibrate_arena(camera: Path, images: Sequence[Named], report: Path, wanted: Wanted) -> Result:
     """Measure where a camera hangs, write it into its file, and a page about it.
-
-    ``survey_mm``: standard deviation of the survey, one coordinate; None: estimated. ``arena_m``: the sides of a
-    rectangle around the world's origin in which robots drive; None: the rectangle of the marks.
 
     Raises:
         CalibrationError: the inputs do not say it, or not well enough; nothing is written then.
     """
-    wanted = Wanted(survey_file, survey_mm, arena_m, tag_height_m)
-    model, survey = load(camera, CameraModel), load_survey(survey_file)
+    model, survey = load(camera, CameraModel), load_survey(wanted.survey_file)
     lens = lens_of(camera, model)
     refuse_other_sizes(images, model)
     seen = look(survey, images, lens.size)
-    return _kept(_judged(camera, model, survey, images, seen, _agreement(lens, seen, survey_mm), wanted), report)
+    agreement = _agreement(lens, seen, wanted.survey_mm)
+    return _written(_judged(camera, model, survey, images, seen, agreement, wanted), report)
 
 
 def calibrate_together(
@@ -120,7 +109,7 @@ def calibrate_together(
         seen = Look(with_places(view, agreement), tuple(f"{camera.stem}: {note}" for note in notes))
         judged.append(_judged(camera, model, survey, images[k], seen, agreement, wanted))
     return [
-        _kept(camera_images, report.with_name(f"{report.stem}-{camera_images.camera.stem}{report.suffix}"))
+        _written(camera_images, report.with_name(f"{report.stem}-{camera_images.camera.stem}{report.suffix}"))
         for camera_images in judged
     ]
 
@@ -159,7 +148,7 @@ def _judged(
     return Found(camera, model, agreement, seen.marks, region, sigma, notes)
 
 
-def _kept(found: Found, report: Path) -> Result:
+def _written(found: Found, report: Path) -> Result:
     """Write the page and the camera's file."""
     camera, model, agreement, marks, region, sigma_mm, notes = found
     write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, region, sigma_mm, notes)

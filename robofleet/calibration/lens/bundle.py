@@ -190,10 +190,10 @@ def _adjusted(lens: Lens, views: tuple[BoardView, ...], poses: Array, prior: Pri
         lens, poses, residuals, damping = tried, poses + steps, moved, max(damping / 10.0, 1e-9)
         if before - after <= 1e-9 * before and abs(_noise(residuals) - noise) <= 1e-4 * noise:
             break
-    return _told(lens, views, poses, residuals, prior)
+    return _fit_of(lens, views, poses, residuals, prior)
 
 
-def _told(lens: Lens, views: tuple[BoardView, ...], poses: Array, residuals: list[Array], prior: Prior) -> Fit:
+def _fit_of(lens: Lens, views: tuple[BoardView, ...], poses: Array, residuals: list[Array], prior: Prior) -> Fit:
     scale = _noise(residuals)
     weights = [_weights(r, scale) for r in residuals]
     roots, rests = zip(*(_root(lens, *p) for p in zip(views, poses, residuals, weights, strict=True)), strict=True)

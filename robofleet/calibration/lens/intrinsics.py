@@ -31,7 +31,7 @@ _NAMED = 3  # views that contradict the others most
 _SHARED = 2.0  # what leaving out views tells over what noise tells: beyond it the views share errors
 
 
-class Asked(NamedTuple):
+class Conditions(NamedTuple):
     """What is measured, with what, and for which ceiling."""
 
     board: Board
@@ -60,7 +60,7 @@ class HeldOut(NamedTuple):
 class Measured:
     """A lens and all that is known of it."""
 
-    conditions: Asked
+    conditions: Conditions
     fit: Fit
     outliers: tuple[Outlier, ...]
 
@@ -203,7 +203,7 @@ class Measured:
         )
 
 
-def measure(views: Sequence[BoardView], conditions: Asked) -> Measured:
+def measure(views: Sequence[BoardView], conditions: Conditions) -> Measured:
     """Fit a lens to views; those that do not fit the others are left out, worst first.
 
     Raises:
@@ -213,7 +213,10 @@ def measure(views: Sequence[BoardView], conditions: Asked) -> Measured:
     try:
         with np.errstate(all="ignore"):  # steps that lead nowhere overflow, and are taken back
             whole = fit(conditions.kind, conditions.coefficients, conditions.size, views)
-            while len(whole.views) > VIEWS / 2 and (surprise := whole.surprise).max() > _accepted(surprise):
+            while len(whole.views) > VIEWS / 2:
+                surprise = whole.surprise
+                if surprise.max() <= max(_PULL, _PULL_RATIO * float(np.median(surprise))):
+                    break
                 worst = int(surprise.argmax())
                 left_out.append(whole.views[worst])
                 whole = whole.without([worst])
@@ -222,10 +225,6 @@ def measure(views: Sequence[BoardView], conditions: Asked) -> Measured:
     if not whole.noise_px < _HOPELESS_PX:
         raise CalibrationError(_HOPELESS)
     return Measured(conditions, whole, tuple(Outlier(view, typical(_against(whole, view))) for view in left_out))
-
-
-def _accepted(surprise: Array) -> float:
-    return max(_PULL, _PULL_RATIO * float(np.median(surprise)))
 
 
 def _against(whole: Fit, view: BoardView) -> Array:

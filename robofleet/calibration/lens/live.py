@@ -10,7 +10,7 @@ from rich.text import Text
 
 from robofleet.calibration.frames import MIRRORED
 from robofleet.calibration.lens.gathering import FIRST, Gathering
-from robofleet.calibration.lens.intrinsics import ARENA_MM, FOCAL, Asked, Measured, measure
+from robofleet.calibration.lens.intrinsics import ARENA_MM, FOCAL, Conditions, Measured, measure
 from robofleet.calibration.lens.views import COLUMNS, ROWS, Coverage, Lean, Offer
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.files.yamlfile import Source, read_yaml
@@ -21,15 +21,20 @@ from robofleet.tracking.sources import Camera, CameraError
 _ARROWS = {Lean.LEFT: "<", Lean.RIGHT: ">", Lean.UPPER: "^", Lean.LOWER: "v", Lean.FLAT: "o"}
 
 
-def capture(camera: Camera, gathering: Gathering, ask: Callable[[tuple[int, int]], Asked], screen: "Screen") -> None:
-    """Take a camera's images until its lens is determined, they end, or the operator stops it with Ctrl-C."""
+def capture(
+    camera: Camera, gathering: Gathering, conditions: Callable[[tuple[int, int]], Conditions], screen: "Screen"
+) -> None:
+    """Take a camera's images until its lens is determined, they end, or the operator stops it with Ctrl-C.
+
+    ``conditions``: of a measurement, from the images' width and height [px].
+    """
     measured: Measured | None = None
     try:
         while measured is None or measured.faults():
             image = camera.read().image
             offer = gathering.take(f"image {len(gathering.fates) + 1}", image)
             if offer is Offer.NEW and len(gathering.views) >= FIRST:
-                measured = measure(gathering.views, ask(gathering.size))
+                measured = measure(gathering.views, conditions(gathering.size))
             screen.show(gathering, measured, offer)
     except (EOFError, KeyboardInterrupt):
         return

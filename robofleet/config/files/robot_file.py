@@ -1,15 +1,11 @@
 """``robot.yaml`` on a robot's own computer: whose robot it is, where its router is, and what a run may ask of it."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import Field
 
-from robofleet.config.faults import plain_words
-from robofleet.config.files.yamlfile import Mistake, Node, Position, Source, read_yaml
-from robofleet.config.load import ConfigError
+from robofleet.config.files.parameters import Parameters, load_placed
 from robofleet.core import folders
 from robofleet.core.patterns import NETWORK_PATTERN
 from robofleet.core.settings import Model, Name
@@ -28,7 +24,7 @@ class Allowed(Model):
     """Fastest wheel; null: any."""
 
 
-class RobotFile(Model):
+class RobotFile(Parameters):
     """The file."""
 
     arena: Name
@@ -63,24 +59,5 @@ def robot_file() -> Path:
 
 def load_robot_file(file: Path) -> RobotFile:
     """Read the file; ConfigError with everything that is wrong."""
-    source = Source(str(file))
-    try:
-        root, mistakes = read_yaml(file, source)
-    except FileNotFoundError:
-        joining = "no such file: `robofleet join FILE` writes it from what `robofleet keys bundle` made"
-        root, mistakes = None, [Mistake(Position(source, 1, 1, ""), joining)]
-    if root is None or mistakes:
-        raise ConfigError(map(str, mistakes))
-    try:
-        return RobotFile.model_validate(root.plain())
-    except ValidationError as invalid:
-        raise ConfigError(str(_mistake(root, error)) for error in invalid.errors(include_url=False)) from invalid
-
-
-def _mistake(root: Node, error: ErrorDetails) -> Mistake:
-    """Return one of pydantic's errors, at its place in the file."""
-    node = root
-    for part in error["loc"]:
-        node = node.child(part) or node
-    position = replace(node.place, path=".".join(map(str, error["loc"])))
-    return Mistake(position, plain_words(error, RobotFile))
+    absent = "no such file: `robofleet join FILE` writes it from what `robofleet keys bundle` made"
+    return load_placed(RobotFile, file, absent)[0]

@@ -1,7 +1,8 @@
 """Strict YAML: every value with its line and column. What YAML 1.1 would quietly misread is refused."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -80,6 +81,19 @@ class Node:
             return self.value[part]
         return None
 
+    def mistake(self, keys: Sequence[str | int], message: str, *, at_key: bool = False) -> Mistake | None:
+        """Return a mistake at the value that keys lead to, or at the nearest one above; None where one is reported."""
+        node, depth = self, 0
+        for part in keys:
+            if node.bad or (child := node.child(part)) is None:
+                break
+            node, depth = child, depth + 1
+        if node.bad:
+            return None
+        position = node.key if at_key else node.place
+        path = ".".join(filter(None, (position.path, *map(str, keys[depth:]))))
+        return Mistake(replace(position, path=path), message)
+
     def plain(self) -> object:
         """Return the value without its places."""
         if isinstance(self.value, dict):
@@ -87,6 +101,11 @@ class Node:
         if isinstance(self.value, list):
             return [node.plain() for node in self.value]
         return self.value
+
+
+def keys_of(path: str) -> tuple[str | int, ...]:
+    """Return the keys and indices of a dotted path."""
+    return tuple(int(part) if part.isdigit() else part for part in path.split("."))
 
 
 def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Mistake]]:

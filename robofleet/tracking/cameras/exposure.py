@@ -13,7 +13,7 @@ from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.cameras.light import Light
-from robofleet.tracking.events import Notice, TrackerEvent
+from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.sources import CameraError, Exposure, ExposureLimits
 from robofleet.tracking.tags.photometric import side_px
 from robofleet.tracking.tags.targets import robot_targets
@@ -44,7 +44,7 @@ class ExposureController:
         self._peak: Light | None = None  # the brightest since it settled
         self._correcting = 0  # 1: raising, -1: lowering
         self._trouble: TrackerEvent | None = None
-        self._news: list[Notice] = []
+        self._news = News()
 
     def look(self, light: Light, exposure: Exposure) -> Exposure | None:
         """Take how bright an image is, and how it was exposed; return a new exposure, None: leave it."""
@@ -74,9 +74,7 @@ class ExposureController:
 
     def news(self) -> tuple[Notice, ...]:
         """Return what happened since the last call."""
-        news = tuple(self._news)
-        self._news.clear()
-        return news
+        return self._news.take()
 
     def _within(self, exposure: Exposure) -> Exposure:
         """Return the limits' nearest exposure to one that is not within them, as the first one may be."""
@@ -126,7 +124,7 @@ class ExposureController:
             trouble = Notice(TrackerEvent.CAMERA_TOO_DARK, value=light.clearest)
         event = None if trouble is None else trouble.event
         if event is not self._trouble:
-            self._news.append(trouble or Notice(TrackerEvent.CAMERA_LIGHT_GOOD, value=light.white))
+            self._news.add(trouble or Notice(TrackerEvent.CAMERA_LIGHT_GOOD, value=light.white))
         self._trouble = event
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.targets import Target
+from robofleet.tracking.tags.tracker import TagSighting
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -28,27 +29,18 @@ class Light(NamedTuple):
     tags: int
 
 
-class SeenTag(NamedTuple):
-    """Where a tag's centre was seen."""
-
-    tag: int
-    x: float  # [m; world]
-    y: float
-    psi: float  # of the print's right [rad; CCW +]
-
-
 class TagLight:
     """Looks at the white and black cells of known tags."""
 
     def __init__(self, targets: Sequence[Target]) -> None:
         self._cells = {target.tag: (target, _chosen(target)) for target in targets}
 
-    def of(self, image: NDArray[np.uint8], geometry: CameraGeometry, places: Iterable[SeenTag]) -> Light:
+    def of(self, image: NDArray[np.uint8], geometry: CameraGeometry, sightings: Iterable[TagSighting]) -> Light:
         """Return how bright an image (H, W) is, by the tags that were seen in it."""
         points = []
-        for tag, x, y, psi in places:
-            target, cells = self._cells[tag]
-            z = complex(x, y) + target.whole * np.exp(1j * psi) * cells
+        for seen in sightings:
+            target, cells = self._cells[seen.tag]
+            z = complex(seen.x, seen.y) + target.whole * np.exp(1j * seen.psi) * cells
             points.append(np.stack([z.real, z.imag, np.full(len(z), target.height)], axis=1))
         if not points:
             middle, gray = np.percentile(image[::_EVERY, ::_EVERY], (50.0, _LIGHT_GRAY)).tolist()

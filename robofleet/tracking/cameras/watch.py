@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.core.clock import MS, S
-from robofleet.tracking.events import Notice, TrackerEvent
+from robofleet.tracking.events import News, Notice, TrackerEvent
 
 _STALLED_PERIODS = 5
 _STALLED_NS = 250 * MS  # at least: a robot is lost without poses for half a second
@@ -46,7 +46,7 @@ class CameraWatch:
         self._waiting_since_ns = now_ns
         self._lost = False
         self._reported: set[TrackerEvent] = set()  # since all was well
-        self._news: list[Notice] = []
+        self._news = News()
 
     @property
     def deadline_ns(self) -> int | None:
@@ -72,7 +72,7 @@ class CameraWatch:
             return False
         self._repeats = 0
         if self._reported:
-            self._news.append(Notice(TrackerEvent.CAMERA_BACK, value=(now_ns - self._good_ns) / S))
+            self._news.add(Notice(TrackerEvent.CAMERA_BACK, value=(now_ns - self._good_ns) / S))
             self._reported.clear()
         self._good_ns = now_ns
         return True
@@ -96,9 +96,7 @@ class CameraWatch:
 
     def news(self) -> tuple[Notice, ...]:
         """Return what happened since the last call."""
-        news = tuple(self._news)
-        self._news.clear()
-        return news
+        return self._news.take()
 
     def _timed(self, exposure_ns: int, now_ns: int) -> bool:
         """Return whether a stamp can be right, as it is or because the camera's clock jumped, and take it."""
@@ -121,7 +119,7 @@ class CameraWatch:
         if not agree or not self._delays_ns:
             return False
         before_ns, self._ahead_ns = self._ahead_ns, min(self._delays_ns) - least_ns
-        self._news.append(Notice(TrackerEvent.CLOCK_JUMPED, value=(self._ahead_ns - before_ns) / S))
+        self._news.add(Notice(TrackerEvent.CLOCK_JUMPED, value=(self._ahead_ns - before_ns) / S))
         return True
 
     def _seen_before(self, image: NDArray[np.uint8]) -> bool:
@@ -133,4 +131,4 @@ class CameraWatch:
     def _say(self, event: TrackerEvent, value: float) -> None:
         if event not in self._reported:
             self._reported.add(event)
-            self._news.append(Notice(event, value=float(value)))
+            self._news.add(Notice(event, value=float(value)))

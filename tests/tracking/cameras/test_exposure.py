@@ -20,10 +20,11 @@ from robofleet.tracking.cameras.exposure import (
     exposure_controller,
     longest_exposure,
 )
-from robofleet.tracking.cameras.light import Light, SeenTag, TagLight
+from robofleet.tracking.cameras.light import Light, TagLight
 from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sources import CameraError, Exposure, ExposureLimits
 from robofleet.tracking.tags.targets import Target, robot_targets
+from robofleet.tracking.tags.tracker import TagSighting
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 AIM = 200.0
@@ -252,13 +253,13 @@ def test_limits_are_the_cameras_and_the_configurations() -> None:
 # The light that it goes by
 
 
-def grays(*patches: tuple[float, float]) -> tuple[np.ndarray, list[SeenTag], TagLight, CameraGeometry]:
+def grays(*patches: tuple[float, float]) -> tuple[np.ndarray, list[TagSighting], TagLight, CameraGeometry]:
     """Return an image with tags of these black and white greys."""
     config = load_config(PLATOON)
     eye = CameraGeometry.from_model(config.camera.model)
     targets = [Target(k, 0.07, 0.08, 0.0) for k in range(len(patches))]
     renderer = SceneRenderer(eye, (1280, 720), targets, 0.0, np.random.default_rng(1))
-    places = [SeenTag(k, 0.3 * k - 0.3, 0.2 * k, 0.4 + k) for k in range(len(patches))]
+    places = [TagSighting(k, 0.3 * k - 0.3, 0.2 * k, 0.4 + k, 0, 0) for k in range(len(patches))]
     image = renderer.render(np.array([place[1:] for place in places])).astype(float)
     for (black, white), place in zip(patches, places, strict=True):
         u, v = np.rint(eye.project(np.array([[place.x, place.y, 0.08]]))[0]).astype(int)
