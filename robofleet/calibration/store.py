@@ -1,4 +1,4 @@
-"""Calibrations as YAML: written whole or not at all, and the one before is kept."""
+"""Calibrations as YAML files: written atomically; the previous file is kept."""
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence

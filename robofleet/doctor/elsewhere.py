@@ -1,4 +1,4 @@
-"""Libraries that may hang or end a process are asked in another one: numba, and those of cameras' makers."""
+"""Runs scripts in a process of their own: numba and cameras' libraries may hang or crash."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""A disk that can be full: a robot's memory, a process's log, and the room that is left beside a recording."""
+"""A disk that can be full, for a robot's stored state, a process's log, and the free space of a recording."""
 
 import errno
 import io

@@ -1,4 +1,4 @@
-"""What goes wrong between a camera and the poses of its images."""
+"""Faults of a camera and of its poses."""
 
 from collections import deque
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Where poses come from when there is no laboratory: a rendered camera, or the truth with errors added."""
+"""Simulated sources of poses: a rendered camera, or the truth with errors added."""
 
 import math
 from collections.abc import Iterator, Sequence

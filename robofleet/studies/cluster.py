@@ -1,4 +1,4 @@
-"""Ray as the engine: one on this machine for this command alone, or a cluster that is there. Its scheduler decides."""
+"""The engine that ``--on`` names: this machine, or Ray, started for this command or an existing cluster."""
 
 import logging
 import os

@@ -1,4 +1,4 @@
-"""How far many runs are, with the time left, on stderr: a bar on a terminal, a line from time to time elsewhere."""
+"""Progress of many runs on stderr, with the time left: a bar on a terminal, else a line every ten seconds."""
 
 import sys
 from collections.abc import Iterator

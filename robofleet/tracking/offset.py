@@ -1,4 +1,4 @@
-"""Between a tag's pose and its robot's: what the camera sees is the tag, what drives is the middle of the axle."""
+"""Converts between the pose of a tag and the pose of its robot's centre, the middle of the axle."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Which marks agree on where the camera hangs: one that was surveyed wrongly must not pull the others along.
+"""Which marks agree on the camera's pose: finds wrongly surveyed marks, so that they do not bias the fit.
 
 Every four marks give a pose; the one that most marks fit best begins (least trimmed squares). From there on marks join
 that are where the fit expects them, the nearest first, and leave when they are not; what is expected counts the survey,

@@ -1,4 +1,4 @@
-"""The page about a camera's place: how sure it is where, and what every mark says."""
+"""The page about a camera's pose: its uncertainty over the floor, and each mark's error."""
 
 import math
 from collections.abc import Sequence

@@ -1,9 +1,9 @@
-"""Is the camera where it was calibrated? A fresh look at the surveyed marks tells, or says that it cannot.
+"""Verifies that the camera still hangs where it was calibrated, by new images of the surveyed marks.
 
-Two stories are tried. The camera stayed, and marks that are not where they were were moved; then the others, fitted
-afresh, must give the calibrated pose within the uncertainty of the change. Or the camera was knocked, and most marks
-agree on another pose. The first is told if it needs no more than one moved mark more than the second. Limits are
-probabilities, not millimetres.
+Two hypotheses are compared. First: the camera stayed, and somebody moved the marks that are elsewhere now. Then a new
+fit of the other marks must give the calibrated pose, within the uncertainty of the change. Second: the camera was
+knocked, and most marks agree on another pose. The first is reported if it needs at most one moved mark more than the
+second. Limits are probabilities, not millimetres.
 
 How uncertain the change is. Let the lens's file be wrong by l, a mark's survey by s, and its pixel by e then and e'
 now. The calibrated pose is wrong by A l + B (s + e): the fit spreads the marks' errors over the pose. A fit of today is
@@ -48,7 +48,7 @@ Flags = NDArray[np.bool_]
 
 _FALSE_ALARM = 1e-3  # probability of an accusation when nothing moved
 _SUFFICES = 0.01  # chance of what a turn alone leaves over, above which it explains a knock
-_WORTH_TELLING = 0.1  # of a turn's largest part
+_WORTH_REPORTING = 0.1  # of a turn's largest part
 _LIE_STILL_M = 1e-5  # standard deviation with which a print keeps its place on a floor, one coordinate
 _SAME_M = 1e-6  # a mark whose surveyed coordinates differ by more was surveyed again
 
@@ -81,7 +81,7 @@ class _Known(NamedTuple):
     frame: str
 
 
-class _Story(NamedTuple):
+class _Hypothesis(NamedTuple):
     """What may have happened."""
 
     placement: Placement  # by the marks that stayed
@@ -124,7 +124,7 @@ def _calibrated(camera: Path, model: CameraModel, survey_mm: float | None) -> Ca
 
 
 def judge(lens: Lens, marks: Marks, calibrated: Calibrated, floor: Array) -> Verdict:
-    """Tell the likelier story; ``floor`` (G, 3) [m; world]: where an error of the camera matters.
+    """Report the likelier hypothesis; ``floor`` (G, 3) [m; world]: where an error of the camera matters.
 
     Raises:
         CalibrationError: the marks do not tell.
@@ -133,9 +133,9 @@ def judge(lens: Lens, marks: Marks, calibrated: Calibrated, floor: Array) -> Ver
     known = _by_pixels(lens, marks, calibrated) or _by_survey(lens, marks, calibrated)
     squares, error, expected = _compared(lens, known)
     stayed = squares < limit(_FALSE_ALARM / len(known.marks), None)
-    story = _by_those(lens, known, stayed)
-    believed = story is not None and story.surprise > _FALSE_ALARM
-    if story is None or not believed or not stayed.all():
+    hypothesis = _by_those(lens, known, stayed)
+    believed = hypothesis is not None and hypothesis.surprise > _FALSE_ALARM
+    if hypothesis is None or not believed or not stayed.all():
         try:
             other = _by_most(lens, known)
         except CalibrationError:
@@ -143,15 +143,15 @@ def judge(lens: Lens, marks: Marks, calibrated: Calibrated, floor: Array) -> Ver
                 raise
         else:
             if not believed or np.count_nonzero(~stayed) > np.count_nonzero(~other.stayed) + 1:
-                story = other
-    assert story is not None
-    others = _others(story, known, marks)
-    if story.surprise <= _FALSE_ALARM:
-        return Verdict(False, (_knock(story, lens, calibrated, floor), *others))
-    rms, usual = (1e3 * math.sqrt(float(values[story.stayed].mean())) for values in ((error**2).sum(1), expected))
-    count = np.count_nonzero(story.stayed)
+                hypothesis = other
+    assert hypothesis is not None
+    others = _others(hypothesis, known, marks)
+    if hypothesis.surprise <= _FALSE_ALARM:
+        return Verdict(False, (_knock(hypothesis, lens, calibrated, floor), *others))
+    rms, usual = (1e3 * math.sqrt(float(values[hypothesis.stayed].mean())) for values in ((error**2).sum(1), expected))
+    count = np.count_nonzero(hypothesis.stayed)
     fine = f"{count} marks are seen {rms:.2f} mm rms from {known.their}; {usual:.2f} mm is expected"
-    if not story.stayed.all() or story.placement.turned.any():
+    if not hypothesis.stayed.all() or hypothesis.placement.turned.any():
         return Verdict(False, (f"the camera is in its place, but not every mark is where it was: {fine}", *others))
     return Verdict(True, (f"OK: {fine}", *others))
 
@@ -207,19 +207,19 @@ def _compared(lens: Lens, known: _Known) -> tuple[Array, Array, Array]:
     return distances(error, noise), error, np.trace(noise, axis1=1, axis2=2)
 
 
-def _by_those(lens: Lens, known: _Known, stayed: Flags) -> _Story | None:
-    """Return the story that some marks stayed; None if they do not determine a pose."""
+def _by_those(lens: Lens, known: _Known, stayed: Flags) -> _Hypothesis | None:
+    """Return the hypothesis that some marks stayed; None if they do not determine a pose."""
     if np.count_nonzero(stayed) < LEAST - 1 or on_one_line(known.marks.points[stayed]):
         return None
     try:
         placement = place(lens, known.marks.chosen(stayed), known.T, known.place_m)
     except np.linalg.LinAlgError:
         return None
-    return _story(placement, stayed, known)
+    return _hypothesis(placement, stayed, known)
 
 
-def _by_most(lens: Lens, known: _Known) -> _Story:
-    """Return the story that most marks stayed, wherever the camera is now; CalibrationError if they disagree.
+def _by_most(lens: Lens, known: _Known) -> _Hypothesis:
+    """Return the hypothesis that most marks stayed, wherever the camera is now; CalibrationError if they disagree.
 
     From elsewhere, and in other light, a mark's pixel does not repeat as well as it did. If the marks do not agree as
     well as expected, how well they do is estimated; no worse than they were surveyed is still an answer.
@@ -232,42 +232,42 @@ def _by_most(lens: Lens, known: _Known) -> _Story:
                 raise
             continue
         if placement.survey_m <= known.survey_m and chance(placement.chi_square, placement.freedom) >= _FALSE_ALARM:
-            return _story(placement, inside, known)
+            return _hypothesis(placement, inside, known)
     names = ", ".join(known.marks.names)
     raise CalibrationError(f"{names}: no pose shows these where they were surveyed: survey them again")
 
 
-def _story(placement: Placement, stayed: Flags, known: _Known) -> _Story:
+def _hypothesis(placement: Placement, stayed: Flags, known: _Known) -> _Hypothesis:
     change = change_between(known.T, placement.T_world_camera)
     covariance = placement.covariance + known.covariance
     surprise = chance(float(change @ np.linalg.solve(covariance, change)), len(change))
-    return _Story(placement, stayed, change, surprise)
+    return _Hypothesis(placement, stayed, change, surprise)
 
 
-def _others(story: _Story, known: _Known, seen: Marks) -> list[str]:
+def _others(hypothesis: _Hypothesis, known: _Known, seen: Marks) -> list[str]:
     """Return a sentence for each mark that is not where it was, and one for those that say nothing of that."""
     marks = known.marks
-    error, _ = story.placement.seen(marks)
+    error, _ = hypothesis.placement.seen(marks)
     sentences = [
         f"{marks.names[i]}: lies {math.hypot(x, y):.2g} mm from {known.frame} ({x:+.2f} mm in x, {y:+.2f} mm in y)"
         for i, (x, y) in enumerate((1e3 * error).tolist())
-        if not story.stayed[i]
+        if not hypothesis.stayed[i]
     ]
-    names = [name for name, stays in zip(marks.names, story.stayed, strict=True) if stays]
-    for i in np.flatnonzero(story.placement.turned):
-        off = math.degrees(story.placement.heading_error[i])
+    names = [name for name, stays in zip(marks.names, hypothesis.stayed, strict=True) if stays]
+    for i in np.flatnonzero(hypothesis.placement.turned):
+        off = math.degrees(hypothesis.placement.heading_error[i])
         sentences.append(f"{names[i]}: is turned by {off:+.1f} degrees from its surveyed heading")
     if new := [name for name in seen.names if name not in marks.names]:
         sentences.append(f"{', '.join(new)}: not compared: not seen, or surveyed otherwise, at the calibration")
     return sentences
 
 
-def _knock(story: _Story, lens: Lens, calibrated: Calibrated, floor: Array) -> str:
+def _knock(hypothesis: _Hypothesis, lens: Lens, calibrated: Calibrated, floor: Array) -> str:
     """Return in words how a camera moved, and what that does on the floor."""
-    before, after = lens.geometry.moved(calibrated.T), story.placement.geometry
+    before, after = lens.geometry.moved(calibrated.T), hypothesis.placement.geometry
     off = before.to_plane(after.project(floor), floor[:, 2]) - floor[:, :2]
     distance = 1e3 * np.hypot(off[:, 0], off[:, 1])
-    turn, shift = _explanation(story)
+    turn, shift = _explanation(hypothesis)
     parts = ([_turned(turn, before)] if turn.any() else []) + ([_shifted(shift)] if shift.any() else [])
     return (
         f"the camera was knocked: by its calibration, things now seem {math.sqrt((distance**2).mean()):.1f} mm rms "
@@ -275,16 +275,16 @@ def _knock(story: _Story, lens: Lens, calibrated: Calibrated, floor: Array) -> s
     )
 
 
-def _explanation(story: _Story) -> tuple[Array, Array]:
+def _explanation(hypothesis: _Hypothesis) -> tuple[Array, Array]:
     """Return the turn [rad] and the shift [m] of a knock: a turn alone if that explains it, for mounts turn easily."""
-    weight = np.linalg.inv(story.placement.covariance)
+    weight = np.linalg.inv(hypothesis.placement.covariance)
     for kept in (slice(0, 3), slice(3, 6)):
         part = np.zeros(6)
-        part[kept] = np.linalg.solve(weight[kept, kept], (weight @ story.change)[kept])
-        left = story.change - part
+        part[kept] = np.linalg.solve(weight[kept, kept], (weight @ hypothesis.change)[kept])
+        left = hypothesis.change - part
         if chance(float(left @ weight @ left), 3) > _SUFFICES:
             return part[:3], part[3:]
-    return story.change[:3], story.change[3:]
+    return hypothesis.change[:3], hypothesis.change[3:]
 
 
 def _turned(turn: Array, before: CameraGeometry) -> str:
@@ -298,7 +298,7 @@ def _turned(turn: Array, before: CameraGeometry) -> str:
             ("towards its image's bottom", "towards its image's left", "counter-clockwise about its axis"),
             strict=True,
         )
-        if abs(value) > _WORTH_TELLING * np.abs(degrees).max()
+        if abs(value) > _WORTH_REPORTING * np.abs(degrees).max()
     ]
     return f"turned by {np.linalg.norm(degrees):.2g} degrees ({', '.join(parts)})"
 

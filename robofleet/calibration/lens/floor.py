@@ -1,4 +1,4 @@
-"""What an error of the lens does on the floor, below a camera that looks straight down.
+"""The effect of lens errors on the floor, below a camera that looks straight down.
 
 A tag's pixel stays, the lens changes: its place on the tags' plane moves. Most of that is taken back when the
 camera's pose is fitted to floor tags through the same wrong lens: the part that a pose can absorb is absorbed here by

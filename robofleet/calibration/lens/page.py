@@ -1,4 +1,4 @@
-"""The report of a lens: what was seen, what remained, and what it means on the floor."""
+"""The page about a lens: coverage of the image, residuals, and the uncertainty on the floor."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""A calibrating drive: run through the fleet's own processes, and what it tells of each robot."""
+"""A calibration drive: runs it with the fleet's own processes, and extracts the data of each robot."""
 
 import sys
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""A calibrating drive as it is kept: ``drive.npz`` (numpy, without pickle).
+"""The file of a calibration drive: ``drive.npz`` (numpy, without pickle).
 
 ``version`` (): 3. ``robots`` (N,): names. For each robot, under its name and a slash: ``commands_s`` (K,) and
 ``commands_rad_s`` (K, 2; left, right): its commands and their ticks; ``poses_s`` (M,) and ``poses`` (M, 3; x, y [m],

@@ -1,4 +1,4 @@
-"""Least squares on what a robot did from one pose to the next.
+"""Least squares on the motion of a robot from pose to pose.
 
 An increment is the difference of two measured poses, so two that follow each other share the noise of the pose
 between them, with opposite signs; slip adds to each its own. Both parts are estimated from the residuals, and the

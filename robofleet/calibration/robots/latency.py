@@ -1,4 +1,4 @@
-"""A robot's delay and motor lag: from what it was told and what was seen of it, by a joint fit.
+"""A robot's delay and motor lag, by a joint fit of its commands and its measured poses.
 
 The delay is the time from the instant of a tick to the moment when the wheels begin to follow that tick's command;
 the lag is the time constant with which they follow. Instants are of the controller's clock, poses at their

@@ -1,4 +1,4 @@
-"""A robot's calibration file, and the pages that show how it came about."""
+"""A robot's calibration file, and the pages about its measurement."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Names of files that are not there, or that name a folder: what was meant, most probably."""
+"""Hints at the file that was probably meant, where a name is of no file or of a folder."""
 
 import difflib
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""Where the robots really were: rest after a stop, bodies apart, inside the arena. From what the plants say."""
+"""Invariants of the true motion: rest after a stop, no contact, inside the arena. The plants publish it."""
 
 import itertools
 import math

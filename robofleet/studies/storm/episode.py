@@ -1,4 +1,4 @@
-"""One seed of a storm: a fleet that starts, is hit, heals, and has to run again; then everything is judged."""
+"""One seed of a storm: a fleet starts, faults act and end, and the fleet must run again; then everything is judged."""
 
 import gc
 import math

@@ -1,4 +1,4 @@
-"""What the whole run must keep: wheels turn in the phases that let them, and every stop has a cause and an end."""
+"""Invariants of the whole run: wheels turn only in phases that permit it, and every stop has a cause and an end."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple

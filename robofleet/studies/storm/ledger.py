@@ -1,4 +1,4 @@
-"""What a storm sees of a run: every decision of every gate, and when every message was said.
+"""What a storm records of a run: every decision of every gate, and when every message was sent.
 
 It keeps references only: a run must not slow down because it is watched. ``gates.py`` and ``fleet.py`` judge later.
 """

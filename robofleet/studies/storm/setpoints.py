@@ -1,4 +1,4 @@
-"""Who drives the groups that a program or a person drives: a sender of valid setpoints, as restless as the storm.
+"""Senders of random valid setpoints, for groups that a program or a person drives.
 
 It sees the controller's ticks and answers each of them on the group's own topic, as a script, a person's hand or a
 ROS 2 node does: with its epoch, a number that grows, and the tick that it has seen.

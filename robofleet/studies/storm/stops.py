@@ -1,4 +1,4 @@
-"""What an operator's emergency stop must bring, whatever the supervisor does meanwhile.
+"""Invariants of an operator's emergency stop, whatever the supervisor does meanwhile.
 
 Every gate that can be reached latches within 100 ms and keeps its latch until somebody asks for a reset, and a
 supervisor that is awake lets nobody go on.

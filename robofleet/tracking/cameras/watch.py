@@ -1,6 +1,6 @@
-"""Tells whether a camera still does what a camera does, image by image, and gives what happens to it a name.
+"""Detects faults of a camera, image by image, and names them.
 
-A trouble is said once, when it begins, and once more, as CAMERA_BACK, when a good image ends it.
+A fault is reported once when it begins, and once more, as CAMERA_BACK, when a good image ends it.
 
 A camera's clock may jump: its stamps go back, or run ahead of now. Images with such stamps are not believed; when some
 in a row agree on how far it jumped, they are put on this host's clock by the delay that images had before. So for all

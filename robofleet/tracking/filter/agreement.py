@@ -1,4 +1,4 @@
-"""Which cameras are believed: where two see the same robots, they must see them at the same places.
+"""Which cameras are used: two cameras that see the same robots must agree on their places.
 
 A camera that was knocked shows every robot elsewhere, by millimetres to centimetres. Two cameras are compared by the
 robots that both see. They need not expose together: a robot's place in an image of one is compared with the arc between

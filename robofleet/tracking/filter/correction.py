@@ -1,4 +1,4 @@
-"""The fleet filter's algebra for one robot, an extended Kalman filter: certainty lost by moving, won by measuring.
+"""Prediction and update of the covariance in the fleet filter, an extended Kalman filter, for one robot.
 
 State: x, y [m], psi [rad], efficiency of the left and of the right wheel. P: its covariance (5, 5). ``room`` is
 overwritten: to allocate it for each robot would take longer than to compute.

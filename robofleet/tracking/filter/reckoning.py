@@ -1,4 +1,4 @@
-"""Dead reckoning: where the commands alone take a robot.
+"""Dead reckoning: the motion of a robot by its commands alone.
 
 A command acts a delay after its tick, each robot's own; the wheels follow it with a first-order lag; the body moves
 along the arcs of the wheel speeds.

@@ -1,4 +1,4 @@
-"""What the tags of a family look like, and where squares are that read as some of them.
+"""The patterns of tag families, and the search for squares that read as their tags.
 
 A family is a row of ``FAMILIES``, and what its tags look like: of those that OpenCV knows, OpenCV's patterns; of others
 a table of codes in ``tables``, and which cell shows which bit. All are upright as OpenCV prints them: half a turn from

@@ -1,7 +1,7 @@
 """Places tags to a hundredth of a pixel by the greys of their whole pattern, and says how surely.
 
 A tag's neighbourhood on its plane maps to pixels by a quadratic, fitted in nine nodes that go through the whole camera
-model: lens, tilt, height, and under a rolling shutter the way that the tag covers from row to row. ``tag_fit.py``
+model: lens, tilt, height, and under a rolling shutter the way that the tag covers from row to row. ``fit.py``
 compares each pixel with the pattern. The correlation with the pattern says whether it is this tag: another id of the
 family reaches 0.65.
 

@@ -1,4 +1,4 @@
-"""The greys of a tag's pixels as equations for its pose: what ``tag_fit.py`` solves, one pass after another.
+"""The greys of a tag's pixels as equations for its pose: what ``fit.py`` solves, one pass after another.
 
 Each pixel in a tag's square is compared, at its own centre, with what the print shows there: its pattern, as blurred as
 the image. Nothing is interpolated, so the error does not depend on how the edges lie to the rows of pixels.

@@ -1,4 +1,4 @@
-"""Prints that read as a tag and stand where that tag cannot be: which of them are believed at last."""
+"""Prints that read as a tag but lie where that tag cannot be; decides which of them are accepted in the end."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

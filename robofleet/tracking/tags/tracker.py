@@ -1,10 +1,10 @@
 """Follows tags from image to image, and never guesses which is which.
 
-Each image: predict every tag by its last motion, fit it there photometrically (``photometric.py``); where that fails,
-look for what is not covered of it, and search the region that it can have reached (``tags.py``, ``deep.py``); where
-that fails too, coast on the prediction and say so. One tile of the image is searched as a whole, another one each time:
-newcomers, and prints that ought not to be there, are found within a sweep. As long as a tag is missing, a second sweep
-searches deeper.
+Each image: predict every tag by its last motion, and fit it there photometrically (``photometric.py``). Where that
+fails, look for the part of it that is not covered, and search the region that it can have reached (``detection.py``,
+``deep.py``). Where that fails too, coast on the prediction and say so. One tile of the image is searched as a whole,
+another one each time: newcomers, and prints that ought not to be there, are found within a sweep. As long as a tag is
+missing, a second sweep searches deeper.
 
 A tag is known by its continuity: it cannot be further off than its robot can have driven. A print elsewhere is
 refused and reported. Only when the tag itself is gone, and the print stayed for some sweeps with no second one of its
