@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,13 +20,12 @@ from robofleet.nodes.node import Node
 from robofleet.nodes.unit.driver import LOOP_NS, DriverProcess
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.nodes.unit.keeping import MemoryKeeping
-from robofleet.reports.metrics import summary
 from robofleet.runs import table
-from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.faults import Schedule
-from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
+from robofleet.testing import FakeDriver, run_lockstep
+from robofleet.vehicles.interface import WheelSpeeds
 from tests.bus import alone as of_one
 from tests.runs.realrun import RealRun
 
@@ -57,12 +56,7 @@ def platoon_of() -> Callable[..., Config]:
 def lockstep() -> Callable[..., dict[str, Any]]:
     """Return the summary of a lockstep run of the shipped platoon with keys changed."""
 
-    def run(*overrides: str) -> dict[str, Any]:
-        lockstep_run = Lockstep(load_config(PLATOON, overrides))
-        outcome, cause = lockstep_run.run()
-        return summary(lockstep_run.recording, name="platoon", mode="lockstep", outcome=outcome, cause=cause)
-
-    return run
+    return lambda *overrides: dict(run_lockstep(load_config(PLATOON, overrides)).summary)
 
 
 @pytest.fixture(scope="session")
@@ -135,59 +129,20 @@ def bench_of() -> Callable[[Config], Bench]:
     return Bench
 
 
-class RecordingDriver:
-    """A robot that keeps what it was told. It exists, so it knows no truth."""
-
-    made: ClassVar[dict[str, "RecordingDriver"]] = {}  # the newest of each robot
-    stuck: ClassVar[set[str]] = set()  # robots whose driver can no longer be written to
-    mute: ClassVar[set[str]] = set()  # ... or read from
-    absent: ClassVar[set[str]] = set()  # ... or made
-
-    def __init__(self, context: DriverContext) -> None:
-        if context.robot in self.absent:
-            raise DriverError(f"{context.robot} is not there")
-        self.made[context.robot] = self
-        self._robot, self._now_ns = context.robot, context.now_ns
-        self.writes: list[tuple[int, WheelSpeeds]] = []
-        self.faults = 0
-        self.angles = 0.0, 0.0
-        self.closed = 0
-
-    @property
-    def target(self) -> WheelSpeeds:
-        return self.writes[-1][1] if self.writes else STOP
-
-    def write(self, wheels: WheelSpeeds) -> None:
-        if self._robot in self.stuck:
-            raise OSError(f"{self._robot} is unplugged")
-        self.writes.append((self._now_ns(), wheels))
-
-    def read(self) -> DriverReading:
-        if self._robot in self.mute:
-            raise OSError(f"{self._robot} does not answer")
-        return DriverReading(*self.angles, *self.target, float("nan"), self.faults)
-
-    def close(self) -> None:
-        self.closed += 1
-
-
 @pytest.fixture
-def recording_driver() -> Iterator[type[RecordingDriver]]:
-    """Return the class; ``made`` finds the driver of a robot, ``stuck``, ``mute`` and ``absent`` let one fail."""
-    broken = RecordingDriver.stuck, RecordingDriver.mute, RecordingDriver.absent
-    for names in (RecordingDriver.made, *broken):
-        names.clear()
-    yield RecordingDriver
-    for names in broken:
-        names.clear()
+def fake_driver() -> Iterator[type[FakeDriver]]:
+    """Return the class of fake drivers."""
+    FakeDriver.reset()
+    yield FakeDriver
+    FakeDriver.reset()
 
 
 @pytest.fixture(scope="session")
 def recorded() -> Callable[..., list[str]]:
-    """Return what makes robots of the platoon RecordingDrivers, in one unit: config changes."""
-    name = f"{RecordingDriver.__module__}:{RecordingDriver.__qualname__}"
+    """Return what gives robots of the platoon fake drivers, in one unit: config changes."""
+    driver = "driver='robofleet.testing:FakeDriver'"
     return lambda *rows: [
-        change for row in rows for change in (f"robots.{row}.driver='{name}'", f"robots.{row}.unit=r{rows[0] + 1}")
+        change for row in rows for change in (f"robots.{row}.{driver}", f"robots.{row}.unit=r{rows[0] + 1}")
     ]
 
 
@@ -215,7 +170,7 @@ class Stand:
 
     SESSION = 99
 
-    def __init__(self, bench: Bench, node: DriverProcess, made: dict[str, RecordingDriver]) -> None:
+    def __init__(self, bench: Bench, node: DriverProcess, made: dict[str, FakeDriver]) -> None:
         self.bench, self.node, self.made = bench, node, made
         self.seen: dict[str, int] = {}  # nonce that the newest command echoed
         self._seq = 0
@@ -294,13 +249,13 @@ class Stand:
 def stand(
     platoon_of: Callable[..., Config],
     recorded: Callable[..., list[str]],
-    recording_driver: type[RecordingDriver],
+    fake_driver: type[FakeDriver],
     driver_of: Callable[..., DriverProcess],
 ) -> Iterator[Stand]:
     """Return two robots of one driver process, r1 and r2."""
     bench = Bench(platoon_of(*recorded(0, 1)))
     node = driver_of(bench, "r1", "r2")
-    yield Stand(bench, node, recording_driver.made)
+    yield Stand(bench, node, fake_driver.instances)
     with suppress(ExceptionGroup):  # of robots that a test broke; nobody seeks them any more
         node.close()
 

@@ -2,17 +2,12 @@
 
 from dataclasses import replace
 
+from robofleet.testing.behaviours import GTERNAL
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import Imperfections
 
-GTERNAL = DifferentialDrive(
-    wheel_radius=0.016,
-    wheel_base=0.105,
-    max_wheel_speed=12.5,
-    max_speed=0.2,
-    motor_lag=0.08,
-    max_wheel_acceleration=150.0,
-)
+__all__ = ["CREATE2", "CREATE2_IDEAL", "GTERNAL", "IDEAL", "WORN", "stalls"]
+
 IDEAL = Imperfections(
     motor_lag=0.0,
     speed_quantum=0.0,

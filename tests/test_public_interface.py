@@ -21,24 +21,26 @@ import pydantic
 import pytest
 
 import robofleet
+from robofleet import testing
 
 ROOT = Path(__file__).parents[1]
 COUNTED_FROM = Path(__file__).with_name("public_interface.txt")
-NAMES = [name for name in robofleet.__all__ if name != "__version__"]
-DOCUMENTED = [name for name in NAMES if inspect.isclass(getattr(robofleet, name)) or name == "load_config"]
+PUBLIC = {name: getattr(robofleet, name) for name in robofleet.__all__ if name != "__version__"}
+PUBLIC |= {f"testing.{name}": getattr(testing, name) for name in testing.__all__}
+DOCUMENTED = [name for name, value in PUBLIC.items() if inspect.isclass(value) or inspect.isfunction(value)]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def source(name: str) -> Any:
     """Return the definition of a public class or function."""
-    return ast.parse(textwrap.dedent(inspect.getsource(getattr(robofleet, name)))).body[0]
+    return ast.parse(textwrap.dedent(inspect.getsource(PUBLIC[name]))).body[0]
 
 
 def members(definition: Any) -> Iterator[Any]:
-    """Yield what users see of a class: its fields, values, methods and classes."""
+    """Yield what users see of a class: its fields, values, methods and classes, but no checks of a contract."""
     for member in definition.body:
         name = getattr(member, "name", None) or ast.unparse(getattr(member, "target", member)).partition(" ")[0]
-        if not isinstance(member, ast.Expr | ast.Pass) and (name == "__init__" or not name.startswith("_")):
+        if not isinstance(member, ast.Expr | ast.Pass) and (name == "__init__" or not name.startswith(("_", "test_"))):
             yield member
 
 
@@ -52,7 +54,7 @@ def heading(definition: Any) -> str:
 
 def block(name: str) -> str:
     """Return a public name with all that a program may depend on."""
-    value = getattr(robofleet, name)
+    value = PUBLIC[name]
     if not inspect.isclass(value) and not inspect.isfunction(value):
         return f"{name} = {value}"
     definition = source(name)
@@ -62,12 +64,12 @@ def block(name: str) -> str:
 
 def blocks() -> dict[str, str]:
     """Return the public interface: the block of each name."""
-    return {name: block(name) for name in NAMES}
+    return {name: block(name) for name in PUBLIC}
 
 
 def read(text: str) -> dict[str, str]:
     """Return the blocks of a file."""
-    parts = re.split(r"^# (\w+)\n", text, flags=re.MULTILINE)[1:]
+    parts = re.split(r"^# ([\w.]+)\n", text, flags=re.MULTILINE)[1:]
     return {name: part.strip("\n") for name, part in zip(parts[::2], parts[1::2], strict=True)}
 
 
@@ -77,10 +79,13 @@ def written(interface: dict[str, str]) -> str:
 
 
 def unnamed(before: dict[str, str], after: dict[str, str], changelog: str) -> list[str]:
-    """Return the changed names that have no line in the section ``Unreleased``."""
+    """Return the changed names that have no line in the section ``Unreleased``. Of a new module its name will do."""
     section = changelog.partition("\n## Unreleased\n")[2].partition("\n## ")[0]
     named = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", section))))
-    return sorted(name for name in before | after if before.get(name) != after.get(name) and name not in named)
+    known_modules = {name.rpartition(".")[0] for name in before}
+    changed = [name for name in before | after if before.get(name) != after.get(name)]
+    parts = {name: {name.rpartition(".")[2], name.rpartition(".")[0]} - known_modules for name in changed}
+    return sorted(name for name in changed if not parts[name] & named)
 
 
 def test_a_change_of_the_public_interface_has_a_line_in_the_changelog() -> None:
@@ -112,6 +117,12 @@ def test_a_changed_name_must_stand_in_the_unreleased_section(changelog: str, mis
     assert unnamed(before, {**before, "Frame": "class Frame\n    image: int"}, changelog) == missing
     assert unnamed(before, {"Line": "class Line"}, changelog) == missing
     assert unnamed({"Line": "class Line"}, before, changelog) == missing
+
+
+def test_a_new_module_is_named_as_a_whole() -> None:
+    changelog, name = "# Changelog\n\n## Unreleased\n\n- `robofleet.testing` is new.\n", "testing.Clock"
+    assert unnamed({"Line": "class Line"}, {"Line": "class Line", name: "class Clock"}, changelog) == []
+    assert unnamed({name: "class Clock"}, {name: "class Clock(Wall)"}, changelog) == [name]
 
 
 def test_the_file_of_the_interface_is_read_as_it_is_written() -> None:
@@ -146,7 +157,7 @@ def undocumented(function: Function) -> Iterator[str]:
 
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_a_public_docstring_says_arguments_results_exceptions_and_fields(name: str) -> None:
-    definition, value = source(name), getattr(robofleet, name)
+    definition, value = source(name), PUBLIC[name]
     functions = [member for member in (definition, *members(definition)) if isinstance(member, Function)]
     missing = [f"{function.name}: {what}" for function in functions for what in undocumented(function)]
     if inspect.isclass(value) and not issubclass(value, Enum | pydantic.BaseModel):

@@ -44,23 +44,42 @@ class WallClock:
 
 
 class SimulatedClock:
-    """Time that moves only when told to: lockstep's."""
+    """A clock that moves only when it is told to. It begins at 0; many fields read 0 as "never"."""
 
     def __init__(self) -> None:
         self._now_ns = 0
 
     def now_ns(self) -> int:
-        """Return the simulated instant [ns]."""
+        """Read the clock.
+
+        Returns:
+            The simulated time [ns].
+        """
         return self._now_ns
 
     def advance_to(self, instant_ns: int) -> None:
-        """Move to a later instant."""
+        """Move the clock forwards.
+
+        Args:
+            instant_ns: The new time [ns].
+
+        Raises:
+            ValueError: Where it is earlier than the clock's.
+        """
         if instant_ns < self._now_ns:
             raise ValueError(f"the clock stands at {self._now_ns} ns and cannot go back to {instant_ns} ns")
         self._now_ns = instant_ns
 
     def sleep_until(self, instant_ns: int, *, precise: bool = False) -> None:
-        """Do nothing: lockstep calls a process when its instant has come. Waiting for the future is an error."""
+        """Do nothing where the time has come: a process in lockstep never waits.
+
+        Args:
+            instant_ns: The time [ns].
+            precise: Has no effect.
+
+        Raises:
+            RuntimeError: Where the time is in the future.
+        """
         if instant_ns > self._now_ns:
             raise RuntimeError("a process of a lockstep run tried to wait")
 

@@ -40,8 +40,8 @@ from robofleet.safety.barrier import Filtered
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.wiggle import STROKES, probe_speeds
-from robofleet.tracking import estimator
-from robofleet.tracking.estimator import CARRIED, UNUSED
+from robofleet.tracking.filter import estimator
+from robofleet.tracking.filter.estimator import CARRIED, UNUSED
 from robofleet.vehicles.differential_drive import feasible_ratio
 
 Array = NDArray[np.float64]

@@ -199,7 +199,7 @@ def driver(
 
 def _wait_for_runs(unit: str) -> None:
     """Be the driver of this computer's robots, whatever run comes: as a program without the command line's packages."""
-    from robofleet.config.robot_file import load_robot_file, robot_file  # noqa: PLC0415
+    from robofleet.config.files.robot_file import load_robot_file, robot_file  # noqa: PLC0415
 
     file = robot_file()
     robot = load_robot_file(file)

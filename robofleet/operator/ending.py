@@ -6,8 +6,8 @@ from pathlib import Path
 from rich.console import Console
 
 from robofleet.config import groups
+from robofleet.config.files.yamlfile import printable
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import printable
 from robofleet.core.files import write_text
 from robofleet.core.valid_json import dumps
 from robofleet.operator.run import Result

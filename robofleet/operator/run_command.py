@@ -16,9 +16,9 @@ from typer.core import TyperCommand
 from robofleet.bus.arena_file import ArenaBusyError, claimed
 from robofleet.bus.endpoint import check_router, settled
 from robofleet.bus.private_folder import PlaceError
+from robofleet.config.files.yamlfile import printable
 from robofleet.config.load import Typed
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import printable
 from robofleet.core.clock import utc_now
 from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra, new_file, new_folder, unkept
 from robofleet.hosts.network import network

@@ -13,8 +13,8 @@ from robofleet.behaviours.interface import Shape
 from robofleet.bus.keys import NOTE, key
 from robofleet.bus.messages import NOTE as LAYOUT
 from robofleet.bus.messages import NoteKind
+from robofleet.config.files.yamlfile import printable
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import printable
 from robofleet.recording.run import Own, Recording
 
 _MOST_FIGURES, _MOST_SHAPES, _MOST_POINTS = 100, 100, 100_000

@@ -17,8 +17,8 @@ from pydantic import ValidationError
 
 from robofleet.bus.layouts import VERSION
 from robofleet.config.faults import cross_checks
+from robofleet.config.files.yamlfile import Source, parse_bytes
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import Source, parse_bytes
 from robofleet.core.clock import S
 from robofleet.core.errors import RobofleetError
 from robofleet.core.files import open_plain

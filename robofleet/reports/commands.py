@@ -15,8 +15,8 @@ from typing import Annotated
 import typer
 
 from robofleet.config import groups
+from robofleet.config.files.yamlfile import printable
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import printable
 from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.files import write_bytes
 from robofleet.core.plugins import PluginError, reach

@@ -257,7 +257,7 @@ def _camera(view: Config, path: str) -> Iterator[Bound]:
     mend = "the next frame begins before, so shorten the exposure"
     yield Bound(f"{path}.exposure_s", "exposure and readout of a frame", taken, period, "s", mend)
     if camera.adjusts_exposure:
-        from robofleet.tracking.exposure import longest_exposure  # noqa: PLC0415 - loads OpenCV
+        from robofleet.tracking.cameras.exposure import longest_exposure  # noqa: PLC0415 - loads OpenCV
 
         longest = longest_exposure(view)
         what, mend = f"the first exposure, with {longest.why}", "shorten it, or set camera.exposure_control to fixed"

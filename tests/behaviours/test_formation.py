@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robofleet.behaviours.formation import Formation
-from tests.behaviours.loop import driven, made, refused, team
+from robofleet.testing import drive, make, refusals, team
 from tests.behaviours.test_track import OVAL
 
 WIDE = {"knots": [{k: [v[0], 1.4 * v[1]] for k, v in knot.items()} for knot in OVAL["knots"]]}
@@ -15,8 +15,8 @@ SHAPE: dict[str, Any] = {"path": WIDE, "path_rate": 0.05, "offsets_m": [[0.25, 0
 
 @pytest.mark.parametrize("heading", [{}, {"heading_deg": 30.0}])
 def test_the_distances_between_the_points_stay_those_of_the_shape(heading: dict[str, float]) -> None:
-    behaviour = made(Formation, SHAPE | heading, team(3))
-    past = driven(behaviour, np.array(behaviour.places()), 40.0)
+    behaviour = make(Formation, SHAPE | heading, team(3))
+    past = drive(behaviour, np.array(behaviour.places()), 40.0)
     offsets = np.array(SHAPE["offsets_m"])
     for i, j in ((0, 1), (0, 2), (1, 2)):
         apart = np.linalg.norm(past.points[past.settled, i] - past.points[past.settled, j], axis=-1)
@@ -26,7 +26,7 @@ def test_the_distances_between_the_points_stay_those_of_the_shape(heading: dict[
 
 
 def test_the_shape_turns_with_the_path_or_keeps_its_heading() -> None:
-    turning, fixed = (made(Formation, SHAPE | more, team(3)) for more in ({}, {"heading_deg": 0.0}))
+    turning, fixed = (make(Formation, SHAPE | more, team(3)) for more in ({}, {"heading_deg": 0.0}))
     ahead = [np.array(behaviour.shapes()[1].points) - behaviour.shapes()[0].points for behaviour in (turning, fixed)]
     assert np.linalg.norm(ahead[0], axis=1) == pytest.approx(0.25)
     assert np.ptp(np.unwrap(np.arctan2(ahead[0][:, 1], ahead[0][:, 0]))) > 6.0
@@ -45,7 +45,7 @@ def test_the_shape_turns_with_the_path_or_keeps_its_heading() -> None:
     ],
 )  # fmt: skip
 def test_formations_that_cannot_be_are_refused(change: dict[str, Any], complaint: str) -> None:
-    assert refused(made(Formation, SHAPE, team(3))) == []
-    found = refused(made(Formation, SHAPE | change, team(3)))
+    assert refusals(make(Formation, SHAPE, team(3))) == []
+    found = refusals(make(Formation, SHAPE | change, team(3)))
     assert found
     assert found[0].startswith(complaint)

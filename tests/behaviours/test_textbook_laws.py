@@ -6,7 +6,7 @@ import pytest
 from robofleet.behaviours.consensus import Consensus
 from robofleet.behaviours.coverage import Coverage
 from robofleet.behaviours.cyclic_pursuit import CyclicPursuit
-from tests.behaviours.loop import driven, made, refused, situation, team
+from robofleet.testing import drive, make, refusals, situation, team
 
 MONOTONE = 1e-9
 SLOW = 0.1  # a tick that is fast enough for these laws [s]
@@ -31,8 +31,8 @@ def anywhere(n: int, seed: int) -> np.ndarray:
     ],
 )
 def test_consensus_leads_all_to_one_point_and_the_edges_never_grow(graph: dict[str, object]) -> None:
-    behaviour = made(Consensus, graph, team(4, tick=SLOW))
-    past = driven(behaviour, anywhere(4, 1), 120.0)
+    behaviour = make(Consensus, graph, team(4, tick=SLOW))
+    past = drive(behaviour, anywhere(4, 1), 120.0)
     near = behaviour.settings.adjacency(behaviour.team.robots)
     between = past.points[:, :, None] - past.points[:, None]
     potential = (near * (between**2).sum(axis=-1)).sum(axis=(1, 2))
@@ -42,7 +42,7 @@ def test_consensus_leads_all_to_one_point_and_the_edges_never_grow(graph: dict[s
 
 
 def test_consensus_asks_for_no_more_than_its_speed() -> None:
-    behaviour = made(Consensus, {"gain_per_s": 10.0, "speed_m_s": 0.05}, team(3, tick=SLOW))
+    behaviour = make(Consensus, {"gain_per_s": 10.0, "speed_m_s": 0.05}, team(3, tick=SLOW))
     velocities = behaviour.decide(situation(anywhere(3, 2))).velocities
     assert np.linalg.norm(velocities, axis=1) == pytest.approx(0.05)
 
@@ -57,7 +57,7 @@ def test_consensus_asks_for_no_more_than_its_speed() -> None:
     ],
 )  # fmt: skip
 def test_consensus_refuses(settings: dict[str, object], complaint: str) -> None:
-    found = refused(made(Consensus, settings, team(3, tick=SLOW)))
+    found = refusals(make(Consensus, settings, team(3, tick=SLOW)))
     assert len(found) == 1
     assert found[0].startswith(complaint)
 
@@ -68,8 +68,8 @@ def test_consensus_refuses(settings: dict[str, object], complaint: str) -> None:
 @pytest.mark.parametrize("n", [2, 5])
 @pytest.mark.parametrize("settings", [{}, {"centre_m": [0.2, -0.1]}])
 def test_cyclic_pursuit_ends_on_the_circle_equally_spaced(n: int, settings: dict[str, object]) -> None:
-    behaviour = made(CyclicPursuit, {"radius_m": 0.5, "speed_m_s": 0.1} | settings, team(n, tick=SLOW))
-    past = driven(behaviour, anywhere(n, 3), 120.0)
+    behaviour = make(CyclicPursuit, {"radius_m": 0.5, "speed_m_s": 0.1} | settings, team(n, tick=SLOW))
+    past = drive(behaviour, anywhere(n, 3), 120.0)
     points = past.points[-1]
     centre = np.array(settings.get("centre_m", points.mean(axis=0)))
     assert np.linalg.norm(points - centre, axis=1) == pytest.approx(0.5, abs=3e-3)
@@ -80,10 +80,10 @@ def test_cyclic_pursuit_ends_on_the_circle_equally_spaced(n: int, settings: dict
 
 
 def test_cyclic_pursuit_refuses_circles_and_groups_that_cannot_be() -> None:
-    assert refused(made(CyclicPursuit, {"radius_m": 0.5}, team(5, tick=SLOW))) == []
-    assert "add one" in refused(made(CyclicPursuit, {"radius_m": 0.5}, team(1, tick=SLOW)))[0]
-    assert "raise radius_m" in refused(made(CyclicPursuit, {"radius_m": 0.2}, team(8, tick=SLOW)))[0]
-    outside = refused(made(CyclicPursuit, {"radius_m": 0.5, "centre_m": [0.0, 0.6]}, team(5, tick=SLOW)))
+    assert refusals(make(CyclicPursuit, {"radius_m": 0.5}, team(5, tick=SLOW))) == []
+    assert "add one" in refusals(make(CyclicPursuit, {"radius_m": 0.5}, team(1, tick=SLOW)))[0]
+    assert "raise radius_m" in refusals(make(CyclicPursuit, {"radius_m": 0.2}, team(8, tick=SLOW)))[0]
+    outside = refusals(make(CyclicPursuit, {"radius_m": 0.5, "centre_m": [0.0, 0.6]}, team(5, tick=SLOW)))
     assert outside
     assert all("leaves the arena on the circle" in line for line in outside)
 
@@ -95,8 +95,8 @@ def test_cyclic_pursuit_refuses_circles_and_groups_that_cannot_be() -> None:
 def test_the_locational_cost_never_rises_and_the_robots_end_in_the_middles_of_their_cells(
     settings: dict[str, object],
 ) -> None:
-    behaviour = made(Coverage, settings, team(5, tick=SLOW))
-    past = driven(behaviour, anywhere(5, 4), 120.0)
+    behaviour = make(Coverage, settings, team(5, tick=SLOW))
+    past = drive(behaviour, anywhere(5, 4), 120.0)
     cost = past.figures["locational_cost"][:, 0]
     assert np.diff(cost).max() < MONOTONE
     assert cost[-1] < 0.7 * cost[0]
@@ -106,17 +106,17 @@ def test_the_locational_cost_never_rises_and_the_robots_end_in_the_middles_of_th
 def test_a_peak_draws_the_robots_near() -> None:
     settings = {"peak_m": [0.8, 0.4], "peak_width_m": 0.3}
     even, drawn = (
-        driven(made(Coverage, s, team(4, tick=SLOW)), anywhere(4, 5), 60.0).points[-1] for s in ({}, settings)
+        drive(make(Coverage, s, team(4, tick=SLOW)), anywhere(4, 5), 60.0).points[-1] for s in ({}, settings)
     )
     away = [float(np.linalg.norm(points - [0.8, 0.4], axis=1).mean()) for points in (even, drawn)]
     assert away[1] < 0.5 * away[0]
 
 
 def test_one_robot_covers_from_the_middle() -> None:
-    past = driven(made(Coverage, {}, team(1, tick=SLOW)), np.array([[-1.0, 0.5, 0.0]]), 60.0)
+    past = drive(make(Coverage, {}, team(1, tick=SLOW)), np.array([[-1.0, 0.5, 0.0]]), 60.0)
     assert past.points[-1] == pytest.approx(np.zeros((1, 2)), abs=1e-3)
 
 
 def test_robots_at_the_same_place_get_finite_velocities() -> None:
-    velocities = made(Coverage, {}, team(3, tick=SLOW)).decide(situation(np.zeros((3, 3)))).velocities
+    velocities = make(Coverage, {}, team(3, tick=SLOW)).decide(situation(np.zeros((3, 3)))).velocities
     assert np.isfinite(velocities).all()

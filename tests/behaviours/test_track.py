@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from robofleet.behaviours.track import Track
-from tests.behaviours.loop import TICK, driven, made, refused, situation, team
+from robofleet.testing import drive, make, refusals, situation, team
+from robofleet.testing.behaviours import TICK
 
 OVAL = {
     "knots": [
@@ -27,7 +28,7 @@ ALPHA, T = 45.0, 0.6
 def track(*references: dict[str, Any], law: str = "point_ahead", **settings: Any) -> Track:
     group = team(len(references))
     given = {f"r{k + 1}": reference for k, reference in enumerate(references)}
-    behaviour = made(Track, {"law": law, "references": given} | settings, group)
+    behaviour = make(Track, {"law": law, "references": given} | settings, group)
     assert isinstance(behaviour, Track)
     return behaviour
 
@@ -36,7 +37,7 @@ def told(
     behaviour: Track, seconds: float, *, wind: tuple[float, float] = (0.0, 0.0), settle: float = 5.0
 ) -> np.ndarray:
     """Return each robot's timed errors [m] once it has settled, from its place."""
-    past = driven(behaviour, np.array(behaviour.places()), seconds, wind=wind)
+    past = drive(behaviour, np.array(behaviour.places()), seconds, wind=wind)
     settled = past.t > settle
     error = behaviour.measures(replace(past, settled=settled, spaced=settled))[0].values
     assert np.isnan(error[~settled]).all()
@@ -46,7 +47,7 @@ def told(
 def test_the_point_ahead_keeps_the_papers_bounds() -> None:
     """|r - g| is at most eta / alpha, sampled here, with eta = sup |r'(t + T) - u|; |p - r| at most T^2 / 2 |r''|."""
     behaviour = track(ON_THE_OVAL)
-    past = driven(behaviour, np.array(behaviour.places()), 45.0)
+    past = drive(behaviour, np.array(behaviour.places()), 45.0)
     settled = past.t > 5.0
     way = behaviour.settings.references["r1"].trajectory(behaviour.team.drives[0], 0.08)
     u = np.diff(past.points[:, 0], axis=0) / TICK
@@ -80,7 +81,7 @@ def test_the_unicycle_turns_round_from_any_pose() -> None:
     behaviour = track(*[ON_THE_OVAL] * 8, law="unicycle")
     rng = np.random.default_rng(7)
     poses = np.column_stack([rng.uniform(-1.2, 1.2, 8), rng.uniform(-0.7, 0.7, 8), np.arange(8) * math.tau / 8])
-    past = driven(behaviour, poses, 40.0)
+    past = drive(behaviour, poses, 40.0)
     assert behaviour.measures(past)[0].values[-1].max() < 0.005
 
 
@@ -89,14 +90,14 @@ def test_a_table_stays_at_its_first_row_and_at_its_last() -> None:
     way = behaviour.shapes()[0]
     assert not way.closed
     assert way.points[-1] == pytest.approx([0.2, 0.0])
-    past = driven(behaviour, np.array(behaviour.places()), 25.0)
+    past = drive(behaviour, np.array(behaviour.places()), 25.0)
     assert past.references[:5, 0] == pytest.approx(np.tile([-0.5, 0.0], (5, 1)))
     assert past.points[-1, 0] == pytest.approx([0.2, 0.0], abs=1e-3)
 
 
 def test_it_goes_on_from_what_its_robots_were_really_asked_for() -> None:
     behaviour = track(ON_THE_OVAL)
-    past = driven(behaviour, np.array(behaviour.places()), 5.0)
+    past = drive(behaviour, np.array(behaviour.places()), 5.0)
     now = situation(past.poses[-1], float(past.t[-1]))
     behaviour.changed(np.zeros((1, 2)))
     way = behaviour.settings.references["r1"].trajectory(behaviour.team.drives[0], 0.08)
@@ -106,13 +107,13 @@ def test_it_goes_on_from_what_its_robots_were_really_asked_for() -> None:
 
 @pytest.mark.parametrize("law", ["point_ahead", "unicycle"])
 def test_good_settings_are_not_refused(law: str) -> None:
-    assert refused(track(ON_THE_OVAL, TABLE, WAY, WAY | {"closed": True}, law=law)) == []
+    assert refusals(track(ON_THE_OVAL, TABLE, WAY, WAY | {"closed": True}, law=law)) == []
 
 
 def test_its_own_dump_is_read_back() -> None:
     behaviour = track(ON_THE_OVAL, TABLE, WAY)
-    again = made(Track, behaviour.settings.model_dump(mode="json"), team(3))
-    assert refused(again) == []
+    again = make(Track, behaviour.settings.model_dump(mode="json"), team(3))
+    assert refusals(again) == []
     assert again.settings == behaviour.settings
 
 
@@ -135,19 +136,19 @@ def test_its_own_dump_is_read_back() -> None:
     ],
 )
 def test_what_cannot_be_followed_is_refused(reference: dict[str, Any], complaint: str) -> None:
-    found = refused(track(reference))
+    found = refusals(track(reference))
     assert found
     assert found[0].startswith(complaint)
 
 
 def test_the_speed_that_a_refusal_names_is_accepted() -> None:
-    found = refused(track(ON_THE_OVAL | {"path_rate": 0.3}))
+    found = refusals(track(ON_THE_OVAL | {"path_rate": 0.3}))
     fits = min(float(line.split("path_rate ")[1].split(" fits")[0]) for line in found)
-    assert refused(track(ON_THE_OVAL | {"path_rate": fits})) == []
-    assert refused(track(ON_THE_OVAL | {"path_rate": 1.02 * fits}))
+    assert refusals(track(ON_THE_OVAL | {"path_rate": fits})) == []
+    assert refusals(track(ON_THE_OVAL | {"path_rate": 1.02 * fits}))
 
 
 def test_robots_and_references_belong_together() -> None:
-    behaviour = made(Track, {"references": {"r1": ON_THE_OVAL, "r3": ON_THE_OVAL}}, team(2))
-    found = refused(behaviour)
+    behaviour = make(Track, {"references": {"r1": ON_THE_OVAL, "r3": ON_THE_OVAL}}, team(2))
+    found = refusals(behaviour)
     assert [line.partition(":")[0] for line in found] == ["robots.1", "settings.references.r3"]

@@ -12,9 +12,9 @@ from robofleet.drivers.gternal import GTernal
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.gternal import GTernalFirmware
 from robofleet.simulation.serial_line import SerialLine
+from robofleet.testing import serial_world
 from robofleet.vehicles.interface import DriverContext, Simulation, WheelSpeeds
 from robofleet.vehicles.plant import Plant
-from tests.drivers import serial_world
 from tests.robots import GTERNAL, IDEAL
 
 HEARD_S = 1.0  # at most: a pseudo-terminal takes a moment

@@ -1,23 +1,25 @@
 """Every driver keeps the contract."""
 
-from tests.drivers.contract import Contract, Subject
+from robofleet.testing import DriverContract, DriverSubject
 
 
-class TestSimulated(Contract):
-    subject = Subject("simulated", twin=None)
+class TestSimulated(DriverContract):
+    subject = DriverSubject("simulated", twin=None)
 
 
-class TestGTernal(Contract):
-    subject = Subject("gternal", twin="gternal", vehicle="gternal", encoders=False)
+class TestGTernal(DriverContract):
+    subject = DriverSubject("gternal", twin="gternal", vehicle="gternal", encoders=False)
 
 
-class TestGTernalWithSensors(Contract):
-    subject = Subject("gternal", twin="gternal", vehicle="gternal", sensors=True, encoders=False)
+class TestGTernalWithSensors(DriverContract):
+    subject = DriverSubject("gternal", twin="gternal", vehicle="gternal", sensors=True, encoders=False)
 
 
-class TestArduinoBridge(Contract):
-    subject = Subject("arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248})
+class TestArduinoBridge(DriverContract):
+    subject = DriverSubject(
+        "arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248}
+    )
 
 
-class TestCreate2(Contract):
-    subject = Subject("create2", twin="create2", vehicle="create2")
+class TestCreate2(DriverContract):
+    subject = DriverSubject("create2", twin="create2", vehicle="create2")

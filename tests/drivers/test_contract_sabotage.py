@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from robofleet.testing import DriverContract, DriverSubject
 from tests.drivers import broken
-from tests.drivers.contract import Contract, Subject
 
 pytestmark = pytest.mark.slow
 
@@ -63,12 +63,12 @@ NOTICED = {
 
 def contract(driver: str) -> Any:
     """Return the checks of one of the broken drivers."""
-    subject = Subject(f"tests.drivers.broken:{driver}", twin="tests.drivers.sparrow:SparrowFirmware")
-    return type("Broken", (Contract,), {"subject": subject})()
+    subject = DriverSubject(f"tests.drivers.broken:{driver}", twin="tests.drivers.sparrow:SparrowFirmware")
+    return type("Broken", (DriverContract,), {"subject": subject})()
 
 
 def checks() -> dict[str, Any]:
-    return {name: check for name, check in inspect.getmembers(Contract, callable) if name.startswith("test_")}
+    return {name: check for name, check in inspect.getmembers(DriverContract, callable) if name.startswith("test_")}
 
 
 def slow(check: str) -> bool:

@@ -8,17 +8,17 @@ import pytest
 
 from robofleet.config import slices
 from robofleet.simulation.twin import Twin
+from robofleet.testing import DriverBench, DriverSubject
 from robofleet.vehicles.interface import DriverError, WheelSpeeds
 from robofleet.vehicles.readings import TruePose
 from robofleet.vehicles.sensors import Sensing, SimulatedSensors
-from tests.drivers.contract_bench import Bench, Subject
 
-EXACT = Subject("gternal", twin="gternal", vehicle="ideal", sensors=True, encoders=False)
+EXACT = DriverSubject("gternal", twin="gternal", vehicle="ideal", sensors=True, encoders=False)
 MM = 0.0005 + 1e-9  # it tells whole millimetres
 DEGREES = math.radians(1 / 32) + 1e-9  # and sixteenths of degrees
 
 
-def expected(bench: Bench, truth: TruePose, *others: TruePose) -> np.ndarray:  # type: ignore[type-arg]
+def expected(bench: DriverBench, truth: TruePose, *others: TruePose) -> np.ndarray:  # type: ignore[type-arg]
     """Return the true distances within range; NaN beyond it."""
     kind = bench.sensors
     assert kind is not None and kind.distances is not None
@@ -28,7 +28,7 @@ def expected(bench: Bench, truth: TruePose, *others: TruePose) -> np.ndarray:  #
 
 
 def test_distances_and_heading_come_through_the_line() -> None:
-    with Bench(EXACT) as bench:
+    with DriverBench(EXACT) as bench:
         bench.make()
         bench.drive(WheelSpeeds(6.0, 9.0), 4.0)
         assert bench.twin is not None
@@ -46,7 +46,7 @@ def test_distances_and_heading_come_through_the_line() -> None:
 
 
 def test_it_sees_the_other_twins() -> None:
-    with Bench(EXACT) as bench:
+    with DriverBench(EXACT) as bench:
         x, y, psi = slices.start_pose(bench.config.robots[0])
         other = TruePose(x + 0.3 * math.cos(psi), y + 0.3 * math.sin(psi), 0.0, 0.0, 0.0)
         assert isinstance(bench.twin, Twin)
@@ -59,7 +59,7 @@ def test_it_sees_the_other_twins() -> None:
 
 
 def test_a_firmware_that_does_not_tell_them_is_named() -> None:
-    with Bench(EXACT) as bench:
+    with DriverBench(EXACT) as bench:
         assert bench.twin is not None
         bench.twin.hardware.sense = None
         with pytest.raises(DriverError, match=r"its firmware does not tell distances and orientation: .*sensors: true"):
@@ -67,7 +67,7 @@ def test_a_firmware_that_does_not_tell_them_is_named() -> None:
 
 
 def test_other_sensors_than_it_has_are_named() -> None:
-    with Bench(EXACT) as bench:
+    with DriverBench(EXACT) as bench:
         assert bench.sensors is not None and bench.sensors.distances is not None
         fewer = replace(bench.sensors.distances, places=bench.sensors.distances.places[:5])
         bench.sensors = replace(bench.sensors, distances=fewer)
@@ -76,7 +76,7 @@ def test_other_sensors_than_it_has_are_named() -> None:
 
 
 def test_what_it_told_long_ago_is_not_told_again() -> None:
-    with Bench(EXACT) as bench:
+    with DriverBench(EXACT) as bench:
         assert bench.twin is not None and bench.sensors is not None
         bench.sensors = replace(bench.sensors, period=0.2)
         bench.make()

@@ -1,11 +1,11 @@
 """The driver that drivers/YOUR_OWN.md shows keeps the contract, as it stands there."""
 
-from tests.drivers.contract import Contract, Subject
+from robofleet.testing import DriverContract, DriverSubject
 from tests.drivers.sparrow import CODE
 
 
-class TestExample(Contract):
-    subject = Subject("tests.drivers.sparrow:Sparrow", twin="tests.drivers.sparrow:SparrowFirmware")
+class TestExample(DriverContract):
+    subject = DriverSubject("tests.drivers.sparrow:Sparrow", twin="tests.drivers.sparrow:SparrowFirmware")
 
 
 def test_it_is_forty_lines() -> None:

@@ -157,19 +157,19 @@ def test_a_driver_that_fails_as_its_process_ends_is_closed_all_the_same(
 
 
 def test_a_lost_robot_is_named_in_its_next_status_and_drives_again_after_a_reset(
-    stand: Any, recording_driver: Any, capsys: pytest.CaptureFixture[str]
+    stand: Any, fake_driver: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand.run(S // 5)
     old = stand.made["r1"]
-    recording_driver.mute.add("r1")
-    recording_driver.absent.add("r1")
+    fake_driver.unreadable.add("r1")
+    fake_driver.absent.add("r1")
     stand.run(30 * MS)
     assert stand.newest("r1").faults == RobotFault.UNREACHABLE
     assert stand.newest("r1").latch == Latch.DRIVER_FAILED
     said = capsys.readouterr().err
     assert "r1: its driver failed: OSError('r1 does not answer')" in said
     assert wait(lambda: said_after(stand, capsys, "r1 is not there"), 2.0)
-    for broken in (recording_driver.mute, recording_driver.absent):
+    for broken in (fake_driver.unreadable, fake_driver.absent):
         broken.clear()
     assert wait(lambda: said_after(stand, capsys, "its driver has reconnected"), 3.0)
     assert stand.made["r1"] is not old
@@ -188,9 +188,9 @@ def said_after(stand: Any, capsys: pytest.CaptureFixture[str], words: str) -> bo
 
 
 def test_a_robot_without_its_first_answer_is_named_with_its_place(
-    bench_of: Callable[..., Any], platoon_of: Any, recorded: Any, recording_driver: Any, driver_of: Any
+    bench_of: Callable[..., Any], platoon_of: Any, recorded: Any, fake_driver: Any, driver_of: Any
 ) -> None:
-    recording_driver.absent.add("r2")
+    fake_driver.absent.add("r2")
     with pytest.raises(DriverError, match=r"^robots\.1\.driver: r2 is not there$"):
         driver_of(bench_of(platoon_of(*recorded(0, 1))), "r1", "r2")
-    assert recording_driver.made["r1"].closed == 1
+    assert fake_driver.instances["r1"].closed == 1

@@ -168,10 +168,10 @@ def test_a_message_wakes_the_process(bench_of: Make, platoon_of: Make, recorded:
     assert bench.woken == [bench.now_ns] * 3
 
 
-def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Any, recording_driver: Any) -> None:
+def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Any, fake_driver: Any) -> None:
     stand.run(S // 2, robot="r2")
     assert stand.made["r2"].target == FORWARD
-    recording_driver.stuck.add("r1")
+    fake_driver.unwritable.add("r1")
     with pytest.raises(ExceptionGroup) as caught:
         stand.node.close()
     assert [str(error) for error in caught.value.exceptions] == ["r1 is unplugged"]
@@ -181,14 +181,14 @@ def test_closing_stops_every_robot_whatever_one_of_them_does(stand: Any, recordi
 
 
 def test_a_probe_sees_every_decision_and_none_is_made_where_nothing_can_change(
-    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
+    bench_of: Make, platoon_of: Make, recorded: Make, fake_driver: Any, driver_of: Make
 ) -> None:
     seen: list[tuple[str, int, Any, Any]] = []
     bench = bench_of(platoon_of(*recorded(0)))
     node = driver_of(bench, "r1", probe=lambda *what: seen.append(what))
     bench.run(node, S)
     assert len(seen) == 1  # disarmed: a hundred loops, and nobody asked
-    robot = recording_driver.made["r1"]
+    robot = fake_driver.instances["r1"]
     robot.faults = WIRED_STOP
     bench.run(node, S)
     assert len(seen) == 2

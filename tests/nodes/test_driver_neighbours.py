@@ -32,16 +32,16 @@ def test_a_slow_robot_gives_its_neighbour_no_time(stand: Any, monkeypatch: pytes
 
 
 def test_a_robot_that_cannot_be_opened_leaves_none_open(
-    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
+    bench_of: Make, platoon_of: Make, recorded: Make, fake_driver: Any, driver_of: Make
 ) -> None:
     bench = bench_of(platoon_of(*recorded(0), "robots.1.driver='builtins:int'", "robots.1.unit=r1"))
     with pytest.raises(TypeError):
         driver_of(bench, "r1", "r2")
-    assert recording_driver.made["r1"].closed == 1
+    assert fake_driver.instances["r1"].closed == 1
 
 
 def test_a_robot_that_cannot_be_given_a_gate_is_closed_too(
-    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
+    bench_of: Make, platoon_of: Make, recorded: Make, fake_driver: Any, driver_of: Make
 ) -> None:
     class Nowhere:
         def load(self, robot: str) -> Any:
@@ -49,14 +49,14 @@ def test_a_robot_that_cannot_be_given_a_gate_is_closed_too(
 
     with pytest.raises(MemoryError, match="r1"):
         driver_of(bench_of(platoon_of(*recorded(0))), "r1", keeping=Nowhere())
-    assert recording_driver.made["r1"].closed == 1
+    assert fake_driver.instances["r1"].closed == 1
 
 
-@pytest.mark.parametrize("how", ["stuck", "mute"])
-def test_a_robot_that_fails_is_latched_alone(stand: Any, recording_driver: Any, how: str) -> None:
+@pytest.mark.parametrize("how", ["unwritable", "unreadable"])
+def test_a_robot_that_fails_is_latched_alone(stand: Any, fake_driver: Any, how: str) -> None:
     stand.run(S // 5, robot="r1")
     stand.run(S // 5, robot="r2")
-    getattr(recording_driver, how).add("r1")
+    getattr(fake_driver, how).add("r1")
     drive_both(stand, S // 5)
     one, other = stand.newest("r1"), stand.newest("r2")
     assert (one.gate, one.latch, one.latch_id) == (GateStatus.LATCHED, Latch.DRIVER_FAILED, 1)

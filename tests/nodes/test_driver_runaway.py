@@ -69,12 +69,12 @@ def test_a_robot_that_drives_is_not_judged(stand: Any) -> None:
 
 
 def test_a_reading_of_a_robot_that_is_gone_says_nothing(
-    stand: Any, recording_driver: Any, monkeypatch: pytest.MonkeyPatch
+    stand: Any, fake_driver: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reads(stand, monkeypatch, FAST, FAST)
     stand.bench.run(stand.node, 100 * MS)
     monkeypatch.undo()
-    recording_driver.mute.add("r1")
+    fake_driver.unreadable.add("r1")
     stand.bench.run(stand.node, 2 * S)
     assert stand.newest("r1").latch == Latch.DRIVER_FAILED
 

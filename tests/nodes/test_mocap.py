@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
+from robofleet.config.names import SHIPPED
 
 from robofleet.bus.keys import CAMERA, NEWS, POSES, STATE, key
 from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TRACKER_NEWS
@@ -17,8 +18,8 @@ from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.events import TrackerEvent, describe
 from tests.runs.realrun import RealRun
-from tests.tracking.poses_contract import MOCAP
 
+MOCAP = SHIPPED / "mocap.yaml"
 E = TrackerEvent
 SILENT = "faults=[{kind: camera_stalled, at_s: 1, duration_s: 0.3}]"
 SHORT = "run.duration_s=3", "run.bounds={}"

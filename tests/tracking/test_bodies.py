@@ -6,14 +6,15 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from robofleet.config.names import SHIPPED
 
 from robofleet.config.load import load_config
 from robofleet.config.mocap import MocapSettings
 from robofleet.core.clock import MS, S
 from robofleet.tracking.bodies import Body, FleetBodies, planar
 from robofleet.tracking.events import TrackerEvent
-from tests.tracking.poses_contract import MOCAP
 
+MOCAP = SHIPPED / "mocap.yaml"
 finite = st.floats(-3, 3)
 angle = st.floats(-3.1, 3.1)
 

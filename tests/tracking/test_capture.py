@@ -8,6 +8,7 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
+from robofleet.config.names import SHIPPED
 from typer.testing import CliRunner
 
 from robofleet.cli import app
@@ -17,8 +18,8 @@ from robofleet.tracking import capture
 from robofleet.tracking.bodies import Body
 from robofleet.tracking.capture import CaptureFrame, CaptureReader, bodies_there, open_capture
 from robofleet.tracking.sources import CameraError
-from tests.tracking.poses_contract import MOCAP
 
+MOCAP = SHIPPED / "mocap.yaml"
 LIBRARY = pytest.importorskip("motioncapture", reason="NO MOTIONCAPTURE: pip install 'robofleet[mocap]'")
 BODIES = "r1(0.5,-0.25,0.1,0,0,0,1);r2(1,0,0,1,0,0,0)"  # the mock's: name(x, y, z, qw, qx, qy, qz)
 MOCK = MocapSettings(system="mock", options={"rigid_bodies": BODIES, "frequency": "100"})

@@ -7,28 +7,30 @@ from collections.abc import Iterator
 from importlib.metadata import entry_points
 
 import pytest
+from robofleet.config.names import SHIPPED
 
 from robofleet.core.plugins import PluginError, load
-from tests.tracking.poses_contract import MOCAP, PosesBench, PosesContract
+from robofleet.testing import PoseBench, PoseContract
 
+MOCAP = SHIPPED / "mocap.yaml"
 TAGS = tuple(f"robots.{row}.tag={row + 1}" for row in range(4))
 
 
-class TestTruth(PosesContract):
+class TestTruth(PoseContract):
     source = "truth"
     keys = ("tracker.truth={position_noise_m: 0.0003, heading_noise_rad: 0.004, delay_s: 0.01}",)
 
 
-class TestCamera(PosesContract):
+class TestCamera(PoseContract):
     source = "camera"
     keys = TAGS
 
 
-class TestMocap(PosesContract):
+class TestMocap(PoseContract):
     source = "mocap"
 
 
-class TestMocapThatLiesTurned(PosesContract):
+class TestMocapThatLiesTurned(PoseContract):
     source = "mocap"
     keys = (
         "tracker.mocap.up=y",
@@ -39,7 +41,7 @@ class TestMocapThatLiesTurned(PosesContract):
     )
 
 
-class TestUdp(PosesContract):
+class TestUdp(PoseContract):
     """The shipped example of a source of one's own."""
 
     source = "myposes:UdpPoses"
@@ -52,13 +54,13 @@ class TestUdp(PosesContract):
         yield
         sys.modules.pop("myposes", None)
 
-    def measure(self, bench: PosesBench) -> None:
+    def measure(self, bench: PoseBench) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.sendto(json.dumps(bench.poses()).encode(), ("127.0.0.1", sys.modules["myposes"].PORT))
 
 
 def test_every_source_that_is_shipped_has_its_contract() -> None:
-    tried = {kind.source for kind in PosesContract.__subclasses__()}
+    tried = {kind.source for kind in PoseContract.__subclasses__()}
     assert {point.name for point in entry_points(group="robofleet.poses")} <= tried
 
 

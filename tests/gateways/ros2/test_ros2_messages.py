@@ -24,8 +24,8 @@ from robofleet.bus.messages import SCRIPT_WISH, UNIT_TRUTH
 from robofleet.bus.observer import Observer
 from robofleet.bus.ticks import TickFollower
 from robofleet.config import groups
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, SimulatedClock
 from robofleet.gateways.ros2 import camera, run, sensing, topics

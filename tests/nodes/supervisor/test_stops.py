@@ -234,7 +234,7 @@ def test_a_run_that_needs_no_operator_goes_on_without_one(stand: Stand) -> None:
 
 
 def test_the_stop_is_repeated_while_the_gate_is_closed(
-    bench_of: Make, platoon_of: Make, recorded: Make, recording_driver: Any, driver_of: Make
+    bench_of: Make, platoon_of: Make, recorded: Make, fake_driver: Any, driver_of: Make
 ) -> None:
     bench = bench_of(platoon_of(*recorded(0)))
     node = driver_of(bench, "r1")
@@ -245,7 +245,7 @@ def test_the_stop_is_repeated_while_the_gate_is_closed(
     bench.say(COMMAND, WheelCommand(seen.epoch, 1, 5, seen.boot_id, seen.nonce, 0, 3.0, 3.0), "r1")
     bench.say(ENABLE, Enable(seen.epoch, 1, seen.boot_id, seen.nonce, Phase.RUNNING, 0, 0, 5.0), "r1")
     bench.run(node, 50 * MS)
-    driver = recording_driver.made["r1"]
+    driver = fake_driver.instances["r1"]
     assert driver.target != STOP
     bench.run(node, 250 * MS)  # nobody says anything any more
     stops = [at for at, wheels in driver.writes if wheels == STOP and at > seen.nonce + 120 * MS]

@@ -9,8 +9,8 @@ import math
 from typing import Literal, get_args
 
 from robofleet.config.troubles import LineFault
+from robofleet.testing import DriverBench
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
-from tests.drivers.contract_bench import Bench
 from tests.drivers.test_contract import TestArduinoBridge
 
 _Kind = Literal["line_cut", "line_garbage", "line_late"]
@@ -20,7 +20,7 @@ _COMMANDS, _PERIOD_S = 667, 0.03
 
 def drive(seed: int, faults: list[LineFault]) -> tuple[str, int, float, float]:
     """Drive for 20 s; returns why it ended before, wrong motions, the furthest [rad/s] and the longest [ms] of them."""
-    bench = Bench(TestArduinoBridge.subject, *faults)
+    bench = DriverBench(TestArduinoBridge.subject, *faults)
     run = bench.config.run.model_copy(update={"seed": seed})
     bench.config = bench.config.model_copy(update={"run": run})
     with bench:
