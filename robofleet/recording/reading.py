@@ -37,7 +37,7 @@ _STEP_NS = S
 
 _MADE_BY = re.compile(LIBRARY.format(r"(\S{1,40})", r"(\d{1,9})"))
 _SHOWN = 80  # characters of what a file says of itself
-_MOST_DROPPED = 1 << 63  # more messages than this were never believed_groups
+_MOST_DROPPED = 1 << 63  # more messages than this were never sent
 
 
 Imports = Callable[[str], bool]

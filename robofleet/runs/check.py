@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import Behaviour, Bound, Refusal
+from robofleet.behaviours.interface import Behaviour, Bound, Refusal, Start
 from robofleet.config import groups, obstacles, slices, units
 from robofleet.config.faults import Complaint
 from robofleet.config.load import Change, ConfigFile, Files
@@ -19,7 +19,7 @@ from robofleet.core.clock import S
 from robofleet.core.plugins import PluginError, load
 from robofleet.nodes import views
 from robofleet.nodes.pose_sources import POSES
-from robofleet.runs import check_drivers, check_faults, check_starts
+from robofleet.runs import check_drivers, check_faults
 from robofleet.safety.distances import least_room_m
 from robofleet.safety.gate import VALID_NS
 from robofleet.safety.supervisor import Phase
@@ -115,7 +115,7 @@ def proofs(config: Config) -> list[tuple[str, str, str, str]]:
             f"{b.tightness:.0%}",
         )
         for b in tightest.values()
-    ] + check_starts.rows(config)
+    ] + start_rows(config)
 
 
 def _worst(broken: Iterable[Bound]) -> list[Bound]:
@@ -347,3 +347,34 @@ def _tells(robot: Robot) -> bool:
 def _looks(camera: str) -> bool:
     """Return whether a camera's images are of what exists now."""
     return not issubclass(load("robofleet.cameras", camera), ScheduledCamera)
+
+
+def start_rows(config: Config) -> list[tuple[str, str, str, str]]:
+    """Return what a table of proofs says of the starts: (what, value, limit, how much of it is used)."""
+    settle_s = config.run.spacing_settle_s
+    found: list[tuple[str, str, str, str]] = []
+    for start in _judged_starts(config):
+        found += start.rows
+        if start.arrived_s:
+            late_s = max(start.arrived_s)
+            takes = f"{late_s:.1f} s" if math.isfinite(late_s) else "over 25 s"
+            note = "ok" if late_s <= settle_s else "slow"
+            found.append(("the time until every robot is where it is to be", takes, f"{settle_s:g} s", note))
+    return found
+
+
+def start_warnings(config: Config) -> Iterator[str]:
+    """Yield what works and may take long, a line each."""
+    settle_s = config.run.spacing_settle_s
+    for start in _judged_starts(config):
+        for late_s, warning in () if start.jam else start.warnings:
+            if late_s > settle_s:
+                yield f"{warning}; figures count after {settle_s:g} s (run.spacing_settle_s)"
+
+
+def _judged_starts(config: Config) -> Iterator[Start]:
+    """Yield what each behaviour says of its robots' starts, where all of them have one."""
+    for behaviour in groups.behaviours(config):
+        poses = [pose for pose in behaviour.team.starts if pose is not None]
+        if len(poses) == len(behaviour.team):
+            yield behaviour.start(poses)

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.task import Future
 from std_msgs.msg import String
 
 from robofleet.bus.bus import Bus
@@ -17,15 +19,16 @@ from robofleet.config import obstacles
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.gateways import urdf
+from robofleet.gateways.asking import SERVICES, Ask
+from robofleet.gateways.place import Served
 from robofleet.gateways.ros2 import camera, topics
 from robofleet.gateways.ros2.camera import Camera
-from robofleet.gateways.ros2.graph import Graph
+from robofleet.gateways.ros2.graph import TRANSFORMS_PACKAGE, Graph, Transforms, has_transforms
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.run import Run, markers
 from robofleet.gateways.ros2.sensing import Sensing, places
-from robofleet.gateways.ros2.transforms import PACKAGE, Transforms, there
+from robofleet.gateways.ros2.topics import SERVICE, load
 from robofleet.gateways.ros2.velocities import Velocities
-from robofleet.gateways.served import Served
 from robofleet.vehicles.solids import distances
 
 NODE = "robofleet"
@@ -63,9 +66,9 @@ class Gateway:
         self._markers.publish(markers(config, names, graph.frames))
         self._floor = Floor(graph, config, names)
         self._say_places(graph, config, names)
-        if not there():
+        if not has_transforms():
             node.get_logger().warning(
-                f"no /tf, so RViz and Nav2 see no robots: this Python has no {PACKAGE}, and PyPI has none: "
+                f"no /tf, so RViz and Nav2 see no robots: this Python has no {TRANSFORMS_PACKAGE}, and PyPI has none: "
                 "install robofleet for the Python of a ROS 2 of your own (configs/ROS2.md), which has it"
             )
 
@@ -130,3 +133,16 @@ def occupied(config: Config) -> tuple[float, NDArray[np.bool_]]:
     solids = obstacles.every(config.arena)
     inside = distances(solids, middles).min(axis=0) < 0.0 if solids else np.zeros(len(middles), np.bool_)
     return cell_m, inside.reshape(rows, columns)
+
+
+def serve_requests(node: Node, ask: Ask) -> None:
+    """Serve them; the node goes on while one is answered."""
+
+    async def answer(what: str, _request: Any, response: Any) -> Any:
+        outcome: Future = Future(executor=node.executor)
+        ask(what).add_done_callback(lambda done: None if done.cancelled() else outcome.set_result(done.result()))
+        response.success, response.message = await outcome
+        return response
+
+    for what in SERVICES:
+        node.create_service(load(SERVICE), what, partial(answer, what))

@@ -28,7 +28,8 @@ from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, SimulatedClock
-from robofleet.gateways.ros2 import camera, run, sensing, topics, transforms
+from robofleet.gateways.ros2 import camera, run, sensing, topics
+from robofleet.gateways.ros2 import graph as ros_graph
 from robofleet.gateways.ros2.gateway import grid
 from robofleet.gateways.ros2.graph import stamped
 from robofleet.gateways.ros2.robots import Robots
@@ -131,7 +132,7 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Paper:
     messages.TFMessage = Frames  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "tf2_msgs", package)
     monkeypatch.setitem(sys.modules, "tf2_msgs.msg", messages)
-    monkeypatch.setattr(transforms, "there", lambda: True)
+    monkeypatch.setattr(ros_graph, "has_transforms", lambda: True)
     return Paper()
 
 
