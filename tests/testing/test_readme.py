@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from robofleet.config.names import SHIPPED
+from robofleet.config.files.names import SHIPPED
 
 import robofleet.testing
 from robofleet import ConfigError, load_config

@@ -8,7 +8,7 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
-from robofleet.config.names import SHIPPED
+from robofleet.config.files.names import SHIPPED
 from typer.testing import CliRunner
 
 from robofleet.cli import app
