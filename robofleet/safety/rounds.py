@@ -16,7 +16,7 @@ Rounds = NDArray[np.int64]
 
 def within(points: NDArray[np.float64], reach: float) -> Rounds:
     """Return the pairs of points (N, 2) that are no further apart than ``reach``: indices (K, 2), the lower first."""
-    order = np.argsort(points[:, 0], kind="stable")
+    order = np.argsort(points[:, 0])
     at, found = points[order], [np.empty((0, 2), dtype=np.int64)]
     for k in range(1, len(points)):  # who comes k places later along x
         step = at[k:] - at[:-k]
@@ -25,7 +25,7 @@ def within(points: NDArray[np.float64], reach: float) -> Rounds:
             break
         near = np.flatnonzero(ahead & (np.hypot(step[:, 0], step[:, 1]) <= reach))
         found.append(np.stack([order[near], order[near + k]], axis=1))
-    pairs = np.sort(np.concatenate(found), axis=1)
+    pairs = np.sort(np.concatenate(found))
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
