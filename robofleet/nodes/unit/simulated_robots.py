@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.bus.messages import UNIT_COMMAND, UNIT_ENABLE, UNIT_SENSORS, UNIT_STATUS, UNIT_TRUTH, LeaseAnswer
-from robofleet.bus.sensors import SensorsSaid
+from robofleet.bus.sensors import SensorMessage
 from robofleet.core.compiling import Say, told
 from robofleet.core.kernels import kernel, kernel_of_plain
 from robofleet.core.rows import record_of, row_type
 from robofleet.nodes.unit import link
 from robofleet.nodes.unit.gated_robot import LinkedRobots, Probe
-from robofleet.nodes.unit.keeping import RobotState, StateStore
 from robofleet.nodes.unit.link import Link
+from robofleet.nodes.unit.state_store import RobotState, StateStore
 from robofleet.safety.gate import DRIVE, GATE, INPUT, NEVER_NS, GateState, Inputs, LeaseAction
 from robofleet.safety.latches import GateStatus
 from robofleet.simulation import bodies as simulated
@@ -41,12 +41,14 @@ class SimulatedRobots(LinkedRobots):
     """Robots (N,) behind their gates."""
 
     def __init__(
-        self, contexts: Sequence[DriverContext], bodies: Bodies, boot_id: int, keeping: StateStore,
+        self, contexts: Sequence[DriverContext], bodies: Bodies, boot_id: int, state_store: StateStore,
         probe: Probe | None, now_ns: int,
     ) -> None:  # fmt: skip
         super().__init__()
         self._robots, self._bodies, self._probe = [context.robot for context in contexts], bodies, probe
-        self._memories = [RobotState(robot, keeping, partial(self._complaints.add, robot)) for robot in self._robots]
+        self._memories = [
+            RobotState(robot, state_store, partial(self._complaints.add, robot)) for robot in self._robots
+        ]
         gates = [GateState(boot_id=boot_id, **memory.kept._asdict()) for memory in self._memories]
         self._gates = np.array([astuple(gate) for gate in gates], GATE)
         self._links = np.array([astuple(link.new_link(gate, now_ns)) for gate in gates], LINK)
@@ -146,7 +148,7 @@ class SimulatedRobots(LinkedRobots):
         _fill_truths(b.bodies, b.builds, b.coming, b.noise, self._truths, b.prepare())
         return self._truths
 
-    def sensors(self) -> SensorsSaid:
+    def sensors(self) -> SensorMessage:
         """Return what the sensors say, of each robot whose sensors are read."""
         sensing = self._bodies.sensing
         assert sensing is not None

@@ -34,7 +34,7 @@ class Senders:
     """A sender for each group that takes setpoints; ``calm`` lets all of them drive every robot about."""
 
     def __init__(self, config: Config, bus: MemoryBus) -> None:
-        topics, scripts = setpoint_topics(config), groups.wishing(config, Script)
+        topics, scripts = setpoint_topics(config), groups.taking_setpoints(config, Script)
         self._senders = [
             _Sender(config, bus, group, topics[group.title], anything=group.title in scripts)
             for group in config.groups
