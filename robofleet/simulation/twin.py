@@ -19,7 +19,7 @@ from robofleet.vehicles.sensors import SimulatedSensors
 Others = Callable[[], Sequence[tuple[TruePose, float]]]  # where other robots are, and their bodies' radii [m]
 
 _UNOPENED_NS = 10 * MS  # nothing tells when the host opens the port: it is looked at so often
-_BUFFER = 64  # bytes that wait for a firmware that hangs
+_BUFFER_BYTES = 64  # that wait for a firmware that hangs
 
 
 class Twin:
@@ -106,7 +106,7 @@ class Twin:
             self.ledger.loop(now_ns)
         data = self._waiting + self._to_robot.take(now_ns)
         if self._troubles.hangs(now_ns):
-            self._waiting = data[:_BUFFER]
+            self._waiting = data[:_BUFFER_BYTES]
         else:
             self._waiting = b""
             if data:

@@ -260,7 +260,7 @@ def grays(*patches: tuple[float, float]) -> tuple[np.ndarray, list[TagSighting],
     targets = [Target(k, 0.07, 0.08, 0.0) for k in range(len(patches))]
     renderer = SceneRenderer(eye, (1280, 720), targets, 0.0, np.random.default_rng(1))
     places = [TagSighting(k, 0.3 * k - 0.3, 0.2 * k, 0.4 + k, 0, 0) for k in range(len(patches))]
-    image = renderer.render(np.array([place[1:] for place in places])).astype(float)
+    image = renderer.render(np.array([(place.x, place.y, place.psi) for place in places])).astype(float)
     for (black, white), place in zip(patches, places, strict=True):
         u, v = np.rint(eye.project(np.array([[place.x, place.y, 0.08]]))[0]).astype(int)
         part = image[v - 25 : v + 26, u - 25 : u + 26]
