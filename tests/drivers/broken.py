@@ -78,14 +78,14 @@ class RoundsUpAtTheLimit(Sparrow):
 class SaysItAgain(Sparrow):
     """As a driver whose polling is as good as a command to its firmware."""
 
-    _told = STOP
+    _newest = STOP
 
     def write(self, wheels: WheelSpeeds) -> None:
-        self._told = wheels
+        self._newest = wheels
         super().write(wheels)
 
     def read(self) -> DriverReading:
-        super().write(self._told)
+        super().write(self._newest)
         return super().read()
 
 
@@ -134,11 +134,11 @@ class BelievesEveryLine(Sparrow):
 class MiscountsBadLines(Sparrow):
     def listen(self) -> bool:
         before = self.heard[-1:]
-        heard = super().listen()
+        is_heard = super().listen()
         if before and self.heard[-1][0] - before[0][0] > 15_000_000:
             at_ns, left, right, charge = self.zero
             self.zero = at_ns, left + 500, right, charge
-        return heard
+        return is_heard
 
 
 class NeverMissesIt(Sparrow):
@@ -185,11 +185,11 @@ class ComesBackOnce(Sparrow):
 class GoesOn(Sparrow):
     """Where it was interrupted by a plug."""
 
-    told: ClassVar[dict[str, WheelSpeeds]] = {}
+    commands: ClassVar[dict[str, WheelSpeeds]] = {}
 
     def __init__(self, context: DriverContext) -> None:
         super().__init__(context)
-        self.again = self.told.pop(self.settings.port, None)
+        self.again = self.commands.pop(self.settings.port, None)
 
     def write(self, wheels: WheelSpeeds) -> None:
         self.last = wheels
@@ -204,7 +204,7 @@ class GoesOn(Sparrow):
         try:
             return super().listen()
         except DriverError:
-            self.told[self.settings.port] = self.last
+            self.commands[self.settings.port] = self.last
             raise
 
 

@@ -15,7 +15,7 @@ _WITHIN_MM = 30.0
 
 def _found() -> list[Path]:
     places = [Path(os.environ[name]) for name in _CHECKOUTS if name in os.environ]
-    return [script for place in places for script in scripts(place)]
+    return [script for folder in places for script in scripts(folder)]
 
 
 @pytest.mark.skipif(not _found(), reason=f"no {' and no '.join(_CHECKOUTS)}: name checkouts of its simulator")

@@ -49,8 +49,8 @@ class Floor:
 
     def frames(self, ns: int) -> list[Any]:
         self.bench.run(self.node, ns, (10 * MS, self._truths), (TICK_NS, self._tick))
-        heard: list[Any] = self.bench.heard(POSES, CAMERA)
-        return heard
+        images: list[Any] = self.bench.heard(POSES, CAMERA)
+        return images
 
     def where(self, robot: Any, instant_ns: int) -> tuple[float, float, float]:
         driven = SPEED * (instant_ns - self.origin_ns) / S
@@ -155,9 +155,9 @@ SIMULATED = "robots.1.reality=simulated"
 def test_a_robot_that_nobody_would_see_is_refused(
     platoon_of: Make, overrides: list[str], path: str, message: str
 ) -> None:
-    ((where, said),) = refusals(platoon_of(*overrides))
+    ((where, refusal),) = refusals(platoon_of(*overrides))
     assert where == path
-    assert message in said
+    assert message in refusal
 
 
 @pytest.mark.parametrize("overrides", [VIRTUAL, [*VIRTUAL, "tracker.source=truth"], ["tracker.source=truth"]])

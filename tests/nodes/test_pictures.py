@@ -30,7 +30,7 @@ class Stand:
     def __init__(self, bench: Any) -> None:
         self.bench, self.origin_ns = bench, bench.now_ns
         self.order: list[str] = []
-        bench.bus.tap(lambda said: self.order.append(said[0]))
+        bench.bus.tap(lambda tapped: self.order.append(tapped[0]))
         faults = Schedule(bench.config, bench.clock) if bench.config.faults else None
         if faults is not None:
             faults.begin(bench.now_ns)
@@ -136,11 +136,11 @@ def test_a_picture_is_of_its_exposure_also_when_the_poses_are_late(stand_of: Mak
 def test_the_poses_of_its_image_go_before_a_picture(stand_of: Make) -> None:
     stand = stand_of("camera.picture_rate_hz=30")
     pictures, arena = stand.run(S), stand.bench.config.arena.name
-    order = [said for said in stand.order if said in (key(arena, POSES, CAMERA), key(arena, PICTURE, CAMERA))]
+    order = [full for full in stand.order if full in (key(arena, POSES, CAMERA), key(arena, PICTURE, CAMERA))]
     poses = [frame.exposure_ns for frame in stand.bench.heard(POSES, CAMERA)]
     assert len(pictures) > 20
-    for picture, at in zip(pictures, [k for k, said in enumerate(order) if said.endswith("picture")], strict=True):
-        before = sum(not said.endswith("picture") for said in order[:at])
+    for picture, at in zip(pictures, [k for k, full in enumerate(order) if full.endswith("picture")], strict=True):
+        before = sum(not full.endswith("picture") for full in order[:at])
         assert poses[before - 1] == picture.exposure_ns
 
 
@@ -221,12 +221,12 @@ def test_an_image_that_is_there_goes_before_a_picture(stand_of: Make) -> None:
     stand = stand_of(f"camera.source='{__name__}:Hurried'", "camera.trigger=free", "camera.noise_gray=0")
     image = np.arange(720 * 1280, dtype=np.uint32).reshape(720, 1280).astype(np.uint8)
     Hurried.given.extend(Frame(image + k, stand.bench.now_ns + k) for k in range(3))
-    said = []
+    order = []
     for _ in range(4):
         before = len(stand.order)
         stand.node.step(stand.bench.now_ns)
-        said += [full.rpartition("/")[2] for full in stand.order[before:]]
-    assert said == ["overhead", "overhead", "overhead", "picture"]
+        order += [full.rpartition("/")[2] for full in stand.order[before:]]
+    assert order == ["overhead", "overhead", "overhead", "picture"]
     (picture,) = stand.bench.heard(PICTURE, CAMERA)
     newest = stand.bench.heard(POSES, CAMERA)[-1]
     assert picture.exposure_ns == newest.exposure_ns, "what was to be shown may be written over by then"

@@ -219,8 +219,8 @@ def test_each_group_has_a_table_with_its_own_figures(capsys: pytest.CaptureFixtu
     assert row(above, "r3").split()[-4:] == ["1.00", "-", "-", "open"]
     assert row(below, "s2").split()[-3:] == ["2.00", "28.6", "open"]
     LiveView(view.recording.config, SimulatedClock(), view.terminal, quiet=False)(view.recording, "running")
-    said = "platoon: control error 1.00 1.00 1.00 mm; inner: radius error 2.00 2.00 mm; 0 overruns"
-    assert said in capsys.readouterr().err
+    line = "platoon: control error 1.00 1.00 1.00 mm; inner: radius error 2.00 2.00 mm; 0 overruns"
+    assert line in capsys.readouterr().err
 
 
 def test_a_behaviour_that_failed_is_seen_with_its_robots_and_what_to_do(view: View) -> None:
@@ -241,31 +241,31 @@ def test_on_the_way_it_says_who_is_there_how_far_the_others_are_and_what_a_hold_
     platoon_of: Callable[..., Config],
 ) -> None:
     config = platoon_of("run.begin=go_to_start")
-    said = View(config)
-    said.terminal = Attended()
-    shown = LiveView(config, SimulatedClock(), said.terminal, quiet=True)
+    view = View(config)
+    view.terminal = Attended()
+    shown = LiveView(config, SimulatedClock(), view.terminal, quiet=True)
 
     def text(phase: str) -> str:
         output = io.StringIO()
-        Console(file=output, width=80, color_system=None).print(shown.picture(said.recording, phase))
+        Console(file=output, width=80, color_system=None).print(shown.picture(view.recording, phase))
         return output.getvalue()
 
     robots = []
-    for away, place in zip((0.0, 0.5, 0.0, 0.0), OnTheWay(config).places[Phase.POSITIONING], strict=True):
-        assert place is not None
-        robots.append(STANDING._replace(x_m=place[0] + away, y_m=place[1], psi_rad=place[2]))
-    said.tick(*robots)
-    said.state(Phase.POSITIONING)
+    for away, pose in zip((0.0, 0.5, 0.0, 0.0), OnTheWay(config).places[Phase.POSITIONING], strict=True):
+        assert pose is not None
+        robots.append(STANDING._replace(x_m=pose[0] + away, y_m=pose[1], psi_rad=pose[2]))
+    view.tick(*robots)
+    view.state(Phase.POSITIONING)
     going = text("positioning")
     assert "at their start: 3 of 4 robots; r2 has 0.50 m to go, at least 3 s" in going
     assert "at its start" in row(going, "r1")
     assert "0.50 m to its start" in row(going, "r2")
     assert "control error" not in going, "no behaviour tells figures"
-    said.state(Phase.HOLD, Event.HOLD_REQUESTED)
+    view.state(Phase.HOLD, Event.HOLD_REQUESTED)
     held = text("held")
     assert "press r and the robots drive on to their start" in " ".join(held.replace("┃", " ").split()).lower()
     assert "0.50 m to its start" in row(held, "r2")
-    said.state(Phase.RUNNING)
+    view.state(Phase.RUNNING)
     assert "control error" in text("running").replace("\n", " ")
 
 
@@ -286,8 +286,8 @@ def test_a_busy_machine_is_seen_and_a_run_that_it_holds_goes_on_by_itself(
     plain(view.recording, "held")  # the launcher has not seen it yet
     plain(view.recording, "running")
     assert notice in view.shown("running")
-    first, *_, last, _ = said = capsys.readouterr().err.splitlines()
+    first, *_, last, _ = lines = capsys.readouterr().err.splitlines()
     assert "`robofleet resume` goes on" in first
     assert last.startswith("held: the tracker went silent (this machine was busy")
     assert last.endswith("; the run goes on by itself")
-    assert said.count(notice) == 1
+    assert lines.count(notice) == 1

@@ -168,7 +168,7 @@ COLUMNS = ["Robot", "State", "Wheels rad/s", "Battery %", "Age ms"]
 def test_each_group_has_a_table_with_its_own_figures(browser: Chrome, tmp_path: Path) -> None:
     with web_stand(tmp_path, file=TWO) as stand, opened(browser, stand) as page:
         show_as(page.browser, (1600, 1000))
-        page.fleet.told = {"control_error": [0.00012345] * 5, "radius_error": [0.25] * 5, "turned": [-0.5] * 5}
+        page.fleet.figures = {"control_error": [0.00012345] * 5, "radius_error": [0.25] * 5, "turned": [-0.5] * 5}
         page.becomes(lambda: page.run(CELLS)[0][2][0][2] == "0.12")
         platoon, inner, parked = page.run(CELLS)
         page.fleet.latched = {"s2"}
@@ -232,7 +232,7 @@ def test_space_and_e_stop_the_robots_wherever_the_focus_is(page: Seen, where: st
     page.run("document.getElementById(arguments[0]).focus()", where)
     before = seen_place(page, 1.0, 0.0)
     ActionChains(page.browser).send_keys(key).perform()
-    page.becomes(lambda: b"estop" in page.stand.asked)
+    page.becomes(lambda: b"estop" in page.stand.requests)
     assert seen_place(page, 1.0, 0.0) == before
 
 
@@ -262,7 +262,7 @@ def test_figures_of_the_last_minute_are_plotted(page: Seen) -> None:
         wanted = [[int(colours[row][at : at + 2], 16) for at in (1, 3, 5)] for row in robots]
         return all(np.abs(inks - colour).max(axis=1).min(initial=255) < 8 for colour in wanted)
 
-    page.fleet.told = {
+    page.fleet.figures = {
         "control_error": [0.0002, 0.0004, 0.0006, 0.0008],
         "estimated_spacing": [math.nan, 0.255, 0.26, 0.27],
     }

@@ -39,15 +39,15 @@ def listening(run: RealRun) -> Iterator[Callable[[], dict[str, RobotStatus]]]:
     newest: dict[str, RobotStatus] = {}
 
     def heard() -> dict[str, RobotStatus]:
-        for _, full, payload in said.drain():
+        for _, full, payload in statuses.drain():
             unit = config.units[full.split("/")[-2]]
-            for place, robot in enumerate(unit):
-                if (status := ROBOT_STATUS.of(payload, place)) is not None:
+            for row, robot in enumerate(unit):
+                if (status := ROBOT_STATUS.of(payload, row)) is not None:
                     newest[robot] = status
         return newest
 
     try:
-        said = bus.stream(key(config.arena.name, keys.STATUS, "*"), capacity=1024)
+        statuses = bus.stream(key(config.arena.name, keys.STATUS, "*"), capacity=1024)
         yield heard
     finally:
         bus.close()

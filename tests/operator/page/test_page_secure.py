@@ -68,9 +68,9 @@ def test_a_viewer_has_the_controls_that_stop_and_no_others(viewer: Seen) -> None
     assert viewer.run("return document.cookie") == "", "no script reads the cookie"
     viewer.becomes(lambda: viewer.enabled() == {"hold", "stop"})
     viewer.press("hold")
-    viewer.becomes(lambda: viewer.stand.asked == [b"hold"])
+    viewer.becomes(lambda: viewer.stand.requests == [b"hold"])
     ActionChains(viewer.browser).send_keys(" ").perform()
-    viewer.becomes(lambda: b"estop" in viewer.stand.asked)
+    viewer.becomes(lambda: b"estop" in viewer.stand.requests)
     assert complaints(viewer) == []
 
 
@@ -118,12 +118,12 @@ def another_site(address: str) -> Iterator[str]:
         def answered() -> None:
             while True:
                 try:
-                    there, _ = server.accept()
+                    client, _ = server.accept()
                 except OSError:
                     return
-                with there:
-                    there.recv(65536)
-                    there.sendall(answer)
+                with client:
+                    client.recv(65536)
+                    client.sendall(answer)
 
         thread = threading.Thread(target=answered)
         thread.start()
