@@ -24,6 +24,6 @@ def _found() -> list[Path]:
 def test_a_script_of_theirs_ends_where_theirs_ends(script: Path) -> None:
     checkout = next(parent for parent in script.parents if (parent / "rps").is_dir())
     row = compared(checkout, script)
-    assert row.exit_code == 0, row.said
+    assert row.exit_code == 0, row.output
     assert row.apart_mm < _WITHIN_MM
     assert version(checkout) in (1, 2)
