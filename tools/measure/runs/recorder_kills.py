@@ -84,12 +84,12 @@ def missing(run: Path, arrivals: list[Arrival]) -> list[Arrival]:
     lost = []
     for full, payloads in said_on.items():
         places = {
-            payload: message_index for message_index, payload in recording.placed(full)
+            payload: where for where, payload in recording.placed(full)
         }  # every message has a number
         found = [places.get(arrival.payload) for arrival in payloads]
-        order = [message_index for message_index in found if message_index is not None]
+        order = [where for where in found if where is not None]
         assert order == sorted(order), f"{full}: another order than what was said"
-        lost += [arrival for arrival, message_index in zip(payloads, found, strict=True) if message_index is None]
+        lost += [arrival for arrival, where in zip(payloads, found, strict=True) if where is None]
     return lost
 
 
