@@ -87,9 +87,9 @@ class ArduinoBridge:
         self._frame_ns = settings.frame_s * 1e9
         self._counts_per_rad = settings.counts_per_turn / math.tau
         self._left, self._right = Rounding(), Rounding()
-        self._target, self._said_ns, self._aimed_ns = (0, 0), 0, 0
+        self._target, self._sent_ns, self._aimed_ns = (0, 0), 0, 0
         self._encoders = Encoders(self._counts_per_rad, context.drive.max_wheel_speed)
-        self._asked_ns = 0
+        self._requested_ns = 0
         self._rest = b""
         self._talks = False  # it has said something, whatever that was
         self._unanswered: deque[tuple[str, int]] = deque()  # what, and when it was asked
@@ -120,24 +120,24 @@ class ArduinoBridge:
         per_frame = self._counts_per_rad * self._frame_ns * 1e-9
         target = self._left(wheels.left * per_frame, frames), self._right(wheels.right * per_frame, frames)
         self._aimed_ns = now_ns
-        if target != self._target or not 0 <= now_ns - self._said_ns < _AGAIN_NS:
+        if target != self._target or not 0 <= now_ns - self._sent_ns < _AGAIN_NS:
             self._say(_DONE, b"m %d, %d\r" % target)
-            self._target, self._said_ns = target, now_ns
+            self._target, self._sent_ns = target, now_ns
 
     def read(self) -> DriverReading:
         """Return angles and speeds; the battery it cannot tell."""
         now_ns = self._listen()
         self._dead_man.sign()
-        if self._asked_ns - self._encoders.at_ns > _SILENT_NS:
+        if self._requested_ns - self._encoders.at_ns > _SILENT_NS:
             raise DriverError(
                 f"{self._name}: no possible encoder counts came for {_SILENT_NS * 1e-9:.1f} s: "
                 "is the robot on, and its cable good?"
             )
         # a question behind a motion that was cut would end that one: the next motion, which is near, shall do it
         moving = any(answer == _DONE for answer, _ in self._unanswered)
-        if not 0 <= now_ns - self._asked_ns < (_LOST_NS if moving else _AGAIN_NS):
+        if not 0 <= now_ns - self._requested_ns < (_LOST_NS if moving else _AGAIN_NS):
             self._say(_COUNTS, b"e\r")
-            self._asked_ns = now_ns
+            self._requested_ns = now_ns
         return DriverReading(*self._encoders.angles, *self._encoders.speeds, math.nan, 0)
 
     def close(self) -> None:
@@ -204,8 +204,8 @@ class ArduinoBridge:
     def _take(self, kind: str, words: re.Match[bytes]) -> None:
         """Take an answer, to the oldest question that it can belong to; those before will get none any more."""
         while any(kind == waiting for waiting, _ in self._unanswered):
-            waiting, asked_ns = self._unanswered.popleft()
+            waiting, requested_ns = self._unanswered.popleft()
             if waiting == kind:
                 if kind == _COUNTS:
-                    self._encoders.take(asked_ns, int(words[1]), int(words[2]))
+                    self._encoders.take(requested_ns, int(words[1]), int(words[2]))
                 return

@@ -1,4 +1,4 @@
-"""Counts of a ros_arduino_bridge: those that its wheels are told, and those that it says they have turned."""
+"""Encoder counts of a ros_arduino_bridge: commanded counts with their rounding, and measured counts."""
 
 from collections import deque
 from typing import NamedTuple

@@ -1,6 +1,6 @@
 """A body without motors: a cart, or anything else that carries a tag and that a person moves.
 
-Nothing that is written to it moves anything. It tells of no encoder and of no battery; where it is only its tag tells.
+Commands move nothing. There is no encoder and no battery: only its tag says where it is.
 """
 
 import math
@@ -11,10 +11,10 @@ _STANDS = DriverReading(0.0, 0.0, 0.0, 0.0, math.nan, 0)
 
 
 class Cart:
-    """A driver of nothing."""
+    """A null driver."""
 
     def __init__(self, context: DriverContext) -> None:
-        """Have nothing to open."""
+        """Open nothing."""
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Move nothing."""
@@ -24,4 +24,4 @@ class Cart:
         return _STANDS
 
     def close(self) -> None:
-        """Have nothing to switch off."""
+        """Close nothing."""

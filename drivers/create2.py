@@ -47,7 +47,7 @@ MOTORS_OFF = _LIST_LACK + struct.pack(">Bhh", _DRIVE, 0, 0) + bytes((_START,))
 
 _ANSWER_NS, _STALE_NS = 1_000_000_000, 500_000_000
 _SILENT_NS = _GREET_NS = 100_000_000
-_TOLD_NS = 100_000_000  # it may still go by what it was told so long ago: lines are late
+_VALID_NS = 100_000_000  # it may still go by what it was told so long ago: lines are late
 _MODE_LOST_NS = 100_000_000
 _AGAIN_NS = 30_000_000  # the gate tells its ramp every 5 ms, which is often the same in mm/s
 _STOP_PATIENCE_NS, _STOP_TRIES = 50_000_000, 4
@@ -94,7 +94,7 @@ class Create2:
         self._requested = (0, 0)  # the same: right, left [mm/s]
         self._sent_at_ns: dict[tuple[int, int], int] = {}  # and lately, with when last
         self._sent: tuple[int, int] | None = None  # by the newest command, and when
-        self._said_ns = 0
+        self._sent_ns = 0
         self._new = False  # it was not told that before, lately
         self._proof: tuple[int, int] | None = None  # what nothing but the newest command can have made it say,
         self._obeyed = False  # and it has said that since: it need not be told again
@@ -120,7 +120,7 @@ class Create2:
         now_ns = self._now_ns()
         self._aim(wheels, now_ns)
         self._listen(now_ns)
-        if self._requested != self._sent or not (self._obeyed or now_ns - self._said_ns < _AGAIN_NS):
+        if self._requested != self._sent or not (self._obeyed or now_ns - self._sent_ns < _AGAIN_NS):
             self._tell(now_ns)
 
     def read(self) -> DriverReading:
@@ -184,7 +184,7 @@ class Create2:
         """Take what the robot is to do from now on."""
         self._wheels = self._dead_man.allow(wheels, now_ns)
         self._requested = self._mm_s(self._wheels.right), self._mm_s(self._wheels.left)
-        self._sent_at_ns = {speeds: at_ns for speeds, at_ns in self._sent_at_ns.items() if now_ns - at_ns <= _TOLD_NS}
+        self._sent_at_ns = {speeds: at_ns for speeds, at_ns in self._sent_at_ns.items() if now_ns - at_ns <= _VALID_NS}
         self._new = self._requested not in self._sent_at_ns
         self._sent_at_ns[self._requested] = now_ns
 
@@ -192,7 +192,7 @@ class Create2:
         """Say it, and bring the robot back into its mode if that must be."""
         mode = bytes((_MODE + self._mode,)) if self._astray else b""
         lack = b"" if self._obeyed else _LACK
-        self._sent, self._said_ns = self._requested, now_ns
+        self._sent, self._sent_ns = self._requested, now_ns
         self._obeyed, self._proof = False, self._requested if self._new else None
         self._port.write(lack + mode + struct.pack(">Bhh", _DRIVE, *self._requested) + more)
 
@@ -207,7 +207,7 @@ class Create2:
         frame = self._frame
         if frame is None or frame.mode != self._mode:
             return False
-        return (frame.right_asked, frame.left_asked) not in self._sent_at_ns
+        return (frame.right_requested, frame.left_requested) not in self._sent_at_ns
 
     def _listen(self, now_ns: int) -> None:
         frames = self._stream.feed(self._port.read())
@@ -225,7 +225,7 @@ class Create2:
             return False
         self._turned = (self._turned[0] + left, self._turned[1] + right)
         self._frame, self._at_ns = frame, now_ns
-        self._obeyed = self._obeyed or self._proof == (frame.right_asked, frame.left_asked)
+        self._obeyed = self._obeyed or self._proof == (frame.right_requested, frame.left_requested)
         if self._past and self._past[-1][0] == now_ns:
             self._past.pop()
         self._past.append((now_ns, self._turned))

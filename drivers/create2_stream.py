@@ -24,8 +24,8 @@ class Frame(NamedTuple):
     mode: int
     charge: int  # [mAh]
     capacity: int  # [mAh]
-    right_asked: int  # [mm/s] by the last drive direct that it took
-    left_asked: int
+    right_requested: int  # [mm/s] by the last drive direct that it took
+    left_requested: int
     left_counts: int  # modulo 65536
     right_counts: int
 

@@ -80,14 +80,14 @@ class GTernal:
         self._radius, self._base = settings.wheel_radius_m, settings.wheel_base_m
         self._received = b""
         self._battery, self._battery_ns = math.nan, 0
-        self._asked_ns: int | None = None  # the first line that it has not answered yet
+        self._requested_ns: int | None = None  # the first line that it has not answered yet
         self._sent_ns = 0
         self._kind = context.sensors
         self._period_ns = 0 if self._kind is None else round(self._kind.period * 1e9)
         self._distances: tuple[float, ...] | None = None
         self._heading: float | None = None
         self._sensed_ns: int | None = None  # when it was asked for its sensors last
-        self._told_ns: int | None = None  # when it told of them last
+        self._sensors_ns: int | None = None  # when it told of them last
         self._closed = False
         self._line = SerialPort(settings.port, _BAUD)
         try:
@@ -118,11 +118,11 @@ class GTernal:
         """Return its charge, and what it told last of its sensors; its angles and speeds it does not tell."""
         self._listen()
         now_ns = self._now_ns()
-        if self._asked_ns is not None and now_ns - self._asked_ns >= _SILENT_NS:
+        if self._requested_ns is not None and now_ns - self._requested_ns >= _SILENT_NS:
             raise DriverError(f"{self._port}: the robot does not answer: is it on, or at its charger?")
         if not 0 <= now_ns - self._sent_ns < _ALONE_NS:
             self._send(None, battery=True, sensors=self._due(now_ns))
-        answering = self._told_ns is not None and now_ns - self._told_ns < _SILENT_NS + self._period_ns
+        answering = self._sensors_ns is not None and now_ns - self._sensors_ns < _SILENT_NS + self._period_ns
         sensors = SensorReading(heading=self._heading, distances=self._distances) if answering else None
         return DriverReading(0.0, 0.0, 0.0, 0.0, self._battery, 0, sensors)
 
@@ -146,9 +146,9 @@ class GTernal:
         if not any(self._obeys(STOP, _PATIENCE_S) for _ in range(_TRIES)):
             raise DriverError(f"{self._port}: the robot answers, but does not stop: look at its firmware")
         self._line.wait(_COAST_S)
-        if self._asked_for and not any(self._obeys(None, _PATIENCE_S, sensors=True) for _ in range(_TRIES)):
+        if self._interfaces and not any(self._obeys(None, _PATIENCE_S, sensors=True) for _ in range(_TRIES)):
             raise DriverError(
-                f"{self._port}: its firmware does not tell {' and '.join(self._asked_for)}: load the published "
+                f"{self._port}: its firmware does not tell {' and '.join(self._interfaces)}: load the published "
                 "firmware, or remove `sensors: true`"
             )
         places = 0 if self._kind is None else len(self._kind.places)
@@ -159,7 +159,7 @@ class GTernal:
             )
 
     @property
-    def _asked_for(self) -> list[str]:
+    def _interfaces(self) -> list[str]:
         """What it is asked for beside its battery."""
         kind = self._kind
         if kind is None:
@@ -176,7 +176,7 @@ class GTernal:
     def _obeys(self, wheels: WheelSpeeds | None, patience_s: float, *, sensors: bool = False) -> bool:
         """Send one line and wait for its answer."""
         self._send(wheels, battery=True, sensors=sensors)
-        request = (1 if wheels is None else 2) + (len(self._asked_for) if sensors else 0)
+        request = (1 if wheels is None else 2) + (len(self._interfaces) if sensors else 0)
         for _ in range(_PIECES):
             if not self._line.wait(patience_s):
                 return False
@@ -194,15 +194,15 @@ class GTernal:
         if battery:
             requests.append(("read", "batt_volt", {}))
         if sensors:
-            requests += [("read", interface, {}) for interface in self._asked_for]
+            requests += [("read", interface, {}) for interface in self._interfaces]
             self._sensed_ns = self._now_ns()
         lists = dict(zip(("request", "iface", "body"), zip(*requests, strict=True), strict=True))
         # The first byte may be lost: the firmware empties its input between its looks at it. After the last one must
         # come nothing: a blank would begin its next line, and it does not look at its stop before it has the rest.
         self._line.write(b"\n" + json.dumps(lists, separators=(",", ":")).encode())
         self._sent_ns = self._now_ns()
-        if self._asked_ns is None:
-            self._asked_ns = self._sent_ns
+        if self._requested_ns is None:
+            self._requested_ns = self._sent_ns
 
     def _listen(self) -> list[int]:
         """Take what it has answered; returns how many requests each answer was to."""
@@ -225,13 +225,13 @@ class GTernal:
         return lengths
 
     def _take(self, answer: _Answer) -> None:
-        self._asked_ns = None
+        self._requested_ns = None
         for item in answer.body:
             if item.batt_volt is not None:
                 charge = (item.batt_volt - _EMPTY_V) / (_FULL_V - _EMPTY_V)
                 self._battery, self._battery_ns = min(1.0, max(0.0, charge)), self._now_ns()
             if item.orientation is not None or item.distances is not None:
-                self._told_ns = self._now_ns()
+                self._sensors_ns = self._now_ns()
             if item.orientation is not None:
                 clockwise = math.radians(item.orientation[0])
                 self._heading = math.pi - (clockwise + math.pi) % math.tau

@@ -49,7 +49,7 @@ with robofleet.Fleet(sys.argv[1], out=sys.argv[2]) as fleet:
         pass
 """
 WORK = """\
-from robofleet.studies.engines import opened
+from robofleet.studies.cluster import opened
 if __name__ == "__main__":
     with opened("local", 2) as engine:
         print(sorted(finished.result for finished in engine.each(abs, [1, -2])))

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 import robofleet
 from robofleet import cli
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.operator import config_commands
 
 ROOT = Path(__file__).parents[1]
@@ -42,6 +42,9 @@ def test_a_wheel_holds_one_package_with_all_that_it_reads(wheel: Path) -> None:
     for folder in ("configs", "drivers"):
         ours = {str(file.relative_to(ROOT)) for kind in ("py", "yaml") for file in (ROOT / folder).rglob(f"*.{kind}")}
         assert ours and {f"robofleet/{name}" for name in ours} <= set(names)
+    for folder in ("operator/page/static", "operator/page/templates", "reports/templates"):
+        ours = {str(file.relative_to(ROOT)) for file in (ROOT / "robofleet" / folder).iterdir()}
+        assert ours and ours <= set(names)
     assert {"robofleet/py.typed", f"robofleet-{version('robofleet')}.dist-info/licenses/LICENSE"} <= set(names)
 
 

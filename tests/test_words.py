@@ -28,7 +28,7 @@ STANDING = {
     "robofleet/behaviours/interface.py": {"told", "of", "asked"},
     "robofleet/behaviours/track.py": {"of"},
     "robofleet/bus/messages.py": {"place", "told"},
-    "robofleet/config/yamlfile.py": {"place"},
+    "robofleet/config/files/yamlfile.py": {"place"},
     "robofleet/recording/columns.py": {"of"},
     "robofleet/recording/gauge.py": {"of", "asked", "told", "said"},
     "robofleet/recording/reading.py": {"place", "said"},

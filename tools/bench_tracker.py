@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from robofleet.core.clock import S, stopwatch_ns
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.photometric import PhotometricFit
-from robofleet.tracking.tags import TagDetector
-from robofleet.tracking.targets import Target
-from robofleet.tracking.tracker import TagTracker
+from robofleet.tracking.tags.detection import TagDetector
+from robofleet.tracking.tags.photometric import PhotometricFit
+from robofleet.tracking.tags.targets import Target
+from robofleet.tracking.tags.tracker import TagTracker
 
 Row = dict[str, Any]
 Image = NDArray[np.uint8]

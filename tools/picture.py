@@ -21,7 +21,7 @@ with needing("lab"):
     from robofleet.runs.lockstep import Lockstep
     from robofleet.simulation.camera import SceneRenderer
     from robofleet.tracking.camera import CameraGeometry
-    from robofleet.tracking.targets import robot_targets
+    from robofleet.tracking.tags.targets import robot_targets
 
 ROOT = Path(__file__).resolve().parents[1]
 COLOURS = ((60, 200, 255), (120, 220, 90), (255, 160, 60), (230, 110, 230))  # BGR

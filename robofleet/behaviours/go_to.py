@@ -330,7 +330,7 @@ class GoTo(Behaviour):
                 yield Bound("settings.speed_m_s", "speed_m_s", speed, drive.max_speed, "m/s", mend)
 
     def _edge_of(self, name: str, goal: Array) -> Bound:
-        left = (np.array(self.team.arena) / 2 - np.abs(self._kept(goal))).min()
+        left = (np.array(self.team.arena) / 2 - np.abs(self._barrier_point(goal))).min()
         edge = (
             max(from_edge(self.team.keepout, body) for body in self._bodies(name)) + self.settings.position_accuracy_m
         )
@@ -341,7 +341,9 @@ class GoTo(Behaviour):
     def _beside(self, name: str, goal: Array) -> Iterator[Bound]:
         keepout = self.team.keepout
         near = max(from_edge(keepout, body) for body in self._bodies(name))
-        for solid, away in zip(keepout.solids, distances(keepout.solids, self._kept(goal)[None])[:, 0], strict=True):
+        for solid, away in zip(
+            keepout.solids, distances(keepout.solids, self._barrier_point(goal)[None])[:, 0], strict=True
+        ):
             edge = "the floor's edge (floor_m)" if solid.floor else solid.name
             mend = f"the barrier keeps robots from {edge}, so move the goal" + ("" if solid.floor else f" or {edge}")
             what = f"the distance of {name}'s goal from {edge}"
@@ -352,7 +354,7 @@ class GoTo(Behaviour):
         keepout = self.team.keepout
         for robot, other, start in self.team.bystanders:
             if start is not None:
-                away = math.dist(self._kept(goal), start[:2]) - keepout.ahead
+                away = math.dist(self._barrier_point(goal), start[:2]) - keepout.ahead
                 near = max(apart(keepout, body, other) for body in self._bodies(name))
                 mend = f"the barrier keeps robots from {robot}, so move the goal or {robot}"
                 what = f"the distance of {name}'s goal from {robot}, which stands"
@@ -364,10 +366,10 @@ class GoTo(Behaviour):
         near += 2 * self.settings.position_accuracy_m
         what = f"the distance of the goals of {robot} and {other}, {keepout.ahead:g} m ahead of the axles,"
         mend = "the barrier keeps bodies so far apart, so move one of them, or lower controller.barrier.ahead_m"
-        away = float(np.hypot(*(self._kept(goal) - self._kept(other_goal))))
+        away = float(np.hypot(*(self._barrier_point(goal) - self._barrier_point(other_goal))))
         return Bound(f"settings.goals.{other}", what, away, near, "m", mend, at_least=True)
 
-    def _kept(self, goal: Array) -> Array:
+    def _barrier_point(self, goal: Array) -> Array:
         """Return the point that the barrier keeps apart, of a robot at a goal [m]."""
         ahead, psi = self.team.keepout.ahead, goal[2]
         return np.asarray(goal[:2] + ahead * np.array([math.cos(psi), math.sin(psi)]))

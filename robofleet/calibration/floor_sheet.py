@@ -8,9 +8,9 @@ from typing import NamedTuple
 from matplotlib.path import Path as Outline
 
 from robofleet.behaviours.interface import Dots, Line
+from robofleet.calibration.extrinsics.survey import LEAST
 from robofleet.calibration.sheets import MARGIN, PAPERS, Page, foot, piece_side, tag_pages
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.survey import LEAST
 from robofleet.config import groups
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.tree import Config

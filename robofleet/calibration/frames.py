@@ -16,7 +16,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, WallClock
 from robofleet.core.plugins import PluginError, load
-from robofleet.tracking import files
+from robofleet.tracking.cameras import files
 from robofleet.tracking.sources import Camera, CameraContext, CameraError
 
 Image = NDArray[np.uint8]
@@ -35,15 +35,10 @@ def images(path: Path) -> Iterator[Named]:
         raise CalibrationError(str(error)) from error
 
 
-def from_files(paths: Sequence[Path], most: int) -> list[Named]:
-    """Return the first images of files, folders and videos."""
-    return list(islice(chain.from_iterable(map(images, paths)), most))
-
-
 def taken(paths: Sequence[Path], config: Config | None, most: int) -> list[Named]:
     """Return images of files, or of a configuration's camera; none if neither is given."""
     if config is None:
-        return from_files(paths, most)
+        return list(islice(chain.from_iterable(map(images, paths)), most))
     if paths:
         raise CalibrationError("images and --live: give one of them")
     return from_camera(config, most)

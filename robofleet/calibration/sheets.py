@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robofleet.calibration.store import CalibrationError
 from robofleet.core.figures import INK, QUIET
 from robofleet.core.settings import FAMILIES, FamilyName
-from robofleet.tracking.families import pattern
+from robofleet.tracking.tags.families import pattern
 
 # Width and height, upright [mm].
 PAPERS: dict[str, tuple[float, float]] = {

@@ -1,4 +1,4 @@
-"""Calibrations as YAML: written whole or not at all, and the one before is kept."""
+"""Calibrations as YAML files: written atomically; the previous file is kept."""
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,12 +11,12 @@ from pydantic import ValidationError
 
 from robofleet.config.calibrated import Provenance
 from robofleet.config.faults import plain_words
-from robofleet.config.yamlfile import Source, read_yaml
+from robofleet.config.files.yamlfile import Source, read_yaml
 from robofleet.core.clock import utc_now
 from robofleet.core.errors import BadInputError
 from robofleet.core.settings import Model
 
-KEPT = "earlier"  # folder beside a calibration, of those that it replaced
+EARLIER = "earlier"  # folder beside a calibration, of those that it replaced
 
 M = TypeVar("M", bound=Model)
 
@@ -61,7 +61,9 @@ def load(file: Path, kind: type[M]) -> M:
     except FileNotFoundError as error:
         raise CalibrationError(f"{file}: {error.strerror}") from error
     except ValidationError as invalid:
-        faults = (f"{': '.join(_where(file, e['loc']))}: {plain_words(e, kind)}" for e in invalid.errors())
+        paths = (".".join(map(str, error["loc"])) for error in invalid.errors())
+        words = (plain_words(error, kind) for error in invalid.errors())
+        faults = (": ".join(filter(None, (str(file), *fault))) for fault in zip(paths, words, strict=True))
         raise CalibrationError(faults) from invalid
 
 
@@ -71,7 +73,7 @@ def save(file: Path, calibration: Model) -> Path | None:
     Raises:
         CalibrationError: if it cannot be written; the one before is still in its place then.
     """
-    header = f"# Written by robofleet calibrate; the one before it is in {KEPT}/.\n"
+    header = f"# Written by robofleet calibrate; the one before it is in {EARLIER}/.\n"
     tree = calibration.model_dump(mode="json", exclude_none=True)
     text = header + yaml.safe_dump(tree, sort_keys=False, width=110)
     written = file.with_name(f".{file.name}.new")
@@ -85,13 +87,9 @@ def save(file: Path, calibration: Model) -> Path | None:
     return kept
 
 
-def _where(file: Path, loc: tuple[int | str, ...]) -> tuple[str, ...]:
-    return (str(file), ".".join(map(str, loc))) if loc else (str(file),)
-
-
 def _keep(file: Path) -> Path:
     """Copy a calibration into the folder of the earlier ones, under the instant of its replacement."""
-    folder = file.parent / KEPT
+    folder = file.parent / EARLIER
     folder.mkdir(exist_ok=True)
     stamp, count = utc_now().strftime("%Y%m%dT%H%M%SZ"), 0
     while (kept := folder / f"{file.stem}-{stamp}{f'-{count}' if count else ''}.yaml").exists():

@@ -157,8 +157,8 @@ class FilesSettings(Model):
     path: Named
     """Video, or folder of images."""
     stamps: Text | None = None
-    """CSV file with the times of mid-exposure, as ``robofleet/tracking/files.py`` describes; null: the name of each
-    image is its time in ns."""
+    """CSV file with the times of mid-exposure, as ``robofleet/tracking/cameras/stamps.py`` describes; null: the name of
+    each image is its time in ns."""
 
 
 class BaslerSettings(Model):

@@ -10,7 +10,6 @@ from pydantic_core import ErrorDetails
 
 from robofleet.config import bodies, cameras, obstacles, units
 from robofleet.config.camera import SimulatedCameraSettings
-from robofleet.config.numbers import untagged
 from robofleet.config.robots import UNTAGGED
 from robofleet.config.tree import Config
 from robofleet.config.troubles import ClockStep, IdSwap, Late
@@ -94,7 +93,7 @@ def cross_checks(config: Config) -> list[Complaint]:
     if twice := list(_repeated("id", [robot.id for robot in config.robots])):
         return twice  # whoever names robots may mean either
     return [
-        *(list(untagged(config)) or _repeated("tag", [robot.tag for robot in config.robots])),
+        *(list(_untagged(config)) or _repeated("tag", [robot.tag for robot in config.robots])),
         *_bodies(config),
         *_members(config),
         *_units(config),
@@ -182,6 +181,13 @@ def _kinds(union: object) -> dict[str | int, type[BaseModel]]:
     """Return the models of a union by their kinds; none where it is no union."""
     models = get_args(get_args(union)[0]) if get_args(union) else ()
     return {name: model for model in models for name in get_args(model.model_fields["kind"].annotation)}
+
+
+def _untagged(config: Config) -> Iterator[tuple[str, str]]:
+    """Yield the robots that lack the tag by which a camera knows them: (dotted path, what is wrong)."""
+    for i, robot in enumerate(config.robots):
+        if robot.tag == UNTAGGED:
+            yield f"robots.{i}.tag", f"is missing: a camera knows {robot.id} by its tag: add `tag: NUMBER`"
 
 
 def _repeated(key: str, values: Sequence[object]) -> Iterator[Complaint]:

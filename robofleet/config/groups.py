@@ -1,4 +1,4 @@
-"""From the configuration's groups to their behaviours. What stands here loads the behaviours' own modules."""
+"""From the configuration's groups to their behaviours. These functions load the behaviours' modules."""
 
 import math
 import re

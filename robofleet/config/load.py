@@ -16,8 +16,8 @@ import yaml
 from pydantic import BaseModel, JsonValue, ValidationError
 from pydantic_core import ErrorDetails
 
-from robofleet.config import groups, moving, starts
-from robofleet.config.csvfile import read_table
+from robofleet.config import groups
+from robofleet.config.completed import file_path, numbered, placed, with_moving_obstacles
 from robofleet.config.faults import (
     Complaint,
     counted,
@@ -28,11 +28,20 @@ from robofleet.config.faults import (
     place_of,
     plain_words,
 )
+from robofleet.config.files.csvfile import read_table
+from robofleet.config.files.names import SHIPPED, missing, nearest
+from robofleet.config.files.yamlfile import (
+    NUMBER_LIKE,
+    Mistake,
+    Node,
+    Position,
+    Source,
+    keys_of,
+    parse_yaml,
+    read_yaml,
+)
 from robofleet.config.groups import named
-from robofleet.config.names import SHIPPED, missing, nearest
-from robofleet.config.numbers import numbered
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, parse_yaml, read_yaml
 from robofleet.core.errors import BadInputError
 from robofleet.core.plugins import PluginError, reach
 
@@ -151,8 +160,7 @@ class ConfigFile:
     def refuse(self, complaints: Iterable[Complaint]) -> None:
         """Raise a ConfigError that shows the place of every complaint, if there is one."""
         for path, message in complaints:
-            parts = moving.place(self.config, path).split(".")
-            self._complain(tuple(int(p) if p.isdigit() else p for p in parts), message)
+            self._complain(keys_of(file_path(self.config, path)), message)
         if self._faults:
             raise self._error()
 
@@ -173,13 +181,13 @@ class ConfigFile:
                 message = self._moved(loc) if error["type"] == "extra_forbidden" else None
                 self._complain(loc, message or plain_words(error), at_key=error["type"] == "extra_forbidden")
             raise self._error() from None
-        self.config = numbered(moving.added(self.config))
+        self.config = numbered(with_moving_obstacles(self.config))
         self.refuse([*cross_checks(self.config), *self._unreachable()])
         pairs = zip(named(self.config).groups, kept, strict=True)
         made = tuple(group.model_copy(update={"settings": settings}) for group, settings in pairs)
         self.config = self.config.model_copy(update={"groups": made})
         try:
-            self.config = starts.placed(self.config)
+            self.config = placed(self.config)
         except ValueError as impossible:
             self.refuse([("groups", f"cannot be made: {impossible}")])
 
@@ -248,15 +256,8 @@ class ConfigFile:
 
     def _complain(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a fault at the value or the nearest one above it, unless one was reported there already."""
-        node, depth = self._root, 0
-        for part in loc:
-            if node.bad or (child := node.child(part)) is None:
-                break
-            node, depth = child, depth + 1
-        if not node.bad:
-            position = node.key if at_key else node.place
-            path = ".".join(filter(None, (position.path, *map(str, loc[depth:]))))
-            self._faults.append(Mistake(replace(position, path=path), message))
+        if (mistake := self._root.mistake(loc, message, at_key=at_key)) is not None:
+            self._faults.append(mistake)
 
     def _error(self) -> ConfigError:
         def position(fault: Mistake) -> tuple[int, int, int]:
@@ -359,9 +360,9 @@ class ConfigFile:
         """Return what the file holds if the value at ``path`` is the name of one, else the node itself."""
         if not isinstance(node.value, str):
             return node
-        if (columns := _kept_at(path, TABLES)) is not None:
+        if (columns := _entry_at(path, TABLES)) is not None:
             return self._table(node, columns)
-        folder = _kept_at(path, FOLDERS)
+        folder = _entry_at(path, FOLDERS)
         if folder is None:
             return node
         for file in self._candidates(node.value, folder):
@@ -424,7 +425,7 @@ def _each_once(invalid: ValidationError, root: type[BaseModel]) -> Iterator[Erro
         yield error
 
 
-def _kept_at(path: Loc, kinds: Mapping[tuple[str, ...], Loaded]) -> Loaded | None:
+def _entry_at(path: Loc, kinds: Mapping[tuple[str, ...], Loaded]) -> Loaded | None:
     """Return what a table of paths says of this one; ``*`` in it is any part."""
     for pattern, kept in kinds.items():
         if len(pattern) == len(path) and all(wild in ("*", part) for wild, part in zip(pattern, path, strict=True)):

@@ -1,4 +1,4 @@
-"""From the configuration's tree to what the rooms take: parameters without units in their names."""
+"""From the configuration's tree to the parameters of other rooms, whose names have no units."""
 
 import math
 import secrets

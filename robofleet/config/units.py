@@ -1,4 +1,4 @@
-"""Numbers in another unit than their key's: what was meant, most probably."""
+"""Hints at the unit that was probably meant, where a number is in another unit than its key's."""
 
 import math
 import re

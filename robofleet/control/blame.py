@@ -1,4 +1,4 @@
-"""Which of a user's functions numba cannot compile, when a model of them cannot be."""
+"""Finds which of a user's functions numba cannot compile."""
 
 import inspect
 import linecache

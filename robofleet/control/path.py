@@ -1,4 +1,4 @@
-"""A closed path of planar cubics, one a side, and the two questions Algorithm 1 asks of it.
+"""A closed path of planar cubics, one for each side, with the two searches of Algorithm 1.
 
 A point of the path is r(sigma) with sigma in [0, S), S the number of sides, one unit a side; sigma wraps. Positions
 are in metres in the world frame. Both questions reduce to the real roots of one polynomial: the squared distance of

@@ -1,4 +1,4 @@
-"""Who waits for whom: a joint plan made shorter, and executed by dependencies instead of by a clock.
+"""Precedence between robots: shortens a joint plan, and executes it by dependencies instead of by a clock.
 
 A plan (A + 1, N, 2) says where robots are at each step. Its execution keeps the order in which two robots pass a
 place, and nothing else of its time (an action dependency graph): robot i may drive to step a as soon as every other

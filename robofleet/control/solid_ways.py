@@ -1,4 +1,4 @@
-"""What ways keep from solids: obstacles, and what lies outside a floor that is a polygon."""
+"""Clearance of ways from solids: obstacles, and what lies outside a floor that is a polygon."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""From what robots are to do to what their wheels can do, for all robots at once."""
+"""From commanded velocities to feasible wheel speeds, for all robots at once."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What is said while kernels are compiled: which, how far it is, and how long it still takes."""
+"""Messages while kernels are compiled: which, the progress, and the time left."""
 
 import sys
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""What a process says in its log: a line that cannot be written is lost, and the process goes on.
+"""Log lines of a process: a line that cannot be written is lost, and the process goes on.
 
 A robot must not lose its emergency stop because the disk is full, or because nobody reads a pipe's other end any more.
 """

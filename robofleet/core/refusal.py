@@ -10,7 +10,7 @@ from tempfile import TemporaryFile
 
 from robofleet.core.errors import BadInputError
 
-WEB_PACKAGES = ("segno", "starlette", "uvicorn", "websockets")  # the operator's page; of the extra ``lab``
+WEB_PACKAGES = ("jinja2", "segno", "starlette", "uvicorn", "websockets")  # the operator's page; of the extra ``lab``
 # of the extra ``lab``, as they are imported
 LAB_MODULES = (
     "cryptography",

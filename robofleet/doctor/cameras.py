@@ -9,7 +9,7 @@ from pathlib import Path
 
 from robofleet.config.camera import CameraSettings
 from robofleet.doctor import permission, udev, v4l2_device
-from robofleet.doctor.elsewhere import NoAnswerError, asked_elsewhere
+from robofleet.doctor.elsewhere import NoAnswerError, run_apart
 from robofleet.doctor.findings import Finding, Mark, Paste, ok
 from robofleet.doctor.needs import Needs
 from robofleet.doctor.v4l2_device import Mode
@@ -121,7 +121,7 @@ def basler_cameras(needs: Needs) -> Iterator[Finding]:
     if find_spec("pypylon") is None:
         return  # `packages` says whether it is needed
     try:
-        found = asked_elsewhere(_BASLER)
+        found = run_apart(_BASLER)
     except NoAnswerError as error:
         cure = f"`{sys.executable} -c 'from pypylon import pylon'` says why"
         yield Finding("Basler camera", Mark.WARN, f"their library could not be asked: {error}", cure)

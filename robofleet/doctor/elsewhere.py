@@ -1,4 +1,4 @@
-"""Libraries that may hang or end a process are asked in another one: numba, and those of cameras' makers."""
+"""Runs scripts in a process of their own: numba and cameras' libraries may hang or crash."""
 
 import json
 import subprocess
@@ -15,7 +15,7 @@ class NoAnswerError(RobofleetError):
     """Raised where the other process gave no answer. The message says why."""
 
 
-def asked_elsewhere(script: str, at_most_s: float = _AT_MOST_S) -> Any:
+def run_apart(script: str, at_most_s: float = _AT_MOST_S) -> Any:
     """Return the JSON that a Python script prints in its last line; NoAnswerError where it hangs or fails."""
     try:
         done = subprocess.run(

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from robofleet.core.clock import Clock, S, WallClock
-from robofleet.doctor import cameras, computer, network, places, serial_ports, software
+from robofleet.doctor import cameras, computer, places, serial_ports, software
 from robofleet.doctor.findings import Finding, Mark
 from robofleet.doctor.needs import Needs
 
@@ -26,20 +26,20 @@ CHECKS: dict[str, Check] = {  # in the order in which they are said
     "serial ports": serial_ports.serial_ports,
     "cameras": cameras.kernel_cameras,
     "Basler cameras": cameras.basler_cameras,
-    "browser": network.browser,
-    "network": network.network,
+    "browser": computer.browser,
+    "network": computer.network,
 }
-_TOLD_AFTER_S, _AT_MOST_S = 3.0, 25.0
+_REPORTED_AFTER_S, _AT_MOST_S = 3.0, 25.0
 
 
 def examine(needs: Needs, checks: Mapping[str, Check] = CHECKS, at_most_s: float = _AT_MOST_S) -> list[Finding]:
     """Return what all checks find, in their order."""
     clock = WallClock()
     looks = [_Look(name, check, needs) for name, check in checks.items()]
-    _finish(looks, min(_TOLD_AFTER_S, at_most_s), clock)
+    _finish(looks, min(_REPORTED_AFTER_S, at_most_s), clock)
     if slow := [look.title for look in looks if look.is_alive()]:
         print(f"waiting for {', '.join(slow)}", file=sys.stderr)
-    _finish(looks, at_most_s - _TOLD_AFTER_S, clock)
+    _finish(looks, at_most_s - _REPORTED_AFTER_S, clock)
     return [finding for look in looks for finding in look.found(at_most_s)]
 
 

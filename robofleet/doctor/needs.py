@@ -1,4 +1,4 @@
-"""What is asked of this machine: a run of a configuration, the drivers of some of its robots, or a simulated run."""
+"""What this machine is to run: a configuration, the drivers of some of its robots, or a simulated run."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

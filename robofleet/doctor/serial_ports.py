@@ -41,11 +41,11 @@ def devices() -> list[udev.Device]:
     return sorted(found, key=lambda device: (device.vendor_id is None, device.path))
 
 
-def holders(path: str, processes: Path = _PROCESSES) -> list[Holder]:
+def holders(path: str) -> list[Holder]:
     """Return who has a port open, as far as this user may see."""
     wanted = os.path.realpath(path)
     found = []
-    for process in processes.glob("[0-9]*"):
+    for process in _PROCESSES.glob("[0-9]*"):
         try:
             if any(str(entry.readlink()) == wanted for entry in (process / "fd").iterdir()):
                 command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from robofleet.core.plugins import PluginError, load
 from robofleet.core.refusal import how_to_install
-from robofleet.doctor.elsewhere import NoAnswerError, asked_elsewhere
+from robofleet.doctor.elsewhere import NoAnswerError, run_apart
 from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
 
@@ -113,16 +113,16 @@ def kernels(needs: Needs) -> Iterator[Finding]:
     if not needs.whole_run or find_spec("numba") is None:
         return  # not needed, or said already
     try:
-        folder, shipped = asked_elsewhere(_KERNELS)
+        folder, shipped = run_apart(_KERNELS)
     except NoAnswerError as error:
         cure = f"`{sys.executable} -c 'import numba'` says why"
         yield Finding("kernels", Mark.WARN, f"numba could not be asked: {error}", cure)
         return
-    for kept_in in filter(None, (shipped, folder)):
-        files = [file for file in Path(kept_in).glob("*") if not file.name.startswith(".")]
+    for cache in filter(None, (shipped, folder)):
+        files = [file for file in Path(cache).glob("*") if not file.name.startswith(".")]
         if files:
             size_mb = sum(file.stat().st_size for file in files) / 1e6
-            yield ok("kernels", f"{len(files)} compiled functions, {size_mb:.1f} MB, in {kept_in}")
+            yield ok("kernels", f"{len(files)} compiled functions, {size_mb:.1f} MB, in {cache}")
             return
     cure = "the first run compiles them, once; later ones load them"
     yield Finding("kernels", Mark.WARN, f"none is compiled in {folder}", cure)

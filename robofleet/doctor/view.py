@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from robofleet.config.yamlfile import printable
+from robofleet.config.files.yamlfile import printable
 from robofleet.doctor import udev
 from robofleet.doctor.findings import Finding, Mark
 
@@ -21,7 +21,11 @@ def show(findings: Sequence[Finding], verdict: str) -> None:
     console = Console(highlight=False)
     signs = _can_show(console.encoding)
     rows = [
-        (_mark(finding.mark, signs=signs), printable(finding.name), printable(_sentence(finding)))
+        (
+            f"{_SIGNS[finding.mark]} {finding.mark}" if signs else str(finding.mark),
+            printable(finding.name),
+            printable(f"{finding.says}: {finding.cure}" if finding.cure else finding.says),
+        )
         for finding in findings
     ]
     if console.is_terminal:
@@ -52,14 +56,6 @@ def pastes(findings: Sequence[Finding]) -> list[str]:
     for file, lines_of in files.items():
         lines += ["", f"To paste into {file}, as root{_ABOUT.get(file, '')}:", *lines_of]
     return lines
-
-
-def _sentence(finding: Finding) -> str:
-    return f"{finding.says}: {finding.cure}" if finding.cure else finding.says
-
-
-def _mark(mark: Mark, *, signs: bool) -> str:
-    return f"{_SIGNS[mark]} {mark}" if signs else str(mark)
 
 
 def _can_show(encoding: str) -> bool:

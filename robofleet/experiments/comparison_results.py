@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.parameters import Parameters
+from robofleet.config.files.parameters import Parameters
 from robofleet.core.settings import Model, Positive
 from robofleet.experiments.baselines.choice import Key, Laws
 from robofleet.experiments.baselines.problem import Drive, Problem

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.parameters import Parameters
+from robofleet.config.files.parameters import Parameters
 from robofleet.control.flow import FlowSettings
 from robofleet.core.settings import Model, NonNegative, Positive
 from robofleet.experiments.curves import Reference

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.parameters import Parameters
+from robofleet.config.files.parameters import Parameters
 from robofleet.control.flow import Integrator, MemorylessFlow
 from robofleet.core.settings import Positive
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Result, Table

@@ -10,7 +10,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from robofleet.config.faults import did_you_mean
-from robofleet.config.parameters import load_parameters
+from robofleet.config.files.parameters import load_parameters
 from robofleet.control.flow import FlowError
 from robofleet.core.errors import RobofleetError
 from robofleet.core.valid_json import dumps

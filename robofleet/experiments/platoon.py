@@ -11,8 +11,8 @@ from pydantic import Field
 
 from robofleet.behaviours.paths import PathFile
 from robofleet.behaviours.platoon import Platoon
+from robofleet.config.files.parameters import Parameters
 from robofleet.config.load import load_config
-from robofleet.config.parameters import Parameters
 from robofleet.config.tree import Config
 from robofleet.core.settings import NonNegative, Positive
 from robofleet.experiments.parameters import SHIPPED

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
-from robofleet.config.parameters import Parameters
+from robofleet.config.files.parameters import Parameters
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.control.flow import FlowError, FlowSettings, Integrator, NewtonRaphsonFlow, Plant
 from robofleet.control.prediction import compile_plant
@@ -60,13 +60,6 @@ def _double_output(x: Array) -> Array:
 
 
 DOUBLE_INTEGRATOR = Plant(_double_slope, _double_output, 2, 1)
-
-
-def double_integrator_step(alpha: float, horizon: float, step: float, integrator: Integrator) -> Array:
-    """Return the exact map (3, 3) of (x1, x2, u) over a control step with zero-order hold."""
-    gain = -np.expm1(-alpha * step) if integrator == "exact" else alpha * step
-    update = np.array([-2.0 * gain / horizon**2, -2.0 * gain / horizon, 1.0 - gain])
-    return np.array([[1.0, step, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) + np.outer([step**2 / 2, step, 1.0], update)
 
 
 def spectral_radius(plant: Plant, settings: FlowSettings, x: Array) -> float:

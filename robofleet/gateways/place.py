@@ -1,8 +1,10 @@
-"""The run that a gateway serves: of this computer, or of another one's arena that this one has joined."""
+"""The run that a gateway serves, and whether it goes on: of this computer, or of an arena that this one has joined."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from robofleet.core.clock import S
 from robofleet.core.refusal import RefusedError
 
 if TYPE_CHECKING:
@@ -54,3 +56,24 @@ def is_over(config: "Config", access: ArenaAccess) -> bool:
 
     mine = config.arena.name, str(access.folder)
     return access.credentials is not None or all((run.arena, run.folder) != mine for run in running(config.arena.name))
+
+
+_SILENT_NS = 3 * S  # of the supervisor: then it is asked whether there is a run
+
+
+class Served:
+    """The run whose supervisor is heard first."""
+
+    def __init__(self, ended: Callable[[], bool], now_ns: int) -> None:
+        """``ended`` tells of a silent run whether it has ended."""
+        self._ended, self._heard_ns = ended, now_ns
+        self._epoch, self._newest = 0, 0  # of supervisors; 0: none was heard
+
+    def take(self, epoch: int, now_ns: int) -> None:
+        """Take the epoch of a supervisor that has spoken."""
+        self._newest = epoch
+        self._epoch, self._heard_ns = self._epoch or self._newest, now_ns
+
+    def is_over(self, now_ns: int) -> bool:
+        """Return whether another run has begun, or this one has ended."""
+        return self._newest != self._epoch or (now_ns - self._heard_ns > _SILENT_NS and self._ended())

@@ -13,8 +13,8 @@ import typer
 
 from robofleet.bus.credentials import AUTHORITY, KeysError
 from robofleet.bus.permissions import OPERATOR, UNIT
+from robofleet.config.files.robot_file import FILE, load_robot_file
 from robofleet.config.load import ConfigError
-from robofleet.config.robot_file import FILE, load_robot_file
 from robofleet.core import folders
 from robofleet.core.files import write_text
 from robofleet.core.plugins import known

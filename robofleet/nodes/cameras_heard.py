@@ -11,7 +11,7 @@ from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, TrackerNews
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.kernels import kernel
-from robofleet.safety.monitor import LATE_NS, LOST_NS, STALE_TICKS, TRACKER_SILENT_NS
+from robofleet.safety.monitor import LOST_NS, STALE_TICKS, TRACKER_SILENT_NS, UNSEEN_NS
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import NEVER, FleetView
 from robofleet.tracking.events import TrackerEvent
@@ -165,7 +165,7 @@ class CamerasHeard:
         show less.
         """
         robots["camera_out"] = 0
-        rows = np.flatnonzero((robots["unseen_ns"] >= LATE_NS) & (robots["seen_ns"] != NEVER))
+        rows = np.flatnonzero((robots["unseen_ns"] >= UNSEEN_NS) & (robots["seen_ns"] != NEVER))
         away = np.array(
             [latch_group.out_ns is not None and now_ns - latch_group.out_ns < LOST_NS for latch_group in self._cameras]
         )

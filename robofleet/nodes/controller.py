@@ -7,15 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import Wish, WishKind
-from robofleet.bus.bus import Bus
-from robofleet.bus.keys import COMMAND, STATE, TICK
+from robofleet.bus.bus import Answer, Bus
+from robofleet.bus.keys import COMMAND, LEASE, STATE, TICK
 from robofleet.bus.messages import (
     FLEET_POSES,
+    LEASE_REQUEST,
     RUN_STATE,
     TICK_RECORD,
     UNIT_COMMAND,
     UNIT_STATUS,
     Hurry,
+    LeaseRequest,
     RobotTick,
     UnitCommand,
 )
@@ -30,16 +32,16 @@ from robofleet.core.compiling import Say, on_stderr, told
 from robofleet.core.kernels import kernel
 from robofleet.nodes import fleet
 from robofleet.nodes.deciding import BehaviourRunner, Judge, untimed
-from robofleet.nodes.leases import Leases
 from robofleet.nodes.rescues import crawls
 from robofleet.nodes.sighting import FleetEstimate, Prediction
 from robofleet.nodes.wishes import SetpointInbox
 from robofleet.safety import barrier as safety_barrier
 from robofleet.safety.barrier import Filtered
+from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import MOVING, Phase
 from robofleet.safety.wiggle import STROKES, probe_speeds
-from robofleet.tracking import estimator
-from robofleet.tracking.estimator import CARRIED, UNUSED
+from robofleet.tracking.filter import estimator
+from robofleet.tracking.filter.estimator import CARRIED, UNUSED
 from robofleet.vehicles.differential_drive import feasible_ratio
 
 Array = NDArray[np.float64]
@@ -339,3 +341,44 @@ def _call_kernels(config: Config) -> None:
                 runner.decide(bodies, everybody, driving, w, moving=True)
         runner.restart(Phase.RUNNING)
         fleet_filter.command(instant_ns, request.wheels)
+
+
+_ASK_AGAIN_TICKS = 10
+
+
+class Leases:
+    """The leases of this controller: asked for until every unit has granted them, or somebody else holds one.
+
+    ``take_over``: each is taken once also from a controller that is alive; who loses it then does not take it back.
+    """
+
+    def __init__(self, bus: Bus, statuses: Statuses, session: int, *, take_over: bool = False) -> None:
+        self._bus, self._statuses, self.session = bus, statuses, session
+        units = statuses.units
+        self._actions = [LeaseAction.TAKE_OVER if take_over else LeaseAction.ACQUIRE] * len(units)
+        self._requests: list[Answer | None] = [None] * len(units)
+        self._again = [0] * len(units)
+        self._session = np.uint64(session)
+        self._held = statuses.robots["session"]  # (N,) by whom; a view
+        self.mine = np.zeros(len(statuses.robots), np.bool_)  # (N,) which robots answer to this controller
+        self.refused = False  # somebody else holds the lease of a robot
+
+    def update(self) -> None:
+        """Ask every unit that is there and of which a robot is not ours, every few ticks."""
+        np.equal(self._held, self._session, out=self.mine)
+        if self.mine.all():
+            self.refused = False
+            self._actions = [LeaseAction.ACQUIRE] * len(self._actions)
+            return
+        self.refused = bool((~self.mine & (self._held != 0)).any())
+        for number, unit in enumerate(self._statuses.units):
+            if self._statuses.newest[number] is None:
+                continue
+            if self.mine[unit.rows].all():
+                self._actions[number] = LeaseAction.ACQUIRE
+                continue
+            self._again[number] -= 1
+            if self._again[number] < 0:
+                self._again[number] = _ASK_AGAIN_TICKS
+                request = LEASE_REQUEST.encode(LeaseRequest(self.session, self._actions[number]))
+                self._requests[number] = self._bus.ask(LEASE, unit.name, request)

@@ -6,8 +6,7 @@ from robofleet.config import slices
 from robofleet.config.barrier import body, keepout
 from robofleet.config.tree import Config
 from robofleet.safety.barrier import Barrier
-from robofleet.tracking.bystanders import Bystanders
-from robofleet.tracking.estimator import FilterNoise, FleetFilter
+from robofleet.tracking.filter.estimator import Bystanders, FilterNoise, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 

@@ -12,8 +12,9 @@ from robofleet.core.compiling import Say, told
 from robofleet.core.plugins import load
 from robofleet.simulation import arena
 from robofleet.simulation.sources import TruthSource, VirtualPoses
+from robofleet.tracking.cameras.exposure import exposure_controller
+from robofleet.tracking.cameras.watch import CameraWatch
 from robofleet.tracking.events import Notice
-from robofleet.tracking.exposure import exposure_controller
 from robofleet.tracking.sight import FleetSight
 from robofleet.tracking.sources import (
     CameraContext,
@@ -27,7 +28,6 @@ from robofleet.tracking.sources import (
     ReopenedCamera,
     ScheduledCamera,
 )
-from robofleet.tracking.watch import CameraWatch
 
 POSES = "robofleet.poses"
 
@@ -52,7 +52,8 @@ def compiling(config: Config, say: Say) -> AbstractContextManager[None]:
     if config.tracker.source != "camera":
         return told("truth", arena.KERNELS, say)
     from robofleet.simulation import draw  # noqa: PLC0415 - these load OpenCV
-    from robofleet.tracking import motion, tag_fit  # noqa: PLC0415
+    from robofleet.tracking.tags import fit as tag_fit  # noqa: PLC0415
+    from robofleet.tracking.tags import motion  # noqa: PLC0415
 
     simulated = draw.KERNELS if config.camera.source == "simulated" else ()
     return told("camera", (*arena.KERNELS, *simulated, *motion.KERNELS, *tag_fit.KERNELS), say)
@@ -76,7 +77,7 @@ class CameraPoses:
         self._seen: list[Notice] = []
         self._sight = FleetSight(config)
         self._virtual = VirtualPoses(config, config.virtual, context.bus, context.rng)
-        self._exposure = exposure_controller(config, feed.exposure_limits()) if camera.adjusts_exposure else None
+        self._exposure = exposure_controller(config, feed.device.exposure_limits()) if camera.adjusts_exposure else None
 
     def next_ns(self) -> int | None:
         """Return when the next observation will be ready; None: a message or an image will wake the process."""
@@ -105,7 +106,7 @@ class CameraPoses:
         if self._exposure is not None and taken.exposure is not None:
             exposure = self._exposure.look(self._sight.light(taken.image), taken.exposure)
             if exposure is not None:
-                self._feed.adjust(exposure)
+                self._feed.device.adjust(exposure)
             self._seen += self._exposure.news()
         poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi, *r.covariance) for r in sight.robots)
         poses += self._virtual.at(exposed_ns)

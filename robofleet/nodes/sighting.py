@@ -11,11 +11,11 @@ from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, Tracke
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, TickGrid
 from robofleet.nodes import fleet
-from robofleet.tracking.agreement import Agreement, Verdict
-from robofleet.tracking.estimator import COLUMNS, ages, measurements, rows_of
 from robofleet.tracking.events import NO_TAG, TrackerEvent
-from robofleet.tracking.joined import Joined, Seen
-from robofleet.tracking.targets import floor_tags_in_view
+from robofleet.tracking.filter.agreement import Agreement, Verdict
+from robofleet.tracking.filter.estimator import COLUMNS, ages, measurements, rows_of
+from robofleet.tracking.filter.joined import Joined, Seen
+from robofleet.tracking.tags.targets import floor_tags_in_view
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

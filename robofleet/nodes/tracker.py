@@ -10,10 +10,12 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.nodes.pictures import Pictures
-from robofleet.tracking.events import Notice
+from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.sources import Observation, PoseSource
 
 _IDLE_NS = 100 * MS
+_SILENT_NS = 150 * MS  # named before the tracker itself counts as silent
+_FIRST_NS = 3 * S  # within which a source that was just opened gives its first poses
 
 
 class Tracker:
@@ -92,3 +94,38 @@ class Tracker:
             self._news_seq += 1
             news = TrackerNews(self._epoch, self._news_seq, self._clock.now_ns(), event, tag, value)
             self._publish_news(TRACKER_NEWS.encode(news))
+
+
+class WatchedPoses:
+    """A pose source whose silence is told once, as POSES_SILENT, and its end, as POSES_BACK."""
+
+    def __init__(self, source: PoseSource, now_ns: int) -> None:
+        self._source = source
+        self._heard_ns = now_ns
+        self._deadline_ns: int | None = now_ns + _FIRST_NS
+        self._news = News()
+
+    def next_ns(self) -> int | None:
+        """Return when the next observation will be ready, or silence is to be told."""
+        times = [at_ns for at_ns in (self._source.next_ns(), self._deadline_ns) if at_ns is not None]
+        return min(times, default=None)
+
+    def observe(self, now_ns: int) -> Observation | None:
+        """Return the observation that is ready, or None."""
+        observation = self._source.observe(now_ns)
+        if observation is not None:
+            if self._deadline_ns is None:
+                self._news.add(Notice(TrackerEvent.POSES_BACK, value=(now_ns - self._heard_ns) / S))
+            self._heard_ns, self._deadline_ns = now_ns, now_ns + _SILENT_NS
+        elif self._deadline_ns is not None and now_ns >= self._deadline_ns:
+            self._deadline_ns = None
+            self._news.add(Notice(TrackerEvent.POSES_SILENT, value=(now_ns - self._heard_ns) / S))
+        return observation
+
+    def news(self) -> tuple[Notice, ...]:
+        """Return what happened since the last call."""
+        return self._source.news() + self._news.take()
+
+    def close(self) -> None:
+        """Let go of the source."""
+        self._source.close()

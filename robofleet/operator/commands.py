@@ -14,7 +14,6 @@ from robofleet.operator.page.page_address import LOOPBACK, listening
 from robofleet.runs import table
 
 if TYPE_CHECKING:
-    from robofleet.bus.arena_file import ArenaFile
     from robofleet.config.tree import Config
     from robofleet.runs.table import Row
 
@@ -109,20 +108,6 @@ def status(
     raise typer.Exit(direct.status(arena, as_json=as_json))
 
 
-def _own_run(arena: str | None) -> "ArenaFile":
-    """Return the own run that is meant."""
-    from robofleet.operator.requests import chosen  # noqa: PLC0415
-
-    return chosen(arena, own=True)
-
-
-def _told(done: bool, what: str) -> None:
-    """Print what came of a command: exit code 1 where it did not do what was asked."""
-    print(what, file=sys.stdout if done else sys.stderr)
-    if not done:
-        raise typer.Exit(1)
-
-
 def tracker(
     config: ConfigPath,
     camera: Annotated[str, typer.Option(metavar="NAME", help="The tracker's camera, if CONFIG has several.")] = "",
@@ -214,7 +199,7 @@ def driver(
 
 def _wait_for_runs(unit: str) -> None:
     """Be the driver of this computer's robots, whatever run comes: as a program without the command line's packages."""
-    from robofleet.config.robot_file import load_robot_file, robot_file  # noqa: PLC0415
+    from robofleet.config.files.robot_file import load_robot_file, robot_file  # noqa: PLC0415
 
     file = robot_file()
     robot = load_robot_file(file)
@@ -264,7 +249,7 @@ def hosts(
     as an operator or a viewer sees the robots that are linked.
     """
     from robofleet.operator import hosts as asking  # noqa: PLC0415
-    from robofleet.operator.requests import UnreachableError, joined_arena  # noqa: PLC0415
+    from robofleet.operator.requests import UnreachableError, chosen, joined_arena  # noqa: PLC0415
 
     file = None if arena is None else Path(arena)
     named = file is None or not (file.exists() or file.suffix)  # as an arena
@@ -273,10 +258,10 @@ def hosts(
         if joined is not None:
             found = asking.hosts_elsewhere(joined)
         else:
-            file = Path(_own_run(arena).folder) / "config.yaml" if file is None or named else file
+            file = Path(chosen(arena, own=True).folder) / "config.yaml" if file is None or named else file
             found = asking.hosts(_for_one_process(file))
     except UnreachableError as error:
-        _told(False, str(error))
+        raise typer.Exit(direct.answered(False, str(error))) from error
     if as_json:
         print(dumps(found))
     else:
@@ -327,12 +312,12 @@ def web(
         return
     from robofleet.operator.page import command  # noqa: PLC0415
 
-    page_run = command.there(run, _own_run, _for_one_process)
+    page_run = command.there(run, _for_one_process)
     with listening(host, port, "--host") as socket:
         keys = page_keys(page_run.config.arena.name, host, "--host")
         done, line = command.serve(page_run, socket, host, keys, browser=not no_browser)
     if line:
-        _told(done, line)
+        raise typer.Exit(direct.answered(done, line))
 
 
 def _for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool = False) -> "Config":

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from robofleet.config import schema as schemas
-from robofleet.config.names import SHIPPED
+from robofleet.config.files.names import SHIPPED
 from robofleet.core.refusal import RefusedError, new_folder
 
 # Guides explain the shipped folder; the paper's parameters are no laboratory's.

@@ -41,7 +41,7 @@ def stop(arena: str | None) -> int:
         answers = requests.stop_all(arena)
     except requests.NoArenaError as error:
         return _refused(error)
-    return max(_answered(done, what) for done, what in answers)
+    return max(answered(done, what) for done, what in answers)
 
 
 def request(what: str, arena: str | None) -> int:
@@ -53,7 +53,7 @@ def request(what: str, arena: str | None) -> int:
     except requests.NoArenaError as error:
         return _refused(error)
     then = _THEN.get(what)
-    return _answered(done, f"{answer}: {then}" if done and then else answer)
+    return answered(done, f"{answer}: {then}" if done and then else answer)
 
 
 def status(arena: str | None, *, as_json: bool = False) -> int:
@@ -65,7 +65,7 @@ def status(arena: str | None, *, as_json: bool = False) -> int:
     except requests.NoArenaError as error:
         return _refused(error)
     except requests.UnreachableError as error:
-        return _answered(False, str(error))
+        return answered(False, str(error))
     if as_json:
         print(dumps(found))
     else:
@@ -78,7 +78,7 @@ def status(arena: str | None, *, as_json: bool = False) -> int:
     return 0
 
 
-def _answered(done: bool, what: str) -> int:
+def answered(done: bool, what: str) -> int:
     """Print what came of a command, and return its exit code."""
     print(what, file=sys.stdout if done else sys.stderr)
     return 0 if done else 1

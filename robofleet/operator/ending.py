@@ -6,8 +6,8 @@ from pathlib import Path
 from rich.console import Console
 
 from robofleet.config import groups
+from robofleet.config.files.yamlfile import printable
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import printable
 from robofleet.core.files import write_text
 from robofleet.core.valid_json import dumps
 from robofleet.operator.run import Result
@@ -37,13 +37,13 @@ class Ending:
         if self._as_json or not kept:
             print(dumps(summary))
         elif completed or summary["ticks"]:
-            self._show_table()
+            Console().print(summary_table(summary, self._config))
         page = self._report()
-        if not self._as_json:
-            for file in (self._folder / "summary.json" if kept else None, page):
-                if file is not None:
-                    print(printable(str(file)))
-        self._judge()
+        for file in () if self._as_json else (self._folder / "summary.json" if kept else None, page):
+            if file is not None:
+                print(printable(str(file)))
+        for line in complaints(summary):
+            print(line, file=sys.stderr)
 
     def write_junit(self, file: Path) -> None:
         """Write the bounds for a CI."""
@@ -70,9 +70,6 @@ class Ending:
             return False
         return True
 
-    def _show_table(self) -> None:
-        Console().print(summary_table(self._summary, self._config))
-
     def _report(self) -> Path | None:
         """Write the run's report; where that fails, the run and its summary are there all the same."""
         if not self._summary["recording"]["messages"]:  # the operator ended it before it began
@@ -91,7 +88,3 @@ class Ending:
         if made.trouble is not None:
             self._lose(self._folder / "run.mcap", f"it {made.trouble}: `robofleet repair` mends it")
         return made.page
-
-    def _judge(self) -> None:
-        for line in complaints(self._summary):
-            print(line, file=sys.stderr)

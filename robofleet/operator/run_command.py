@@ -16,9 +16,9 @@ from typer.core import TyperCommand
 from robofleet.bus.arena_file import ArenaBusyError, claimed
 from robofleet.bus.endpoint import check_router, settled
 from robofleet.bus.private_folder import PlaceError
+from robofleet.config.files.yamlfile import printable
 from robofleet.config.load import Typed
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import printable
 from robofleet.core.clock import utc_now
 from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra, new_file, new_folder, unkept
 from robofleet.hosts.network import network
@@ -32,8 +32,7 @@ from robofleet.operator.run import Result, in_lockstep, in_real_time
 from robofleet.operator.terminal.outlet import unhindered
 from robofleet.operator.terminal.plain_terminal import as_shown
 from robofleet.reports.tables import proofs_table
-from robofleet.runs.check import load_checked, proofs
-from robofleet.runs.check_starts import warnings
+from robofleet.runs.check import load_checked, proofs, start_warnings
 from robofleet.runs.companion import PageWanted
 
 _GOAL = re.compile(r"([a-z][a-z0-9_-]*)=([^,=]+),([^,=]+),([^,=]+)")
@@ -144,7 +143,8 @@ def run(
         if junit is not None:
             new_file("--junit", junit)
         if not lockstep:
-            _refuse_unattended(tree)
+            if tree.run.attended and not sys.stdin.isatty():
+                raise RefusedError("run.attended: stdin is not a terminal: start the run in one, or set it to false")
             _refuse_forgetful(tree)
             tree = _settled(tree)
             held.enter_context(_claimed(tree, folder))
@@ -185,7 +185,7 @@ def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 
     console = Console()
     rows = [tuple(as_shown(cell, console.encoding) for cell in row) for row in proofs(tree)]
     console.print(proofs_table(printable(f"{config} can run. What was proved:"), rows))
-    for warning in warnings(tree):
+    for warning in start_warnings(tree):
         print(f"May take long: {warning}")
     print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
 
@@ -211,11 +211,6 @@ def _refuse_viewers(shown: dict[str, str], tree: Config, *, lockstep: bool) -> N
             raise RefusedError(f"{option} needs a run in real time: after --lockstep open its run.mcap")
         viewers.need(viewer)
         viewers.Address.read(viewer, at, option).check(tree.arena.name, option)
-
-
-def _refuse_unattended(tree: Config) -> None:
-    if tree.run.attended and not sys.stdin.isatty():
-        raise RefusedError("run.attended: stdin is not a terminal: start the run in one, or set it to false")
 
 
 def _refuse_forgetful(tree: Config) -> None:

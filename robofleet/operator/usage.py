@@ -18,7 +18,7 @@ def show(error: Any) -> None:
     if type(error).__name__ == "NoArgsIsHelpError":
         error.show()
         return
-    from robofleet.config.yamlfile import printable  # noqa: PLC0415 - a command in a hurry needs no YAML
+    from robofleet.config.files.yamlfile import printable  # noqa: PLC0415 - a command in a hurry needs no YAML
 
     print(printable(_line(error)), file=sys.stderr)
 

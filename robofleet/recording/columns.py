@@ -13,9 +13,8 @@ import numpy as np
 
 from robofleet.core.files import replaced
 from robofleet.recording.gauge import Gauge
-from robofleet.recording.measures import exposure_to_tick_ms, exposure_to_wheel_ms, told_at_ticks
+from robofleet.recording.measures import Series, exposure_to_tick_ms, exposure_to_wheel_ms, told_at_ticks
 from robofleet.recording.run import Array, GroupColumns
-from robofleet.recording.series import Series
 
 CSV = "metrics.csv"
 

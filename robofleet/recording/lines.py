@@ -5,8 +5,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from robofleet.bus.messages import BusyMachine, RunState, TrackerNews
-from robofleet.recording import busy_machine
 from robofleet.recording.causes import driven_out, halt_cause, named, run_cause
+from robofleet.recording.state_words import busy_notice
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import TrackerEvent, describe
@@ -76,4 +76,4 @@ def said_line(group: str, words: str) -> Line:
 
 def busy_line(message: BusyMachine, robots: tuple[str, ...]) -> Line:
     """Return that the machine is too busy for the run: the first message says so."""
-    return Line(Level.WARNING, "supervisor", busy_machine.notice(message, robots))
+    return Line(Level.WARNING, "supervisor", busy_notice(message, robots))

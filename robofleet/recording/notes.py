@@ -1,18 +1,64 @@
-"""What scripts noted for people: lines, marks on the floor, figures of the run. It may come from a stranger."""
+"""What a file says of its groups, and what scripts noted for people: lines, marks on the floor, figures.
+
+Both may come from a stranger: they are checked before they are used.
+"""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field, JsonValue, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, JsonValue, TypeAdapter, ValidationError
 
-from robofleet.behaviours.described import shape_from_plain
+from robofleet.behaviours.described import Group, shape_from_plain
 from robofleet.behaviours.interface import Shape
 from robofleet.bus.keys import NOTE, key
 from robofleet.bus.messages import NOTE as LAYOUT
 from robofleet.bus.messages import NoteKind
-from robofleet.config.yamlfile import printable
-from robofleet.recording.groups_said import ShapeSaid
+from robofleet.config.files.yamlfile import printable
+from robofleet.config.tree import Config
 from robofleet.recording.run import Own, Recording
+
+_MOST_FIGURES, _MOST_SHAPES, _MOST_POINTS = 100, 100, 100_000
+
+_Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+_Text = Annotated[str, Field(max_length=1000)]
+
+
+class _Figure(BaseModel):
+    name: _Text
+    unit: _Text = ""
+    shown: _Text = ""
+    meaning: _Text = ""
+    live: bool = True
+
+
+class _Shape(BaseModel):
+    """A shape on the floor."""
+
+    kind: Literal["Line", "Dots"]
+    name: _Text
+    points: Annotated[list[tuple[_Number, _Number]], Field(max_length=_MOST_POINTS)]
+    closed: bool = False
+    directed: bool = False
+
+
+class _Group(BaseModel):
+    name: _Text
+    behaviour: _Text
+    robots: list[_Text]
+    figures: Annotated[list[_Figure], Field(max_length=_MOST_FIGURES)]
+    shapes: Annotated[list[_Shape], Field(max_length=_MOST_SHAPES)]
+
+
+_GROUPS = TypeAdapter(list[_Group])
+
+
+def believed_groups(text: bytes, config: Config) -> tuple[Group, ...]:
+    """Return the groups as a file describes them; ValueError where they cannot be those of its configuration."""
+    groups = tuple(Group.from_plain(group.model_dump(exclude_unset=True)) for group in _GROUPS.validate_json(text))
+    if [group.robots for group in groups] != [group.robots for group in config.groups]:
+        raise ValueError("other groups than the configuration has")
+    return groups
+
 
 _MOST_MARKS = 100  # of a group, by name: more are not drawn
 _TEXT = TypeAdapter(Annotated[str, Field(max_length=100_000)])
@@ -37,7 +83,7 @@ def noted(payload: bytes) -> Noted | None:
         if note.kind == NoteKind.SAY:
             return Noted(note.echo_tick, line=printable(_TEXT.validate_json(note.text)))
         if note.kind == NoteKind.MARK:
-            shape = ShapeSaid.model_validate_json(note.text).model_dump(exclude_unset=True)
+            shape = _Shape.model_validate_json(note.text).model_dump(exclude_unset=True)
             return Noted(note.echo_tick, mark=shape_from_plain(shape))
         if note.kind == NoteKind.KEEP:
             return Noted(note.echo_tick, figures=_FIGURES.validate_json(note.text))

@@ -17,16 +17,16 @@ from pydantic import ValidationError
 
 from robofleet.bus.layouts import VERSION
 from robofleet.config.faults import cross_checks
+from robofleet.config.files.yamlfile import Source, parse_bytes
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import Source, parse_bytes
 from robofleet.core.clock import S
 from robofleet.core.errors import RobofleetError
 from robofleet.core.files import open_plain
 from robofleet.core.plugins import PluginError
 from robofleet.recording.channels import ENCODING
 from robofleet.recording.chunks import Content, Message
-from robofleet.recording.groups_said import said
 from robofleet.recording.log import CONFIG, COUNT, DROPPED, ENDING, FILE, GROUPS, LIBRARY, PROFILE, PROVENANCE
+from robofleet.recording.notes import believed_groups
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.run import Own, Recording
 from robofleet.recording.scanning import NO_MCAP, Scan
@@ -37,7 +37,7 @@ _STEP_NS = S
 
 _MADE_BY = re.compile(LIBRARY.format(r"(\S{1,40})", r"(\d{1,9})"))
 _SHOWN = 80  # characters of what a file says of itself
-_MOST_DROPPED = 1 << 63  # more messages than this were never said
+_MOST_DROPPED = 1 << 63  # more messages than this were never sent
 
 
 Imports = Callable[[str], bool]
@@ -233,7 +233,7 @@ def _note(recording: Recording, part: Attachment | Metadata) -> None:
         if part.name == ENDING:
             recording.end(part.data)
         elif part.name == GROUPS:
-            recording.said = said(part.data, recording.config)
+            recording.said = believed_groups(part.data, recording.config)
     elif part.name == PROVENANCE:
         recording.provenance = Provenance.of(part.metadata)
     elif part.name == DROPPED:

@@ -1,17 +1,20 @@
-"""A run's state in words: one function for terminal, page, commands, launcher and gateways."""
+"""A run's state and a busy machine in words: for terminal, page, commands, launcher, report and gateways."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
-from robofleet.bus.messages import BusyMachine, RunState
+from robofleet.bus.messages import BUSY_MACHINE, BusyMachine, RunState
 from robofleet.recording.causes import driven_out, named, run_cause
 from robofleet.safety import busy
 from robofleet.safety.advice import advised
 from robofleet.safety.arming import Stage
-from robofleet.safety.busy import Lateness
+from robofleet.safety.busy import DRIVERS, Lateness
 from robofleet.safety.supervisor import Phase
 
 GOES_ON = "Every robot stands. Everything is simulated: the run goes on by itself."
-_NAMED = 3  # robots in a line
+_MOST_NAMED = 3  # robots in a line
+_PROCESSES = "supervisor", "controller", "tracker"
 _STAGES = {
     Stage.CHECKS: "does every robot answer, is it seen, and is it at rest?",
     Stage.DRILL: "trying the emergency stop",
@@ -57,5 +60,56 @@ def _check(stage: int, tried: list[str]) -> str:
     check = next((words for known, words in _STAGES.items() if known == stage), "another check")
     if not tried:
         return check
-    more = f" and {len(tried) - _NAMED} more" if len(tried) > _NAMED else ""
-    return f"{check} of {', '.join(tried[:_NAMED])}{more}"
+    more = f" and {len(tried) - _MOST_NAMED} more" if len(tried) > _MOST_NAMED else ""
+    return f"{check} of {', '.join(tried[:_MOST_NAMED])}{more}"
+
+
+def busy_notice(message: BusyMachine, robots: tuple[str, ...]) -> str:
+    """Return what is said once in a run; ``robots`` are the ids in the group's order."""
+    return f"this machine is busy: {_busy_so_far(message, robots)}"
+
+
+def busy_figures(payloads: Iterable[bytes], robots: tuple[str, ...]) -> dict[str, Any] | None:
+    """Return how busy the machine was, as ``summary.json`` has it; None: nobody was late by its load.
+
+    ``late_s``: the most that each process was; ``resumed``: how often the run went on by itself; ``armed_again``: how
+    often the checks before the start began anew.
+    """
+    messages = [message for payload in payloads if (message := BUSY_MACHINE.decode(payload)) is not None]
+    if not messages:
+        return None
+    newest, load = messages[-1], max(message.load for message in messages)
+    return {
+        "resumed": newest.resumed,
+        "armed_again": newest.attempts,
+        "load": round(load, 2),
+        "cores": newest.cores,
+        "late_s": {_process_name(process.process, robots): round(process.most_ns / 1e9, 3) for process in newest.late},
+        "words": _busy_verdict(newest, load, robots),
+    }
+
+
+def _busy_verdict(message: BusyMachine, load: float, robots: tuple[str, ...]) -> str:
+    """Return what the report says of the machine."""
+    sentence = f"This machine was busy: {_busy_so_far(message._replace(load=load), robots)}."
+    if message.attempts:
+        sentence += f" The checks before the start began anew {_times(message.attempts)}."
+    if message.resumed:
+        sentence += f" The run was held and went on by itself {_times(message.resumed)}."
+    return sentence
+
+
+def _busy_so_far(message: BusyMachine, robots: tuple[str, ...]) -> str:
+    late = [Lateness(process.process, process.most_ns) for process in message.late]
+    return busy.words(busy.latest(late), message.load, message.cores, robots)
+
+
+def _process_name(process: int, robots: tuple[str, ...]) -> str:
+    if process < DRIVERS:
+        return _PROCESSES[process]
+    row = process - DRIVERS
+    return f"driver-{robots[row]}" if row < len(robots) else f"process-{process}"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"

@@ -1,7 +1,8 @@
 """What the plots of a run have in common: their size, the axis of time, one colour a robot, lines that fit a screen."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,8 +12,8 @@ from numpy.typing import NDArray
 
 from robofleet.config.tree import Bounds, Config
 from robofleet.core.figures import FAINT, INK, QUIET, robot_colours
+from robofleet.recording.measures import Series, line
 from robofleet.recording.run import Array, Recording
-from robofleet.recording.series import Series, line
 from robofleet.reports.timeline import Timeline
 from robofleet.safety.supervisor import Phase
 
@@ -148,3 +149,25 @@ def zoomed(axes: Axes, values: Array, *also: float | None) -> None:
     low, high = min(shown), max(shown)
     room = 0.06 * (high - low or 1.0)
     axes.set_ylim(low - room * (low < 0), high + room)
+
+
+Legend = list[tuple[str, str]]  # label, colour
+
+_MOST_LABELS = 16
+
+
+class Plot(NamedTuple):
+    """A plot and what to look for in it."""
+
+    title: str
+    draw: Callable[[RunView], Figure | None]  # None: what it would show was not measured
+    caption: str
+    legend: Callable[[RunView], Legend] = lambda _: []
+    missing: str = ""  # why it was not measured
+    long: bool = True  # it must not shrink to a narrow screen
+
+
+def few(legend: Legend) -> Legend:
+    """Return a legend that can be read: of very many robots first, middle and last, whose colours lead over."""
+    many = len(legend) > _MOST_LABELS
+    return [legend[0], ("…", legend[len(legend) // 2][1]), legend[-1]] if many else legend

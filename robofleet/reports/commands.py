@@ -15,8 +15,8 @@ from typing import Annotated
 import typer
 
 from robofleet.config import groups
+from robofleet.config.files.yamlfile import printable
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import printable
 from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.files import write_bytes
 from robofleet.core.plugins import PluginError, reach
@@ -134,7 +134,7 @@ def report(
                 if other is None:
                     page, lines = _made(run, figures, junit, imports)
                 else:
-                    page, lines = _compared(run, other, out, imports), []
+                    page, lines = after.compare(run, other, out, imports), []
         except OSError as error:
             raise RefusedError(f"{error.filename}: cannot be written: {error.strerror}") from error
     print(printable(str(page)))
@@ -197,10 +197,6 @@ def _made(run: Path, figures: Path | None, junit: Path | None, imports: "Imports
     if junit is not None:
         xml.write(made.summary, [] if made.trouble is None else [f"{run}: {made.trouble}"], junit)
     return made.page, complaints(made.summary)
-
-
-def _compared(run: Path, other: Path, out: Path | None, imports: "Imports") -> Path:
-    return after.compare(run, other, out, imports)
 
 
 @contextmanager

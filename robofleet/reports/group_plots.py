@@ -11,9 +11,8 @@ from robofleet.behaviours.interface import with_unit
 from robofleet.core.figures import robot_colours
 from robofleet.recording.gauge import Curve
 from robofleet.recording.run import Array, GroupColumns
-from robofleet.reports.canvas import RunView, level, lines, logarithmic, settling, strips, zoomed
+from robofleet.reports.canvas import Legend, Plot, RunView, few, level, lines, logarithmic, settling, strips, zoomed
 from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
-from robofleet.reports.plot import Legend, Plot, few
 
 _WIDE = 30.0  # times its median: a figure that is so much larger at times has a logarithmic axis
 _ESTIMATED = "estimated_"  # a figure that is so called is for the run itself: the report has the measure

@@ -4,6 +4,7 @@ What is each group's own its behaviour measures (``gauge.py``). A figure that wa
 """
 
 import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,13 @@ from robofleet.bus.messages import FleetPoses
 from robofleet.config import obstacles
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, US
-from robofleet.recording import busy_machine, notes
+from robofleet.recording import notes
 from robofleet.recording.causes import named
-from robofleet.recording.distribution import Distribution
 from robofleet.recording.measures import compute, computed, delays, lateness, pose_errors
-from robofleet.recording.reduced import Counted, Images, Mean, Reduced
+from robofleet.recording.reduced import Counted, Distribution, Images, Mean, Reduced
 from robofleet.recording.run import Array, Recording, Run
+from robofleet.recording.state_words import busy_figures
 from robofleet.reports.bounds import judged
-from robofleet.reports.remarks import remarks
 from robofleet.reports.stops import stops
 from robofleet.reports.timeline import moments
 from robofleet.tracking.events import NO_TAG, TrackerEvent
@@ -77,7 +77,7 @@ def summary(
         "recording": {"messages": recording.count, "dropped": recording.dropped},
         "stops": whole.stops,
         "remarks": remarks(config, groups),
-        "busy_machine": busy_machine.figures(recording.messages.get(key(config.arena.name, BUSY), ()), config.ids),
+        "busy_machine": busy_figures(recording.messages.get(key(config.arena.name, BUSY), ()), config.ids),
         "rejected": {
             robot.id: None if counted is None else counted.newest - counted.first
             for robot, counted in zip(config.members, whole.rejected, strict=True)
@@ -321,3 +321,39 @@ def _mean(mean: Mean) -> float | None:
 
 def _rounded(value: float, digits: int = 4) -> float:
     return round(float(value), digits)
+
+
+_TIMED_ERROR_MM = 3.0  # more than a healthy robot has
+_LAW_SHARE = 0.2  # of the timed error: a smaller control error is not its reason
+
+
+def remarks(config: Config, groups: Mapping[str, Any]) -> list[str]:
+    """Return the remarks on all groups' figures."""
+    return [
+        line
+        for name, figures in groups.items()
+        for line in (*_goal_remarks(name, figures), *_estimate_remark(config, figures))
+    ]
+
+
+def _goal_remarks(name: str, figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield which robots of ``go_to`` are not at their goals."""
+    ends = (figures.get("not_at_goal") or {}).items()
+    if ends:
+        off = ", ".join(
+            f"{robot} {end['distance_to_goal_mm']:.1f} mm and {end['heading_error_deg']:.1f} degrees"
+            for robot, end in ends
+        )
+        yield f"{name}: not within the accuracy of their goals: {off}"
+
+
+def _estimate_remark(config: Config, figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield that the estimate of a disturbance would help: the law does what it must, and the robot is elsewhere."""
+    timed, control = figures.get("timed_error_mm"), figures.get("control_error_mm")
+    if config.controller.disturbance == "estimated" or not timed or not control:
+        return
+    if timed["mean"] > _TIMED_ERROR_MM and control["mean"] < _LAW_SHARE * timed["mean"]:
+        yield (
+            f"the timed error is {timed['mean']:.1f} mm, the control error {control['mean']:.1f} mm: the wheels move"
+            " the robot otherwise than commanded (slip, wear); `controller.disturbance: estimated` corrects that"
+        )

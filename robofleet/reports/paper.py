@@ -7,7 +7,7 @@ import yaml
 from pydantic import ValidationError
 
 from robofleet.behaviours.paths import PathFile
-from robofleet.config.names import SHIPPED
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.tree import Config
 
 FIGURE_KEY = "control_error_mm"  # of the figure that the paper tells

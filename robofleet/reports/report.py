@@ -1,27 +1,33 @@
 """What a run says to a person: ``report.html`` and ``metrics.csv`` in its folder."""
 
+import io
+import os
+import re
 import shlex
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import matplotlib as mpl
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.behaviours.interface import scale
 from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.core.figures import STYLE
+from robofleet.core.files import replaced
 from robofleet.recording.columns import CSV, write_csv
+from robofleet.recording.measures import series
 from robofleet.recording.run import Recording, Run
-from robofleet.recording.series import series
 from robofleet.reports import sensors
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
-from robofleet.reports.canvas import RunView
+from robofleet.reports.canvas import Legend, RunView
 from robofleet.reports.own_figures import OwnFigure, asked, heading, own_figures
 from robofleet.reports.pages import Marked, Page, Tile
-from robofleet.reports.paper_figures import FigureFiles
 from robofleet.reports.plots import HAPPENED, sections
 from robofleet.reports.stops import together
 from robofleet.reports.timeline import Timeline
@@ -33,6 +39,51 @@ _ENDS = {"fault": "Ended by a fault", "stopped": "Stopped"}
 _WHO = {True: "the operator", False: "-"}
 _OWN_TILES = 6  # of a group
 _SHOWN = 80  # entries of a table; a run that is worse shows its first ones
+
+
+_METADATA: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same every time
+_FILE_STYLE: Any = {**STYLE, "pdf.fonttype": 42}  # publishers refuse Type 3 fonts
+_LABELS_A_ROW = 6
+_PAD_INCH = 0.03
+
+
+class FigureFiles:
+    """The files of a run's figures in ``folder``; ``page`` is the page that links them."""
+
+    def __init__(self, folder: Path, page: Path) -> None:
+        self._folder, self._page = folder, page
+
+    def write(self, title: str, figure: Figure, legend: Legend) -> list[tuple[str, str]]:
+        """Write a plot, which is given its legend; returns (kind, address) of each file. OSError if it cannot be."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        if legend:
+            _add_legend(figure, legend)
+        name = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+        return [(kind.upper(), self._address(self._save(figure, name, kind))) for kind in _METADATA]
+
+    def _save(self, figure: Figure, name: str, kind: str) -> Path:
+        buffer, file = io.BytesIO(), self._folder / f"{name}.{kind}"
+        with mpl.rc_context(_FILE_STYLE):
+            figure.savefig(
+                buffer, format=kind, metadata=_METADATA[kind], bbox_inches="tight", pad_inches=_PAD_INCH, dpi=300
+            )
+        with replaced(file) as stream:
+            left = buffer.getbuffer()
+            while left:
+                left = left[stream.write(left) :]
+        return file
+
+    def _address(self, file: Path) -> str:
+        return quote(os.path.relpath(file.resolve(), self._page.parent.resolve()))
+
+
+def _add_legend(figure: Figure, legend: Legend) -> None:
+    dots = [Line2D([], [], ls="none", marker="o", color=colour, label=label) for label, colour in legend]
+    left = figure.axes[0].get_position().x0
+    figure.legend(
+        handles=dots, loc="lower left", bbox_to_anchor=(left, 1.0), ncols=min(len(dots), _LABELS_A_ROW),
+        borderaxespad=0.2, handletextpad=0.1, columnspacing=1.2, fontsize=8,
+    )  # fmt: skip
 
 
 def write(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import Behaviour, Bound, Refusal
+from robofleet.behaviours.interface import Behaviour, Bound, Refusal, Start
 from robofleet.config import groups, obstacles, slices, units
 from robofleet.config.faults import Complaint
 from robofleet.config.load import Change, ConfigFile, Files
@@ -18,11 +18,13 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.core.plugins import PluginError, load
 from robofleet.nodes import views
-from robofleet.runs import check_drivers, check_faults, check_poses, check_starts, reality
+from robofleet.nodes.pose_sources import POSES
+from robofleet.runs import check_drivers, check_faults
 from robofleet.safety.distances import least_room_m
 from robofleet.safety.gate import VALID_NS
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.sources import AdjustableCamera, ScheduledCamera
+from robofleet.vehicles.interface import SimulatedDriver
 from robofleet.vehicles.solids import distances
 
 _LONGEST_TICK_S = VALID_NS / S - 0.03  # status period, bus and lateness come off what the gate grants
@@ -63,9 +65,7 @@ def load_checked(
     if not any(path.startswith("robots.") for path, _ in complaints):
         complaints += shared.unreachable(config, check_drivers.unreachable, "arena", "bus", "drivers", "robots")
     if not any(path.startswith(("robots.", "tracker.")) for path, _ in complaints):
-        complaints += shared.unreachable(
-            config, check_poses.unreachable, "arena", "robots", "tracker", "camera", "cameras"
-        )
+        complaints += shared.unreachable(config, unreachable, "arena", "robots", "tracker", "camera", "cameras")
     source.refuse(complaints)
     return config
 
@@ -76,8 +76,8 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     Lockstep lets simulated time pass at any rate: it never moves a real robot, nor waits for a real camera.
     """
     faults = check_faults.complaints(config, lockstep=lockstep)
-    complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality.complaints(config), *faults]
-    complaints += check_poses.complaints(config, lockstep=lockstep)
+    complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality_complaints(config), *faults]
+    complaints += pose_complaints(config, lockstep=lockstep)
     if config.tracker.source == "camera":
         for (path, _), view in zip(config.camera_keys, config.views, strict=True):
             complaints += _camera_source(view, path, lockstep)
@@ -115,7 +115,7 @@ def proofs(config: Config) -> list[tuple[str, str, str, str]]:
             f"{b.tightness:.0%}",
         )
         for b in tightest.values()
-    ] + check_starts.rows(config)
+    ] + start_rows(config)
 
 
 def _worst(broken: Iterable[Bound]) -> list[Bound]:
@@ -257,7 +257,7 @@ def _camera(view: Config, path: str) -> Iterator[Bound]:
     mend = "the next frame begins before, so shorten the exposure"
     yield Bound(f"{path}.exposure_s", "exposure and readout of a frame", taken, period, "s", mend)
     if camera.adjusts_exposure:
-        from robofleet.tracking.exposure import longest_exposure  # noqa: PLC0415 - loads OpenCV
+        from robofleet.tracking.cameras.exposure import longest_exposure  # noqa: PLC0415 - loads OpenCV
 
         longest = longest_exposure(view)
         what, mend = f"the first exposure, with {longest.why}", "shorten it, or set camera.exposure_control to fixed"
@@ -290,3 +290,91 @@ def _none(_config: Config) -> tuple[Complaint, ...]:
 
 def _shown(value: float, unit: str) -> str:
     return f"{value:.4g} {unit}".rstrip()
+
+
+def pose_complaints(config: Config, *, lockstep: bool = False) -> Iterator[Complaint]:
+    """Yield why the source of poses cannot work. Nothing is opened."""
+    source = config.tracker.source
+    try:
+        found = load(POSES, source)
+    except PluginError as error:
+        yield "tracker.source", str(error)
+        return
+    in_lockstep = getattr(found, "works_in_lockstep", None)
+    if lockstep and source != "camera" and not (in_lockstep is not None and in_lockstep(config)):
+        yield "tracker.source", f"{source!r} keeps real time, and lockstep does not: run without --lockstep"
+    yield from getattr(found, "refusals", _none)(config)
+
+
+def unreachable(config: Config) -> list[Complaint]:
+    """Ask the source of poses who is there; returns who does not answer."""
+    return list(getattr(load(POSES, config.tracker.source), "unreachable", _none)(config))
+
+
+def reality_complaints(config: Config) -> Iterator[Complaint]:
+    """Yield the robots whose poses could never come."""
+    source, cameras = config.tracker.source, [camera.source for _, camera in config.camera_keys]
+    real = [camera for camera in cameras if camera != "simulated"]
+    capture = config.tracker.mocap.system if source == "mocap" else ""
+    if source == "camera" and not config.seen:
+        yield "tracker.source", "there is no robot that the camera could see, all are simulated: take truth"
+    for i, robot in enumerate(config.robots):
+        try:
+            mend = f"give {robot.id} a driver" if robot.twin is None else f"remove {robot.id}'s twin"
+            tells, looks = _tells(robot), source == "camera" and any(map(_looks, cameras))
+        except PluginError:
+            continue  # said already
+        if tells and looks and robot.reality == "real":
+            yield f"robots.{i}.reality", f"{cameras[0]!r} cannot see {robot.id}, which is simulated: write simulated"
+        elif not tells and robot.reality == "simulated":
+            yield f"robots.{i}.reality", f"nobody knows where {robot.id} is, {robot.driver!r} cannot tell: write real"
+        elif not tells and source == "truth":
+            yield f"robots.{i}.driver", f"{robot.driver!r} cannot tell where {robot.id} is: take tracker.source camera"
+        elif not tells and capture == "simulated":
+            message = f"a simulated motion capture cannot measure {robot.id}: name tracker.mocap.system"
+            yield f"robots.{i}.driver", message
+        elif tells and capture not in ("", "mock", "simulated") and robot.reality == "real":
+            yield f"robots.{i}.driver", f"{capture!r} cannot measure a simulated robot: {mend}"
+        elif not tells and source == "camera" and not real:
+            yield f"robots.{i}.driver", f"a simulated camera cannot see {robot.id}: take a real one, or give it a twin"
+
+
+def _tells(robot: Robot) -> bool:
+    """Return whether a robot says where it truly is: there is none, or its twin."""
+    return robot.twin is not None or issubclass(load("robofleet.drivers", robot.driver), SimulatedDriver)
+
+
+def _looks(camera: str) -> bool:
+    """Return whether a camera's images are of what exists now."""
+    return not issubclass(load("robofleet.cameras", camera), ScheduledCamera)
+
+
+def start_rows(config: Config) -> list[tuple[str, str, str, str]]:
+    """Return what a table of proofs says of the starts: (what, value, limit, how much of it is used)."""
+    settle_s = config.run.spacing_settle_s
+    found: list[tuple[str, str, str, str]] = []
+    for start in _judged_starts(config):
+        found += start.rows
+        if start.arrived_s:
+            late_s = max(start.arrived_s)
+            takes = f"{late_s:.1f} s" if math.isfinite(late_s) else "over 25 s"
+            note = "ok" if late_s <= settle_s else "slow"
+            found.append(("the time until every robot is where it is to be", takes, f"{settle_s:g} s", note))
+    return found
+
+
+def start_warnings(config: Config) -> Iterator[str]:
+    """Yield what works and may take long, a line each."""
+    settle_s = config.run.spacing_settle_s
+    for start in _judged_starts(config):
+        for late_s, warning in () if start.jam else start.warnings:
+            if late_s > settle_s:
+                yield f"{warning}; figures count after {settle_s:g} s (run.spacing_settle_s)"
+
+
+def _judged_starts(config: Config) -> Iterator[Start]:
+    """Yield what each behaviour says of its robots' starts, where all of them have one."""
+    for behaviour in groups.behaviours(config):
+        poses = [pose for pose in behaviour.team.starts if pose is not None]
+        if len(poses) == len(behaviour.team):
+            yield behaviour.start(poses)

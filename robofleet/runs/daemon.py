@@ -15,8 +15,8 @@ from robofleet.bus.keys import CONFIG, HOST
 from robofleet.bus.living import RoleTakenError
 from robofleet.bus.messages import HANDED
 from robofleet.bus.zenoh_bus import ZenohBus
+from robofleet.config.files.robot_file import RobotFile, load_robot_file, robot_file
 from robofleet.config.load import ConfigError
-from robofleet.config.robot_file import RobotFile, load_robot_file, robot_file
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S, WallClock, utc_now
 from robofleet.core.log_lines import never_raise

@@ -1,5 +1,6 @@
 """Runs a platoon in real time: starts the processes, arms, runs, stops, and leaves nothing behind."""
 
+import signal
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -14,14 +15,13 @@ from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config import slices
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.core.clock import MS, S, WallClock
+from robofleet.core.clock import MS, Clock, S, WallClock
 from robofleet.core.errors import RobofleetError
 from robofleet.core.files import write_text
 from robofleet.nodes.machine import Silence
 from robofleet.recording.run import SHOWN, Recording, Watch
 from robofleet.recording.state_words import state_words
 from robofleet.runs import table
-from robofleet.runs.child_faults import ChildFaults
 from robofleet.runs.children import Children, RunError
 from robofleet.runs.companion import Companion, PageWanted
 from robofleet.runs.console import EMERGENCY_KEYS, READY, Console, Interrupts
@@ -30,6 +30,7 @@ from robofleet.safety.arming import Stage
 from robofleet.safety.busy import GONE_NS, SPOILT
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
+from robofleet.simulation.faults import Schedule
 
 _HANDED_WITHIN_NS = 10 * S  # they join within a second of the router's start, and open their ports
 _REST_WITHIN_NS = S
@@ -414,3 +415,32 @@ class Launcher:
             status is not None and max(abs(status.left_rad_s), abs(status.right_rad_s)) < _AT_REST_RAD_S
             for status in statuses
         )
+
+
+class ChildFaults:
+    """Does to the children what the configuration's faults ask for. Its times count from ``begin``."""
+
+    def __init__(self, config: Config, clock: Clock, children: Children) -> None:
+        self._clock, self._children = clock, children
+        self._schedule = Schedule(config, clock)
+        self._acting: set[int] = set()  # by number
+
+    def begin(self) -> None:
+        """Note that the fleet is running; only the first time counts."""
+        self._schedule.begin(self._clock.now_ns())
+
+    def step(self) -> None:
+        """Let begin and end what is due."""
+        now_ns = self._clock.now_ns()
+        for injection in self._schedule.of("killed", "stopped"):
+            acts = injection.acts(now_ns)
+            if acts == (injection.number in self._acting):
+                continue
+            self._acting ^= {injection.number}
+            name = injection.fault.process
+            if injection.fault.kind == "stopped":
+                self._children.signal(name, signal.SIGSTOP if acts else signal.SIGCONT)
+            elif acts:
+                self._children.kill(name)
+            else:
+                self._children.start_again(name)

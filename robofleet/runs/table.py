@@ -202,9 +202,8 @@ def _tracker(edges: Edges) -> Node:
 
     from robofleet.bus.ticks import TickFollower  # noqa: PLC0415
     from robofleet.nodes.pose_sources import compiling, pose_source  # noqa: PLC0415
-    from robofleet.nodes.tracker import Tracker  # noqa: PLC0415
+    from robofleet.nodes.tracker import Tracker, WatchedPoses  # noqa: PLC0415
     from robofleet.simulation.faulty_poses import FaultyFeed, FaultyPoses  # noqa: PLC0415
-    from robofleet.tracking.silence import WatchedPoses  # noqa: PLC0415
     from robofleet.tracking.sources import PoseContext  # noqa: PLC0415
 
     cv2.setNumThreads(1)  # parts of an image are too small to share
@@ -250,10 +249,10 @@ def _driver(edges: Edges) -> Node:
         compile_kernels(edges.progress)
     keeping = edges.keeping
     if edges.faults is not None:
-        from robofleet.simulation.faulty_disk import FaultyKeeping  # noqa: PLC0415
+        from robofleet.simulation.faulty_disk import FaultyStore  # noqa: PLC0415
         from robofleet.simulation.faulty_driver import FaultyDrivers  # noqa: PLC0415
 
-        drivers, keeping = FaultyDrivers(drivers, edges.faults), FaultyKeeping(keeping, edges.faults)
+        drivers, keeping = FaultyDrivers(drivers, edges.faults), FaultyStore(keeping, edges.faults)
     return DriverProcess(
         config, unit, edges.bus, edges.clock, edges.wake, drawn_id(edges.rng, 64), int(edges.rng.integers(LOOP_NS)),
         keeping, drivers, edges.probe,

@@ -1,4 +1,4 @@
-"""What an operator does about a cause: said beside it, once, where a run ends or stands; and in each phase. Pure.
+"""Advice to the operator for each cause, shown where a run ends or stands, and for each phase. Pure.
 
 It imports nothing heavy: `robofleet stop` and `status` wait for it.
 """

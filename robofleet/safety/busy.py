@@ -1,4 +1,4 @@
-"""A machine that is too busy for its run: who was late by it, and what a fleet that is only simulated does then. Pure.
+"""A machine that is too busy for its run: which processes were late, and what a simulated fleet does then. Pure.
 
 Evidence is asked for. A process was late by the machine's load only if, for at least half of the time in which it was
 not heard, some process of this machine was ready to run and no core was free for it. And it must have tried: who

@@ -12,21 +12,17 @@ robot that stops stays on its arc and neither wheel reverses.
 A gate that let its wheels turn and was then not stepped for 120 ms does not go on from there: its robot has long been
 stopped by other means. Its output is zero at once, and what was issued before counts no more.
 
-``step`` is plain Python: a robot's small computer runs it on a ``GateState`` and needs no numba. ``step_row`` is the
-same source, compiled: simulated robots run it on rows of arrays. There what a gate counts (boot id, epoch, latch id) is
+``step`` is plain Python: a robot's small computer runs it on a ``GateState`` and needs no numba. Simulated robots run
+the same source on rows of arrays, compiled. There what a gate counts (boot id, epoch, latch id) is
 signed, also in messages, since numba turns both numbers into floats where an unsigned one meets a signed one. A forged
 one of 2^63 or more is negative there, and equals no count. Sessions and sequence numbers are unsigned everywhere.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Any, TypeVar
 
-import numpy as np
-
-from robofleet.core.kernels import kernel_of_plain
+from robofleet.core.rows import Unsigned, row_type
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import WheelSpeeds
@@ -40,9 +36,6 @@ TOLERANCE = 1.01  # of a limit; more is refused, not clamped
 NEVER = -VALID_NS  # as a nonce: too old at every instant
 NEVER_NS = (1 << 63) - 1  # as a deadline: none
 NOT_ASKED = -1  # as the answer to a lease request: there was none
-
-T = TypeVar("T")
-Unsigned = Annotated[int, "<u8"]  # never beside a signed number, but 0
 
 
 class LeaseAction(IntEnum):
@@ -129,19 +122,7 @@ class GateState:
         return WheelSpeeds(self.output_left, self.output_right)
 
 
-def _row_type(record: type) -> np.dtype[Any]:
-    """Return the type of a row with the fields of a record."""
-    kinds: dict[Any, str] = {bool: "<i8", int: "<i8", float: "<f8", Unsigned: "<u8"}
-    return np.dtype([(field.name, kinds[field.type]) for field in fields(record)])
-
-
-INPUT, GATE = _row_type(Inputs), _row_type(GateState)
-DRIVE = np.dtype([(field.name, "<f8") for field in fields(DifferentialDrive)])
-
-
-def record_of(record: Callable[..., T], row: np.void) -> T:
-    """Return a row of INPUT or GATE as a record."""
-    return record(**dict(zip(row.dtype.names or (), row.item(), strict=True)))
+INPUT, GATE, DRIVE = row_type(Inputs), row_type(GateState), row_type(DifferentialDrive)
 
 
 def step(g: GateState, drive: DifferentialDrive, i: Inputs, now_ns: int) -> int:
@@ -298,6 +279,3 @@ def _follow(g: GateState, target_left: float, target_right: float, acceleration:
         g.target_after_ns, g.output_after_ns = after_ns, UNKNOWN
     if _at_zero(g) and not rested:
         g.output_after_ns = after_ns
-
-
-step_row = kernel_of_plain(step)

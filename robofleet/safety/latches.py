@@ -1,4 +1,4 @@
-"""What a gate says of itself, and what holds it closed. `robofleet stop` reads this, and so waits for no numpy."""
+"""The status and the latches of a gate. This module does not import numpy, so that `robofleet stop` starts fast."""
 
 from enum import IntEnum
 

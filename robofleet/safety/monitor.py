@@ -41,7 +41,7 @@ _ARRIVALS = {
 }
 UNDER_WAY_NS = 300 * _S  # a robot crosses any shipped arena in 20 s; many of them wait for each other
 OVERRUNS = 3  # in a row: 132 ms without a command, more than a gate waits; so the wheels did stop
-LATE_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has gone some 20 mm unseen
+UNSEEN_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has gone some 20 mm unseen
 LOST_NS = 2 * _S  # not a hand that passes: somebody must look
 LOWEST_BATTERY = 0.10  # of the charge: motors grow weak, and soon the driver's computer goes off
 STALLED_RAD_S = 2.0  # of a command: three times what a wheel of the worst shipped robot needs to start from rest
@@ -280,7 +280,7 @@ def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each r
 
         # where it is; where it was seen long ago says nothing of the walls
         lost, seen = r.unseen_ns >= LOST_NS, driven and r.seen_ns != NEVER
-        late = seen and not lost and (r.unseen_ns >= LATE_NS or r.lost != 0)
+        late = seen and not lost and (r.unseen_ns >= UNSEEN_NS or r.lost != 0)
         if seen and lost and r.camera_out != 0:  # where only that camera looks it stands, and the others drive
             yield Event.CAMERA_OUT, k, r.camera_out - 1.0
         if lost and r.camera_out == 0 and (seen or not driven):

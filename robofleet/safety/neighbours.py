@@ -1,4 +1,4 @@
-"""Who is near whom: points sorted into the cells of a square grid, so that nobody looks at everybody.
+"""Pairs of near points, found with a square grid instead of comparing all pairs.
 
 A point's neighbours lie in its own cell and the eight around it, as a cell is at least as wide as the distance asked
 for. Where that is not finite, or a point is not, everybody is everybody's neighbour.

@@ -16,7 +16,7 @@ from collections.abc import Hashable, Iterable
 from typing import NamedTuple
 
 from robofleet.safety.latches import Latch
-from robofleet.safety.monitor import LATE_NS, SILENT_NS
+from robofleet.safety.monitor import SILENT_NS, UNSEEN_NS
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase, RunStatus
 from robofleet.safety.view import NEVER, FleetView, RobotView
 
@@ -93,6 +93,6 @@ def _is_well(row: int, standing: tuple[Happening, ...], view: FleetView) -> bool
     if not 0 <= row < view.driven or any(happening.event not in _LASTING for happening in standing):
         return False
     robot: RobotView = view.robots[row]
-    seen = robot.seen_ns != NEVER and robot.unseen_ns < LATE_NS and not robot.lost
+    seen = robot.seen_ns != NEVER and robot.unseen_ns < UNSEEN_NS and not robot.lost
     recent = robot.heard_ns != NEVER and view.now_ns - robot.heard_ns <= SILENT_NS
     return seen and recent and not robot.faults and robot.latch == Latch.NONE and not robot.failed

@@ -1,4 +1,4 @@
-"""What one stroke proves: which wheel the driver turns, which way, and how far it rolls.
+"""What one stroke shows: which wheel the driver turns, in which direction, and how far it rolls.
 
 Turn and travel of the tag give what each wheel rolled; the wheels were asked for unequal shares, so that no two faults
 look alike.

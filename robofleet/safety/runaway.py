@@ -23,23 +23,25 @@ ROLLED_M = 0.005  # in a window, of the body's middle or its edge: 20 mm/s, ten 
 _SIDEWAYS_M, _SIDEWAYS = 0.003, 0.2  # a wheel rolls along its robot's heading; a hand that carries a robot does not
 
 
-class Turning(NamedTuple):
-    """Since when a wheel turns that is told to stand, and when that was looked at last [driver's clock, ns]."""
+def turning_since_ns(since_ns: int, looked_ns: int, commanded: bool, measured: float, now_ns: int) -> int:
+    """Return since when a wheel turns that is commanded to stand; the present where none does [driver's clock, ns].
 
-    since_ns: int
-    at_ns: int
+    Args:
+        since_ns: What was returned when that was looked at last.
+        looked_ns: When it was.
+        commanded: Whether a wheel is commanded to turn.
+        measured: Speed of the faster wheel, as measured [rad/s].
+        now_ns: The present.
+    """
+    continuous = looked_ns <= now_ns <= looked_ns + HEARD_WITHIN_NS
+    if commanded or not abs(measured) > TURNING_RAD_S or not continuous:
+        return now_ns
+    return since_ns
 
-    @property
-    def runs(self) -> bool:
-        """Whether it turns by itself."""
-        return self.at_ns - self.since_ns >= RESTS_WITHIN_NS
 
-
-def look(before: Turning, commanded: bool, measured: float, now_ns: int) -> Turning:
-    """Return what is known now; ``told`` to turn, and the faster wheel as measured [rad/s]."""
-    continuous = before.at_ns <= now_ns <= before.at_ns + HEARD_WITHIN_NS
-    asleep = commanded or not abs(measured) > TURNING_RAD_S or not continuous
-    return Turning(now_ns if asleep else before.since_ns, now_ns)
+def runs(since_ns: int, now_ns: int) -> bool:
+    """Return whether a wheel that turns since then turns by itself."""
+    return now_ns - since_ns >= RESTS_WITHIN_NS
 
 
 class Rolling(NamedTuple):

@@ -17,7 +17,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from struct import Struct
-from types import TracebackType
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -208,9 +207,7 @@ class Fleet:
                 raise SystemExit(2) from error
             raise
 
-    def __exit__(
-        self, _kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         """End."""
         well = error is None or (isinstance(error, SystemExit) and not error.code)
         why = f"the script ended by {type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")

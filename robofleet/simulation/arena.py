@@ -34,7 +34,7 @@ class TruthHistory:
         self._count = np.zeros(robots, np.int64)  # of all samples
         self.moving(np.zeros(robots, np.int64), 1)  # compiles, or loads
         self.poses_at(np.zeros(robots, np.int64))
-        self.told_at(0)
+        self.reported_at(0)
         self.take(np.zeros(0, np.intp), 0, np.frombuffer(b"", UNIT_TRUTH.item_dtype))
 
     def add(self, row: int, stamp_ns: int, sample: tuple[float, float, float, float, float]) -> None:
@@ -49,9 +49,9 @@ class TruthHistory:
         """Add what a unit says of its robots (K,) in one message; ``rows``: of each place in the unit, or NOBODY."""
         take(self._stamps, self._samples, self._count, rows, stamp_ns, truths)
 
-    def told_at(self, instant_ns: int) -> Array:
+    def reported_at(self, instant_ns: int) -> Array:
         """Return poses (N, 3) at one instant, each by the robot's own word; NaN where that was said long ago."""
-        return told_at(self._stamps, self._samples, self._count, instant_ns)
+        return reported_at(self._stamps, self._samples, self._count, instant_ns)
 
     def poses_at(self, instants_ns: Instants) -> Array:
         """Return x, y [m], psi [rad] (N, 3), each robot's at its own instant; before its first sample that one's.
@@ -94,7 +94,7 @@ def poses_at(stamps: Instants, samples: Array, count: Instants, instants_ns: Ins
 
 
 @kernel
-def told_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
+def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
     """See ``TruthHistory.told_at``."""
     poses, capacity = np.full((len(stamps), 3), np.nan), stamps.shape[1]
     for n in range(len(stamps)):
@@ -155,4 +155,4 @@ def _remainder(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-KERNELS = (poses_at, told_at, moving, take)  # that are called from Python
+KERNELS = (poses_at, reported_at, moving, take)  # that are called from Python

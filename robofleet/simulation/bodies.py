@@ -6,7 +6,7 @@ explains the model. Both do the same to the last bit: ``tests/simulation/test_bo
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +121,14 @@ class Bodies:
         if self._noisy:
             self._supply(now_ns)
         return now_ns
+
+    def row(self, row: int) -> tuple[Any, Any, Any, Any]:
+        """Return a robot's part of the arrays, as kernels take it."""
+        return self.bodies[row], self.plants[row], self.coming[row], self.noise[row]
+
+    def write(self, row: int, left: float, right: float) -> None:
+        """Command a robot's wheels from now on [rad/s]."""
+        tell(*self.row(row), left, right, self.prepare())
 
     def truths(self) -> NDArray[np.float64]:
         """Return where the robots really are now, and how they move (N, 5): x, y, psi, v, omega."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from robofleet.simulation.draw import BLUR_PX, cells, centres, draw, renew
 from robofleet.simulation.floor import WIDEST, Floor
 from robofleet.tracking.camera import CameraGeometry, Lens
-from robofleet.tracking.targets import Target
+from robofleet.tracking.tags.targets import Target
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]

@@ -61,7 +61,7 @@ class SimulatedCapture:
         self._exposure_ns += max(0, (now_ns - self.ready_ns()) // self._period_ns) * self._period_ns
         self._clock.sleep_until(self.ready_ns())
         self._world.update()
-        true = self._world.told_at(self._exposure_ns)
+        true = self._world.reported_at(self._exposure_ns)
         robots = zip(true.tolist(), self._offsets, strict=True)
         measured = np.array([tag_from_centre(x, y, psi, offset) for (x, y, psi), offset in robots]).reshape(-1, 3)
         measured += self._sigma * self._rng.standard_normal(measured.shape)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from robofleet.core.kernels import image_kernel, infinite_kernel
 from robofleet.simulation.floor import BLACK, WHITE
-from robofleet.tracking.families import pattern
 from robofleet.tracking.projection import project
+from robofleet.tracking.tags.families import pattern
 
 Array32 = NDArray[np.float32]
 

@@ -1,4 +1,4 @@
-"""What lies between scene and tracker beside lens and noise: each effect changes an image in place, in this order."""
+"""Effects on a rendered image beside lens and noise: each changes the image in place, in this order."""
 
 import math
 from collections.abc import Callable

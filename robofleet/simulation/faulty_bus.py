@@ -86,7 +86,8 @@ class FaultyBus:
         if found is None or found[0] is TRUTH:
             return self._bus.stream(expression, capacity=capacity)
         fate = _Fate(self._schedule, self._process, *found, self._cuts(*found))
-        stream = _FaultyStream(expression, self._schedule, found[0], fate, None, self._ahead_ns)
+        stream = _FaultyStream(self._schedule, found[0], fate, None, self._ahead_ns)
+        stream.key = expression
         self._bus.listen(*found, stream.put)
         return stream
 
@@ -183,21 +184,11 @@ class _FaultySubscription:
 class _FaultyStream(_FaultySubscription):
     """All messages of one key."""
 
-    def __init__(
-        self,
-        expression: str,
-        schedule: Schedule,
-        topic: Topic,
-        fate: "_Fate",
-        wake: Wake | None,
-        ahead_ns: Callable[[], int],
-    ) -> None:
-        super().__init__(schedule, topic, fate, wake, ahead_ns)
-        self._key = expression
+    key: str
 
     def drain(self) -> list[Arrival]:
         """Return what is there."""
-        return [Arrival(at_ns, self._key, payload) for at_ns, payload in self._there()]
+        return [Arrival(at_ns, self.key, payload) for at_ns, payload in self._there()]
 
 
 class _Fate:

@@ -1,4 +1,4 @@
-"""A disk that can be full: a robot's memory, a process's log, and the room that is left beside a recording."""
+"""A disk that can be full, for a robot's stored state, a process's log, and the free space of a recording."""
 
 import errno
 import io
@@ -19,16 +19,16 @@ class _StateStore(Protocol[State]):
     def lose(self, robot: str) -> None: ...
 
 
-class FaultyKeeping(Generic[State]):
+class FaultyStore(Generic[State]):
     """A keeping whose disk can be full, so that it takes nothing at all: what is there can only be made invalid."""
 
-    def __init__(self, keeping: _StateStore[State], schedule: Schedule) -> None:
-        self.load, self.lose, self._keeping, self._schedule = keeping.load, keeping.lose, keeping, schedule
+    def __init__(self, store: _StateStore[State], schedule: Schedule) -> None:
+        self.load, self.lose, self._store, self._schedule = store.load, store.lose, store, schedule
 
     def save(self, robot: str, kept: State) -> None:
         """Keep it, if the disk takes it."""
         _refuse_if_full(self._schedule)
-        self._keeping.save(robot, kept)
+        self._store.save(robot, kept)
 
 
 class FaultyLog(io.TextIOBase):

@@ -46,8 +46,7 @@ class FaultyDrivers:
         drivers, robot = self._schedule.drivers, context.robot
         if robot not in drivers:
             drivers[robot] = self._drivers.driver(context)
-        faulty = FaultySimulatedDriver if isinstance(drivers[robot], SimulatedDriver) else FaultyDriver
-        return faulty(drivers[robot], self._schedule, robot)
+        return FaultyDriver(drivers[robot], self._schedule, robot)
 
     def bodies(self, contexts: Sequence[DriverContext]) -> Bodies | None:
         """Return the bodies of a unit; those that were made before, if there are some."""
@@ -79,6 +78,8 @@ class FaultyDriver:
     def __init__(self, driver: Driver, schedule: Schedule, robot: str) -> None:
         self._driver, self._now_ns = driver, schedule.now_ns
         self._low, self._pressed = schedule.of("low_battery", robot=robot), schedule.of("wired_stop", robot=robot)
+        if isinstance(driver, SimulatedDriver):
+            self.truth = driver.truth
 
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels."""
@@ -96,12 +97,3 @@ class FaultyDriver:
     def close(self) -> None:
         """Motors off."""
         self._driver.close()
-
-
-class FaultySimulatedDriver(FaultyDriver):
-    """The same for a robot that does not exist."""
-
-    def __init__(self, driver: Driver, schedule: Schedule, robot: str) -> None:
-        super().__init__(driver, schedule, robot)
-        assert isinstance(driver, SimulatedDriver)
-        self.truth = driver.truth

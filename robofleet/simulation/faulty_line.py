@@ -1,4 +1,4 @@
-"""What goes wrong with a twin, and what a robot did because of it."""
+"""Faults of a twin and of its serial line, and an account of the wrong motions that follow."""
 
 from functools import reduce
 from operator import or_

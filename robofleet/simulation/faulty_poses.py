@@ -1,4 +1,4 @@
-"""What goes wrong between a camera and the poses of its images."""
+"""Faults of a camera and of its poses."""
 
 from collections import deque
 from collections.abc import Callable
@@ -9,9 +9,9 @@ from robofleet.bus.messages import TagPose
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.simulation.faults import Injection, Schedule, struck
+from robofleet.tracking.cameras.watch import CameraWatch
 from robofleet.tracking.events import News, Notice, TrackerEvent
-from robofleet.tracking.sources import Exposure, ExposureLimits, Feed, Frame, Lost, Observation, PoseSource
-from robofleet.tracking.watch import CameraWatch
+from robofleet.tracking.sources import Feed, Frame, Lost, Observation, PoseSource
 
 _APART_M = 0.5  # of a tag's two prints
 
@@ -20,7 +20,7 @@ class FaultyFeed:
     """A camera that stalls or freezes: what watches it has to notice by itself."""
 
     def __init__(self, feed: Feed, schedule: Schedule) -> None:
-        self._feed = feed
+        self._feed, self.device = feed, feed.device
         self._stalled, self._frozen = schedule.of("camera_stalled"), schedule.of("camera_frozen")
         self._now_ns = schedule.now_ns
         self._last: Frame | None = None
@@ -42,14 +42,6 @@ class FaultyFeed:
             return taken._replace(image=self._last.image)
         self._last = taken
         return taken
-
-    def exposure_limits(self) -> ExposureLimits | None:
-        """Return what the camera can be set to."""
-        return self._feed.exposure_limits()
-
-    def adjust(self, exposure: Exposure) -> None:
-        """Change how the camera exposes."""
-        self._feed.adjust(exposure)
 
     def close(self) -> None:
         """Let go of the camera."""

@@ -12,7 +12,7 @@ from robofleet.config.camera import Cover, Knock, Outage, SimulatedCameraSetting
 from robofleet.config.tree import Config
 from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.targets import Target, robot_targets
+from robofleet.tracking.tags.targets import Target, robot_targets
 
 _SLOW_STEPS = 20  # in which a slow knock is done
 _LIGHT_STEP = 0.02  # by which daylight changes, at least

@@ -1,4 +1,4 @@
-"""Where poses come from when there is no laboratory: a rendered camera, or the truth with errors added."""
+"""Simulated sources of poses: a rendered camera, or the truth with errors added."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ from robofleet.core.clock import MS, Clock, S
 from robofleet.simulation.arena import NOBODY, TruthHistory
 from robofleet.simulation.effects import effects
 from robofleet.simulation.scene import ScenePlay, scene_renderer
-from robofleet.tracking.exposure import nothing_left
+from robofleet.tracking.cameras.exposure import nothing_left
 from robofleet.tracking.sources import CameraContext, Exposure, ExposureLimits, Frame, Observation
 
 
@@ -94,13 +94,13 @@ class World:
         """Return poses (N, 3) and velocities (N, 3) at instants (N,); NaN of a robot that has not spoken yet."""
         return self._history.moving(instants_ns, half_ns)
 
-    def told_at(self, instant_ns: int) -> Array:
+    def reported_at(self, instant_ns: int) -> Array:
         """Return poses (N, 3) at one instant; NaN also of a robot whose driver has told nothing that can be used for
         long.
 
         An image shows a robot wherever it stands; where there is none, only its own word tells where it is.
         """
-        return self._history.told_at(instant_ns)
+        return self._history.reported_at(instant_ns)
 
 
 class SimulatedCamera:
@@ -215,7 +215,7 @@ class VirtualPoses:
         self._world.update()
         noise = (self._sigma * self._rng.standard_normal((n, 3))).tolist()
         dropped = (self._rng.random(n) < self._dropout).tolist()
-        true = self._world.told_at(exposure_ns).tolist()
+        true = self._world.reported_at(exposure_ns).tolist()
         return tuple(
             TagPose(tag, 0, 0, pose[0] + error[0], pose[1] + error[1], pose[2] + error[2])
             for tag, pose, error, drop in zip(self._world.tags, true, noise, dropped, strict=True)

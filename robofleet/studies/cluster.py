@@ -1,4 +1,4 @@
-"""Ray as the engine: one on this machine for this command alone, or a cluster that is there. Its scheduler decides."""
+"""The engine that ``--on`` names: this machine, or Ray, started for this command or an existing cluster."""
 
 import logging
 import os
@@ -10,8 +10,9 @@ from contextlib import ExitStack, chdir, contextmanager
 from typing import Any, TypeVar
 
 from robofleet.core.refusal import RefusedError, need_extra
-from robofleet.studies.engine import WORKER_DIED, Finished, Results, attempt
+from robofleet.studies.engine import WORKER_DIED, Engine, Finished, Local, Results, attempt
 
+LOCAL, RAY = "local", "ray"
 _PATIENCE_S = 5.0  # for the address to be reached
 _AGAIN = 1  # tries of a unit whose worker died
 _TOKEN = "it may ask for a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN to the cluster's, in both places"
@@ -122,3 +123,18 @@ def _why(lost: Exception) -> str:
     name = type(lost).__name__
     known = ("WorkerCrashedError", "OutOfMemoryError", "NodeDiedError", "LocalRayletDiedError")
     return WORKER_DIED if name in known else f"Ray: {name}: {' '.join(str(lost).split())}"
+
+
+@contextmanager
+def opened(on: str, jobs: int | None) -> Iterator[Engine]:
+    """Open the engine of ``--on``: ``local``, ``ray`` or ``ray://HOST:PORT``; RefusedError where there is none.
+
+    ``jobs``: how many workers; None: as many as there are processors.
+    """
+    if on == LOCAL:
+        yield Local(jobs or len(os.sched_getaffinity(0)))
+    elif on == RAY or on.startswith(f"{RAY}://"):
+        with cluster(on.removeprefix(RAY).removeprefix("://"), jobs) as engine:
+            yield engine
+    else:
+        raise RefusedError(f"--on: {on!r} is no engine: write local, ray, or ray://HOST:PORT")

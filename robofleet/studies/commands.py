@@ -15,7 +15,7 @@ from robofleet.core.valid_json import dumps
 from robofleet.nodes.controller import compile_kernels
 from robofleet.operator.terminal.terminal import hangup_interrupts
 from robofleet.runs.check import load_checked
-from robofleet.studies import engines
+from robofleet.studies import cluster
 from robofleet.studies.engine import Engine
 from robofleet.studies.progress import bar
 from robofleet.studies.storm import report as storm_report
@@ -74,7 +74,7 @@ def storm(
     source = "camera" if pixels else "truth"
     tree = load_checked(config, [f"tracker.source={source}"], None, lockstep=True)
     replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
-    with hangup_interrupts(), engines.opened(on, jobs) as where:
+    with hangup_interrupts(), cluster.opened(on, jobs) as where:
         started_ns = WallClock().now_ns()
         with storm_report.progress(seeds, replay) as watch:
             tally = workers.storm(tree, range(first, first + seeds), where, watch)
@@ -101,7 +101,7 @@ def sweep(
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{sweep.stem}"
     with hangup_interrupts():
         study = load(sweep, lambda total: bar("checks", total))
-        with engines.opened(on, jobs) as where, journal.opened(folder, study) as kept:
+        with cluster.opened(on, jobs) as where, journal.opened(folder, study) as kept:
             try:
                 with bar("sweep", len(study.runs), len(kept.played)) as shown:
 
@@ -120,7 +120,7 @@ def sweep(
         print(f"there is no {table.PARQUET}, it needs pyarrow: {how_to_install('sweep')}", file=sys.stderr)
     files.append(page.write(study, runs, folder, files))
     if as_json:
-        print(dumps(sweep_report.told(study, runs, folder)))
+        print(dumps(sweep_report.as_json(study, runs, folder)))
     else:
         sweep_report.summarise(study, runs, files)
     if any(ran.outcome != "completed" for ran in runs):

@@ -1,4 +1,4 @@
-"""How far many runs are, with the time left, on stderr: a bar on a terminal, a line from time to time elsewhere."""
+"""Progress of many runs on stderr, with the time left: a bar on a terminal, else a line every ten seconds."""
 
 import sys
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from robofleet.config.yamlfile import printable
+from robofleet.config.files.yamlfile import printable
 from robofleet.core.clock import S, stopwatch_ns
 
 _LINE_NS = 10 * S

@@ -12,8 +12,8 @@ from unittest.mock import patch
 
 from robofleet.bus.arena_file import twin_port
 from robofleet.config import slices
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.core.plugins import load

@@ -12,11 +12,11 @@ import pytest
 from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import TRUTH
 from robofleet.bus.messages import UNIT_TRUTH, Truth, UnitTruth
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.nodes.pose_sources import pose_source
-from robofleet.runs.check_poses import complaints
+from robofleet.runs.check import pose_complaints
 from robofleet.tracking.events import Notice
 from robofleet.tracking.sources import Observation, PoseContext, PoseSource
 
@@ -202,4 +202,4 @@ class PoseContract:
             source.close()
 
     def test_its_configuration_is_not_refused(self, bench: PoseBench) -> None:
-        assert list(complaints(bench.config)) == []
+        assert list(pose_complaints(bench.config)) == []

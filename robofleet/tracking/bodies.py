@@ -9,7 +9,7 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.config.mocap import MocapSettings
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
-from robofleet.tracking.events import Notice, TrackerEvent
+from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.offset import centre_from_tag
 
 _LOST_NS = 100 * MS  # without a pose, before it is told
@@ -80,7 +80,7 @@ class FleetBodies:
         across, turned = settings.position_sigma_m**2, settings.heading_sigma_rad**2
         known = across > 0 and turned > 0
         self._covariance = (across, 0.0, across, 0.0, 0.0, turned) if known else ()
-        self._news: list[Notice] = []
+        self._news = News()
 
     def poses(self, bodies: Mapping[str, Body], instant_ns: int) -> tuple[tuple[TagPose, ...], int]:
         """Return the robots' poses of one frame, and how many bodies are nobody's."""
@@ -93,7 +93,7 @@ class FleetBodies:
                 continue
             if seen.lost and seen.tracked_ns is not None:
                 without_s = (instant_ns - seen.tracked_ns) / S
-                self._news.append(Notice(TrackerEvent.BODY_FOUND, seen.tag, without_s))
+                self._news.add(Notice(TrackerEvent.BODY_FOUND, seen.tag, without_s))
             seen.tracked_ns, seen.lost = instant_ns, False
             centre = centre_from_tag(*pose, seen.offset)
             found.append(TagPose(seen.tag, 0, 0, *centre, *self._covariance))
@@ -102,9 +102,7 @@ class FleetBodies:
 
     def news(self) -> tuple[Notice, ...]:
         """Return what happened since the last call."""
-        news = tuple(self._news)
-        self._news.clear()
-        return news
+        return self._news.take()
 
     def _moves(self, seen: _Seen, body: Body) -> bool:
         """Return whether a pose is a new measurement: some systems repeat the last one of a body that they lost."""
@@ -115,4 +113,4 @@ class FleetBodies:
     def _miss(self, seen: _Seen, instant_ns: int) -> None:
         if not seen.lost and seen.tracked_ns is not None and instant_ns - seen.tracked_ns >= _LOST_NS:
             seen.lost = True
-            self._news.append(Notice(TrackerEvent.BODY_LOST, seen.tag, (instant_ns - seen.tracked_ns) / S))
+            self._news.add(Notice(TrackerEvent.BODY_LOST, seen.tag, (instant_ns - seen.tracked_ns) / S))

@@ -1,4 +1,4 @@
-"""What six small numbers do to a camera, and to where it shows things.
+"""Small motions of a camera, six parameters, and how they move its image.
 
 They are the rotation about the optical centre [rad, about world x, y, z], the shift over the floor [m, along x, y], and
 the logarithm of the focal length.

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from importlib.util import find_spec
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from robofleet.bus.bus import Wake
 from robofleet.config.mocap import MocapSettings
@@ -39,37 +39,6 @@ print(json.dumps(sorted(names)))
 """
 
 
-class Quaternion(Protocol):
-    """A rotation."""
-
-    @property
-    def x(self) -> float: ...  # noqa: D102
-    @property
-    def y(self) -> float: ...  # noqa: D102
-    @property
-    def z(self) -> float: ...  # noqa: D102
-    @property
-    def w(self) -> float: ...  # noqa: D102
-
-
-class RigidBody(Protocol):
-    """A body of the newest frame."""
-
-    @property
-    def position(self) -> "Position":
-        """Its place (3,)."""
-
-    @property
-    def rotation(self) -> Quaternion:
-        """Its rotation."""
-
-
-class Position(Protocol):
-    """Three coordinates."""
-
-    def __getitem__(self, axis: int, /) -> float: ...
-
-
 class Capture(Protocol):
     """A motion-capture system, as the library has it; the simulated one has the same."""
 
@@ -77,8 +46,8 @@ class Capture(Protocol):
         """Wait for the next frame."""
 
     @property
-    def rigidBodies(self) -> Mapping[str, RigidBody]:
-        """The bodies that are tracked in the newest frame."""
+    def rigidBodies(self) -> Mapping[str, Any]:
+        """The bodies that are tracked in the newest frame: ``position`` (3,), ``rotation`` with x, y, z, w."""
 
 
 class CaptureFrame(NamedTuple):

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import corrected, pose_covariance, sensitivity
 from robofleet.tracking.events import Notice, TrackerEvent
-from robofleet.tracking.tracker import TagSighting
+from robofleet.tracking.tags.tracker import TagSighting
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -54,7 +54,7 @@ _FAR_OFF = 3  # the same, if the landmarks are out of bounds
 _OFF = 10  # images, of a landmark that moved itself
 _BACK = 30  # images until it is believed again
 _STALE = 5e-5  # change of a landmark's place that is worth a new geometry [m]
-_SAID = 1e-3  # change worth telling [m]
+_REPORTED = 1e-3  # change worth telling [m]
 _TOLERATED = 4e-3  # error up to which an image is believed to show what a knock did [m]
 _BOUND = 0.02  # of the camera's height: largest correction on the floor, 50 mm of 2.5 m, or about a degree
 _ONE, _NOTHING = np.eye(6), np.zeros((6, 6))
@@ -75,7 +75,7 @@ class DriftMonitor:
 
     ``geometry``: where the camera hangs; by it the next image's landmarks are to be placed. ``trusted``: poses may be
     used. Not while a knock of more than 4 mm goes on, not when landmarks disagree for a second, and not when the camera
-    is further out than is corrected; it can come back. ``witnessed``: the newest image shows a landmark that did not
+    is further out than is corrected; it can come back. ``floor_seen``: the newest image shows a landmark that did not
     move itself.
 
     One landmark alone tells that something moved, not what. Two correct a knock, three follow a drift; four in the
@@ -84,7 +84,7 @@ class DriftMonitor:
 
     def __init__(self, geometry: CameraGeometry, landmarks: Sequence[Landmark]) -> None:
         """Take the calibrated camera."""
-        self.trusted, self.witnessed = True, False
+        self.trusted, self.floor_seen = True, False
         n = len(landmarks)
         table = np.array(landmarks, dtype=np.float64).reshape(n, 5)
         self._rows = {landmark.tag: row for row, landmark in enumerate(landmarks)}
@@ -120,8 +120,8 @@ class DriftMonitor:
         offset = residual - self._own
         voters = ~np.isnan(offset[:, 0]) & (self._off < _OFF)
         variance = self._noise**2 * self._share + self._unknown
-        self.witnessed = bool(np.count_nonzero(voters))
-        if not self.witnessed:  # landmarks that moved themselves may lie where they were again
+        self.floor_seen = bool(np.count_nonzero(voters))
+        if not self.floor_seen:  # landmarks that moved themselves may lie where they were again
             surprise = offset - self._seen(self._state)
             agree = self._distance(surprise, variance, self._covariance + np.diag(self._vibration)) < 1.0
             return before, self._blame(surprise, agree)
@@ -271,7 +271,7 @@ class DriftMonitor:
     def _blame(self, surprise: Array, agree: Flags) -> tuple[Notice, ...]:
         """Count how long a landmark has been elsewhere than the camera explains."""
         distance = np.hypot(surprise[:, 0], surprise[:, 1])
-        elsewhere = ~agree & (distance > _SAID)
+        elsewhere = ~agree & (distance > _REPORTED)
         if not np.count_nonzero(elsewhere) and not np.count_nonzero(self._off):
             return ()
         moved = self._off >= _OFF
@@ -303,10 +303,10 @@ class DriftMonitor:
         largest = float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if largest > _BOUND * self._calibrated.position[2]:
             return self._give_up(largest)
-        tell = self._given_up or float(np.abs(shift - self._reported).max()) > _SAID
+        report = self._given_up or float(np.abs(shift - self._reported).max()) > _REPORTED
         self.trusted, self._given_up = True, False
         self.geometry, self._state = geometry, np.zeros(6)
-        if not tell:
+        if not report:
             return ()
         self._reported = shift
         return (Notice(TrackerEvent.CAMERA_CORRECTED, value=largest),)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from robofleet.core.clock import S
 
 NO_TAG = 0xFFFF
-_SAY_AGAIN_NS = S
+_REPEAT_NS = S
 
 
 class TrackerEvent(IntEnum):
@@ -102,14 +102,18 @@ class News:
 
     def __init__(self) -> None:
         self._happenings: list[Notice] = []
-        self._said_ns: dict[tuple[TrackerEvent, int], int] = {}
+        self._reported_ns: dict[tuple[TrackerEvent, int], int] = {}
 
     def say(self, event: TrackerEvent, tag: int, value: float, now_ns: int) -> None:
         """Add an event."""
-        said_ns = self._said_ns.get((event, tag))
-        if said_ns is None or now_ns - said_ns >= _SAY_AGAIN_NS:
-            self._said_ns[event, tag] = now_ns
+        reported_ns = self._reported_ns.get((event, tag))
+        if reported_ns is None or now_ns - reported_ns >= _REPEAT_NS:
+            self._reported_ns[event, tag] = now_ns
             self._happenings.append(Notice(event, tag, float(value)))
+
+    def add(self, notice: Notice) -> None:
+        """Add what happens once."""
+        self._happenings.append(notice)
 
     def take(self) -> tuple[Notice, ...]:
         """Return what was added since the last call."""

@@ -1,9 +1,9 @@
-"""Between a tag's pose and its robot's: what the camera sees is the tag, what drives is the middle of the axle."""
+"""Converts between the pose of a tag and the pose of its robot's centre, the middle of the axle."""
 
 import math
 
 from robofleet.config.calibrated import TagOffset
-from robofleet.tracking.covariance import Covariance
+from robofleet.tracking.tags.covariance import Covariance
 
 
 def centre_from_tag(x: float, y: float, psi: float, offset: TagOffset) -> tuple[float, float, float]:

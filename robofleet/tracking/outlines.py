@@ -10,7 +10,7 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.offset import tag_from_centre
-from robofleet.tracking.targets import robot_targets
+from robofleet.tracking.tags.targets import robot_targets
 
 _CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # of the print, from its top left, clockwise
 

@@ -1,4 +1,4 @@
-"""The camera's images as people look at them: small JPEGs."""
+"""Small JPEGs of the camera's images, for people."""
 
 import cv2
 import numpy as np

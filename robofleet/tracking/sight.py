@@ -10,33 +10,21 @@ from numpy.typing import NDArray
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.covariance import Covariance, covariance
+from robofleet.tracking.cameras.light import Light, TagLight
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import News, Notice
-from robofleet.tracking.light import Light, SeenTag, TagLight
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
-from robofleet.tracking.targets import floor_tags_in_view, floor_targets, robot_targets
-from robofleet.tracking.tracker import TagSighting, TagTracker
+from robofleet.tracking.tags.covariance import covariance
+from robofleet.tracking.tags.targets import floor_tags_in_view, floor_targets, robot_targets
+from robofleet.tracking.tags.tracker import TagSighting, TagTracker
 
 _BLIND_IMAGES = 10  # with robots in sight and no floor tag that lies where it was: the camera may look elsewhere
-
-
-class RobotSighting(NamedTuple):
-    """Planar pose of a robot's centre in the world frame; otherwise as :class:`TagSighting`."""
-
-    tag: int
-    x: float  # [m]
-    y: float  # [m]
-    psi: float  # [rad; CCW +]
-    after_ns: int
-    coasted_ns: int
-    covariance: Covariance
 
 
 class Sight(NamedTuple):
     """What one image tells."""
 
-    robots: tuple[RobotSighting, ...]
+    robots: tuple[TagSighting, ...]  # poses of the robots' centres
     refused: int
     happenings: tuple[Notice, ...]
 
@@ -51,7 +39,7 @@ class FleetSight:
         targets = [*robot_targets(config), *floor_targets(config, lying)]
         self._heights = {target.tag: target.height for target in targets}
         self._light = TagLight(targets)
-        self._places: list[SeenTag] = []  # of the tags in the newest image
+        self._measured: list[TagSighting] = []  # in the newest image
         self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s)
         calibrated = {robot.tag: robot.calibration for robot in config.seen}
         self._offsets = {tag: c.tag_offset if c is not None else TagOffset() for tag, c in calibrated.items()}
@@ -69,7 +57,7 @@ class FleetSight:
         drift = self._drift
         if drift is None:
             poses, refused, happenings = self._tracker.track(image, exposure_ns)
-            self._places = [SeenTag(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
+            self._measured = [pose for pose in poses if pose.coasted_ns == 0]
             return Sight(tuple(map(self._robot, poses)), refused, happenings)
         placed = False
 
@@ -80,16 +68,16 @@ class FleetSight:
 
         self._tracker.geometry = drift.geometry
         poses, refused, happenings = self._tracker.track(image, exposure_ns, place)
-        self._places = [SeenTag(*pose[:4]) for pose in poses if pose.coasted_ns == 0]
+        self._measured = [pose for pose in poses if pose.coasted_ns == 0]
         robots = [pose for pose in poses if pose.tag in self._offsets]
-        measured = [pose for pose in poses if pose.coasted_ns == 0 and pose.tag not in self._offsets]
+        measured = [pose for pose in self._measured if pose.tag not in self._offsets]
         wrong = False
         if measured and not placed:  # they were found with the robots, which may have been placed by a wrong camera
             self._camera = self._updated(drift, measured, exposure_ns)
             wrong = self._camera is not self._tracker.geometry
             if wrong:
                 self._tracker.moved(self._camera)
-        self._blind = 0 if drift.witnessed else self._blind + 1
+        self._blind = 0 if drift.floor_seen else self._blind + 1
         if wrong or not drift.trusted or self._blind > _BLIND_IMAGES:
             robots = [pose for pose in robots if pose.coasted_ns]
         return Sight(tuple(map(self._robot, self._doubted(drift, robots))), refused, happenings + self._news.take())
@@ -125,9 +113,9 @@ class FleetSight:
 
     def light(self, image: NDArray[np.uint8]) -> Light:
         """Return how bright the image (H, W) is that was seen last."""
-        return self._light.of(image, self._tracker.geometry, self._places)
+        return self._light.of(image, self._tracker.geometry, self._measured)
 
-    def _robot(self, seen: TagSighting) -> RobotSighting:
-        centre = centre_from_tag(seen.x, seen.y, seen.psi, self._offsets[seen.tag])
+    def _robot(self, seen: TagSighting) -> TagSighting:
+        x, y, psi = centre_from_tag(seen.x, seen.y, seen.psi, self._offsets[seen.tag])
         spread = centre_covariance(seen.covariance, seen.psi, self._offsets[seen.tag])
-        return RobotSighting(seen.tag, *centre, seen.after_ns, seen.coasted_ns, spread)
+        return seen._replace(x=x, y=y, psi=psi, covariance=spread)

@@ -322,17 +322,15 @@ class PoseSource(Protocol):
 class Feed(Protocol):
     """A camera's images as they become ready; the camera is opened again when it fails."""
 
+    @property
+    def device(self) -> ReopenedCamera:
+        """The camera."""
+
     def next_ns(self) -> int | None:
         """Return when there will be something to take [ns]; None: not known, or an image wakes the process."""
 
     def take(self, now_ns: int) -> Frame | Lost | None:
         """Return the image that is there, or why there is none."""
-
-    def exposure_limits(self) -> ExposureLimits | None:
-        """Return what the camera can be set to; None if it cannot be adjusted."""
-
-    def adjust(self, exposure: Exposure) -> None:
-        """Change how an :class:`AdjustableCamera` exposes."""
 
     def close(self) -> None:
         """Let go of the camera."""
@@ -356,8 +354,8 @@ class PoseContext(CameraContext):
 class CameraReader:
     """Reads a camera that blocks, in a thread of its own. Of images that nobody took the newest one is kept."""
 
-    def __init__(self, camera: ReopenedCamera, wake: Wake) -> None:
-        self._camera, self._wake = camera, wake
+    def __init__(self, device: ReopenedCamera, wake: Wake) -> None:
+        self.device, self._wake = device, wake
         self._taken: deque[Frame | Lost] = deque()
         self._lock = threading.Lock()
         self._closing = threading.Event()
@@ -373,23 +371,15 @@ class CameraReader:
         with self._lock:
             return self._taken.popleft() if self._taken else None
 
-    def exposure_limits(self) -> ExposureLimits | None:
-        """Return what the camera can be set to; None if it cannot be adjusted."""
-        return self._camera.exposure_limits()
-
-    def adjust(self, exposure: Exposure) -> None:
-        """Change how an :class:`AdjustableCamera` exposes."""
-        self._camera.adjust(exposure)
-
     def close(self) -> None:
         """End the thread and let go of the camera."""
         self._closing.set()
         self._thread.join(_LAST_IMAGE_S)
-        self._camera.close()
+        self.device.close()
 
     def _run(self) -> None:
         while not self._closing.is_set():
-            taken = self._camera.read()
+            taken = self.device.read()
             if taken is None:
                 continue
             with self._lock:
@@ -400,14 +390,14 @@ class CameraReader:
             if isinstance(taken, Lost):
                 if taken.event is TrackerEvent.CAMERA_ENDED:
                     return
-                self._closing.wait(self._camera.pause_s())
+                self._closing.wait(self.device.pause_s())
 
 
 class CameraPoller:
     """Reads a :class:`ScheduledCamera` when its image is there."""
 
-    def __init__(self, camera: ReopenedCamera) -> None:
-        self._camera = camera
+    def __init__(self, device: ReopenedCamera) -> None:
+        self.device = device
         self._again_ns = 0
         self._ended = False
 
@@ -415,7 +405,7 @@ class CameraPoller:
         """Return when there will be something to take; None while that is not known."""
         if self._ended:
             return None
-        camera = self._camera.camera
+        camera = self.device.camera
         ready_ns = getattr(camera, "ready_ns", None)  # faster than to ask whether it is a ScheduledCamera
         return self._again_ns if ready_ns is None else ready_ns()
 
@@ -424,20 +414,12 @@ class CameraPoller:
         due_ns = self.next_ns()
         if due_ns is None or due_ns > now_ns:
             return None
-        taken = self._camera.read()
+        taken = self.device.read()
         if isinstance(taken, Lost):
             self._ended = taken.event is TrackerEvent.CAMERA_ENDED
-            self._again_ns = now_ns + round(self._camera.pause_s() * S)
+            self._again_ns = now_ns + round(self.device.pause_s() * S)
         return taken
-
-    def exposure_limits(self) -> ExposureLimits | None:
-        """Return what the camera can be set to; None if it cannot be adjusted."""
-        return self._camera.exposure_limits()
-
-    def adjust(self, exposure: Exposure) -> None:
-        """Change how an :class:`AdjustableCamera` exposes."""
-        self._camera.adjust(exposure)
 
     def close(self) -> None:
         """Let go of the camera."""
-        self._camera.close()
+        self.device.close()

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from robofleet.behaviours.interface import Situation, Wish, WishKind
 from robofleet.behaviours.ros2 import Ros2
 from robofleet.config import groups
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 
 CONFIG = load_config(SHIPPED / "ros2.yaml")
 TEAM = groups.team(CONFIG, CONFIG.groups[0])

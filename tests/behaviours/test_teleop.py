@@ -10,8 +10,8 @@ from robofleet.behaviours.teleop import Teleop
 from robofleet.bus.keys import STATUS, key
 from robofleet.bus.messages import UNIT_STATUS
 from robofleet.config import groups
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 

@@ -9,9 +9,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robofleet.config.files.yamlfile import Source, parse_yaml
 from robofleet.config.load import ConfigError, load_config, resolved_yaml
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import Source, parse_yaml
 from robofleet.nodes.unit import driver_settings
 
 CONFIGS = Path(__file__).parents[2] / "configs"

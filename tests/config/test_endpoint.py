@@ -10,8 +10,8 @@ import pytest
 
 from robofleet.bus.endpoint import check_free, settled
 from robofleet.bus.private_folder import PlaceError, private_folder
+from robofleet.config.files.robot_file import load_robot_file
 from robofleet.config.load import ConfigError, load_config
-from robofleet.config.robot_file import load_robot_file
 from robofleet.config.tree import Config
 from tests.endpoints import short_folder
 

@@ -10,8 +10,8 @@ import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
+from robofleet.config.files.robot_file import RobotFile
 from robofleet.config.load import load_config, resolved_yaml
-from robofleet.config.robot_file import RobotFile
 from robofleet.config.schema import schema
 from robofleet.core.settings import Model
 

@@ -30,7 +30,7 @@ def folder(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch
     monkeypatch.setenv("TMPDIR", str(tmp_path_factory.mktemp("tmp")))
     monkeypatch.chdir(tmp_path)
     for module, answer in ((software, [str(tmp_path / "kernels"), ""]), (cameras, [])):
-        monkeypatch.setattr(module, "asked_elsewhere", lambda _script, answer=answer: answer)  # numba takes seconds
+        monkeypatch.setattr(module, "run_apart", lambda _script, answer=answer: answer)  # numba takes seconds
     return tmp_path
 
 
@@ -135,11 +135,11 @@ def test_a_check_that_hangs_or_fails_costs_its_own_line() -> None:
 
 
 def test_a_library_that_hangs_or_ends_its_process_is_told_apart_from_an_answer() -> None:
-    assert elsewhere.asked_elsewhere("print('hello'); print([1, 2])") == [1, 2]
+    assert elsewhere.run_apart("print('hello'); print([1, 2])") == [1, 2]
     with pytest.raises(elsewhere.NoAnswerError, match="killed by SIGSEGV"):
-        elsewhere.asked_elsewhere("import os; os.kill(os.getpid(), 11)")
+        elsewhere.run_apart("import os; os.kill(os.getpid(), 11)")
     with pytest.raises(elsewhere.NoAnswerError, match=r"no answer within 0.1 s"):
-        elsewhere.asked_elsewhere("import threading; threading.Event().wait()", at_most_s=0.1)
+        elsewhere.run_apart("import threading; threading.Event().wait()", at_most_s=0.1)
 
 
 def test_an_old_package_is_missing_and_a_wanted_extra_is_judged_by_the_camera(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -154,7 +154,7 @@ FRAME += bytes((-sum(FRAME) % 256,))
 def test_a_frame_says_what_is_described() -> None:
     (frame,) = Stream().feed(FRAME)
     assert (frame.mode, frame.charge, frame.capacity) == (2, 2560, 2696)
-    assert (frame.right_asked, frame.left_asked) == (100, -100)
+    assert (frame.right_requested, frame.left_requested) == (100, -100)
     assert (frame.left_counts, frame.right_counts) == (0x1322, 0x13), "as the header looks"
 
 

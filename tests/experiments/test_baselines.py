@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from robofleet.config.files.parameters import load_parameters
 from robofleet.config.load import ConfigError
-from robofleet.config.parameters import load_parameters
 from robofleet.experiments import comparison
 from robofleet.experiments.baselines import geometric
 from robofleet.experiments.baselines.choice import MissingLibraryError, build

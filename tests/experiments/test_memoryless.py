@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from robofleet.config.files.parameters import load_parameters
 from robofleet.config.load import ConfigError
-from robofleet.config.parameters import load_parameters
 from robofleet.experiments.memoryless import MemorylessParameters, error_of, nonlinearity, run
 from robofleet.experiments.parameters import SHIPPED
 

@@ -10,8 +10,8 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from robofleet import cli
+from robofleet.config.files.parameters import Parameters, load_parameters
 from robofleet.config.load import ConfigError
-from robofleet.config.parameters import Parameters, load_parameters
 from robofleet.experiments import closed_curve, paper
 from robofleet.experiments.closed_curve import ClosedCurveParameters
 from robofleet.experiments.lane_change import LaneChangeParameters

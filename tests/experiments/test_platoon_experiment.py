@@ -2,8 +2,8 @@
 
 import pytest
 
+from robofleet.config.files.parameters import load_parameters
 from robofleet.config.load import load_config
-from robofleet.config.parameters import load_parameters
 from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.platoon import PlatoonParameters, run, scaled
 from robofleet.experiments.platoon_gain import robot_gains

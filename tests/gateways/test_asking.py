@@ -6,8 +6,8 @@ import pytest
 
 from robofleet.bus.bus import Answer, MemoryBus
 from robofleet.bus.keys import Topic
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.core.clock import WallClock
 from robofleet.gateways.asking import Asking
 

@@ -20,9 +20,8 @@ from robofleet.config.load import load_config
 from robofleet.core import refusal
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES, Asked
-from robofleet.gateways.served import Served
-from robofleet.gateways.viewers.foxglove.server import Server, written
-from robofleet.gateways.viewers.foxglove.services import services
+from robofleet.gateways.place import Served
+from robofleet.gateways.viewers.foxglove.server import Server, services, written
 from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.server import Opened

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from robofleet.bus.credentials import Credentials
 from robofleet.cli import app
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.gateways.gamepad import command, pads
 from robofleet.gateways.gamepad.pads import (
     ABS_X,

@@ -25,7 +25,7 @@ from robofleet.config.load import load_config
 from robofleet.core import refusal
 from robofleet.core.clock import S
 from robofleet.core.refusal import RefusedError
-from robofleet.gateways.served import Served
+from robofleet.gateways.place import Served
 from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.rerun.server import Server
 from robofleet.gateways.viewers.rerun.shapes import of_entity

@@ -11,11 +11,10 @@ from robofleet.bus.bus import Arrival
 from robofleet.bus.keys import STATE, key
 from robofleet.bus.messages import RUN_STATE, RunState
 from robofleet.bus.permissions import OPERATOR
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.core.clock import S
-from robofleet.gateways.place import ArenaAccess, is_over
-from robofleet.gateways.served import Served
+from robofleet.gateways.place import ArenaAccess, Served, is_over
 from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.server import Opened
 from robofleet.recording.scenes.drawn import Channel

@@ -9,8 +9,8 @@ import pytest
 from robofleet.bus.keys import CONFIG
 from robofleet.bus.messages import HANDED
 from robofleet.bus.zenoh_bus import ZenohBus, open_router
+from robofleet.config.files.robot_file import Allowed, RobotFile
 from robofleet.config.load import load_config
-from robofleet.config.robot_file import Allowed, RobotFile
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.core.patterns import driver_role

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from robofleet import cli
 from robofleet.bus import credentials as credentials_of
-from robofleet.config.robot_file import RobotFile, load_robot_file, robot_file
+from robofleet.config.files.robot_file import RobotFile, load_robot_file, robot_file
 from robofleet.core import folders
 from robofleet.core.clock import utc_now
 from robofleet.hosts import authority as authorities

@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet.cli import app
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.core.clock import MS
 from robofleet.nodes.deciding import BehaviourRunner, timed_by
 from robofleet.recording.reading import read

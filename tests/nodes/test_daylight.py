@@ -60,7 +60,7 @@ def test_gain_makes_noise_and_a_longer_exposure_does_not() -> None:
     def noise(exposure_s: float, gain: float) -> float:
         """Standard deviation from image to image where the floor is, over its grey."""
         day = Day(f"camera.simulated.light={0.3 / (exposure_s / 0.004) / 10 ** (gain / 20)}")
-        camera = day._feed._camera.camera  # type: ignore[attr-defined]
+        camera = day._feed.device.camera
         camera.adjust(day.tick().exposure._replace(time_s=exposure_s, gain=gain))
         day.run(0.3)
         images = []

@@ -18,7 +18,7 @@ from robofleet.bus.layouts import VERSION
 from robofleet.bus.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.core.clock import MS, S
 from robofleet.core.log_lines import Unfailing
-from robofleet.nodes.unit.health import Health
+from robofleet.nodes.unit.gated_robot import Complaints
 from robofleet.nodes.unit.keeping import FileKeeping, MemoryKeeping, StoredRobot
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.latches import GateStatus, Latch
@@ -435,7 +435,7 @@ def test_a_latch_is_said_before_it_is_kept_and_before_the_log(
             monkeypatch.setattr(disk, "save", stalls)
         else:
             monkeypatch.setattr(disk, "save", lambda *_: None)
-            monkeypatch.setattr(Health, "say", stalls)
+            monkeypatch.setattr(Complaints, "say", stalls)
         stand.enable("r1", latch=Latch.EMERGENCY_STOP)
         stand.bench.run(stand.node, 25 * MS)
         assert told[0] == Latch.EMERGENCY_STOP

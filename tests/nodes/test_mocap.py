@@ -5,11 +5,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
+from robofleet.config.names import SHIPPED
 
 from robofleet.bus.keys import CAMERA, NEWS, POSES, STATE, key
 from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TRACKER_NEWS
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.core.clock import MS, S
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording

@@ -9,8 +9,8 @@ import pytest
 
 from robofleet.bus.keys import ENABLE, STATE, STATUS, TICK, TRUTH, WISH, key
 from robofleet.bus.messages import RUN_STATE, TICK_RECORD, UNIT_ENABLE, UNIT_STATUS, UNIT_TRUTH
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.operator.hand import Hand, Stick
 from robofleet.recording.lines import state_lines
 from robofleet.recording.log import RunLog

@@ -5,7 +5,7 @@ from robofleet.bus.keys import LEASE, STATUS
 from robofleet.bus.messages import LEASE_REQUEST
 from robofleet.bus.statuses import Statuses
 from robofleet.core.clock import SimulatedClock
-from robofleet.nodes.leases import Leases
+from robofleet.nodes.controller import Leases
 from robofleet.safety.gate import LeaseAction
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
 

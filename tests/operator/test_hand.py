@@ -14,8 +14,8 @@ from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import STATE, STATUS, TICK, key, split
 from robofleet.bus.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, RunState, ScriptWish
 from robofleet.bus.permissions import PAGE
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.gateways.gamepad import command
 from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
 from robofleet.operator.hand import Hand, Hands, Stick

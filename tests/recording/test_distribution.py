@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from robofleet.recording import distribution
-from robofleet.recording.distribution import Distribution
+from robofleet.recording import reduced
+from robofleet.recording.reduced import Distribution
 
 PERCENTS = 0, 1, 50, 99, 100
 
@@ -26,7 +26,7 @@ def test_parts_without_a_duration_add_nothing() -> None:
 
 
 def test_of_very_many_different_durations_little_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(distribution, "_MOST_VALUES", 1_000)
+    monkeypatch.setattr(reduced, "_MOST_VALUES", 1_000)
     durations = np.random.default_rng(1).integers(10_000_000, 40_000_000, 50_000)
     joined = Distribution.of([])
     for part in np.split(durations, 50):

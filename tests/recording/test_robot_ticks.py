@@ -15,9 +15,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from robofleet.bus.keys import TICK, key
 from robofleet.recording.columns import COLUMNS, write_csv
 from robofleet.recording.log import FILE, RunLog
+from robofleet.recording.measures import series
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
-from robofleet.recording.series import series
 from tests.recording import recorded
 
 ROBOTS = ["r1", "r2", "r3", "r4"]

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from robofleet.bus.keys import TICK, key
 from robofleet.recording.columns import write_csv
+from robofleet.recording.measures import line, series
 from robofleet.recording.run import Recording, Run
-from robofleet.recording.series import line, series
 
 Make = Callable[..., Any]
 

@@ -17,9 +17,9 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import SimulatedClock
 from robofleet.operator.page import frames
 from robofleet.operator.page.hearing import Hearing
+from robofleet.recording.measures import series
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.scenes.scene import Scene
-from robofleet.recording.series import series
 from robofleet.reports import report
 from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep

@@ -54,8 +54,8 @@ def test_the_second_run_is_better_or_worse_where_that_has_a_meaning(story: Make,
     assert row(page, "ticks overrun")[-1] == "the same"
     assert row(page, "tick late by, p99, us")[-1] == "", "the machine's load is neither"
     assert row(page, "exposure to wheel, p99, ms")[1:] == ["-", "-", "", "not measured in both"]
-    assert 'class=" bad">worse by 50 %' in page
-    assert 'class=" good">better by 75 %' in page
+    assert 'class="bad">worse by 50 %' in page
+    assert 'class="good">better by 75 %' in page
 
 
 @pytest.mark.usefixtures("plain")

@@ -14,8 +14,8 @@ from robofleet.operator.run import in_lockstep
 from robofleet.recording import reading
 from robofleet.recording.columns import write_csv
 from robofleet.recording.log import RunLog
+from robofleet.recording.measures import series
 from robofleet.recording.run import SHOWN, Run
-from robofleet.recording.series import series
 from robofleet.reports import metrics, sampled
 from robofleet.reports.sampled import look, looks
 from robofleet.reports.timeline import Timeline

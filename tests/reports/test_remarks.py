@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.reports.remarks import remarks
+from robofleet.reports.metrics import remarks
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 

@@ -15,7 +15,7 @@ from robofleet.core.figures import robot_colours
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.run import Recording
 from robofleet.reports import report
-from robofleet.reports.plot import Plot
+from robofleet.reports.canvas import Plot
 from robofleet.safety.latches import GateStatus
 from tests.recording_fixtures import PLATOON, Story
 

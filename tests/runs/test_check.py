@@ -14,8 +14,7 @@ from robofleet.behaviours.platoon import Platoon
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
-from robofleet.runs.check import load_checked, proofs, refusals
-from robofleet.runs.check_starts import warnings
+from robofleet.runs.check import load_checked, proofs, refusals, start_warnings
 
 PLATOON = FilePath(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 
@@ -212,9 +211,9 @@ def test_exchanged_starts_are_named() -> None:
 
 def test_the_table_says_how_far_each_is_and_what_takes_long_is_said() -> None:
     near, far = platoon(), platoon("robots.3.start={x_m: 0.2, y_m: -0.6, heading_deg: 180}")
-    assert list(warnings(near)) == []
+    assert list(start_warnings(near)) == []
     assert refusals(far) == []
-    (line,) = warnings(far)
+    (line,) = start_warnings(far)
     assert re.match(r"r4 starts 1\.\d\d m from its place and needs about \d+ s to it", line)
     table = {what: row for what, *row in proofs(far)}
     assert table["the time until every robot is where it is to be"][2] == "slow"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robofleet.doctor.elsewhere import NoAnswerError, asked_elsewhere
+from robofleet.doctor.elsewhere import NoAnswerError, run_apart
 from robofleet.runs.children import Child, Children, RunError
 
 SWIRL = Path(__file__).parents[2] / "configs" / "swirl.yaml"
@@ -57,4 +57,4 @@ def test_a_child_that_dies_by_a_signal_is_named(number: int, words: str, tmp_pat
 
 def test_a_library_that_the_doctor_asks_and_that_crashes_is_named() -> None:
     with pytest.raises(NoAnswerError, match=r"^it was killed by SIGSEGV$"):
-        asked_elsewhere("import os; os.kill(os.getpid(), 11)")
+        run_apart("import os; os.kill(os.getpid(), 11)")

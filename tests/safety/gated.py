@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from robofleet.core.kernels import kernel_of_plain
+from robofleet.core.rows import record_of
 from robofleet.safety import gate
-from robofleet.safety.gate import GATE, INPUT, NEVER_NS, NOT_ASKED, GateState, Inputs, LeaseAction, record_of, step_row
+from robofleet.safety.gate import GATE, INPUT, NEVER_NS, NOT_ASKED, GateState, Inputs, LeaseAction
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import WheelSpeeds
@@ -19,6 +21,8 @@ BOOT, SESSION = 2**62 + 7, 2**63 + 21  # no float can hold these
 OTHER, NOW = SESSION + 1, 1_000 * S
 DRIVE = replace(GTERNAL, max_speed=0.16)
 WHEELS, FAST = WheelSpeeds(3.0, -4.0), WheelSpeeds(12.5, -12.5)
+
+compiled_step = kernel_of_plain(gate.step)
 
 
 class Command(NamedTuple):
@@ -100,7 +104,7 @@ def compiled(state: GateState, drive: DifferentialDrive, arrived: Arrived, now_n
     gates, inputs = np.zeros(3, GATE), np.array([astuple(arrived.inputs())], INPUT)
     gates[1] = astuple(state)
     assert record_of(GateState, gates[1]) == state
-    granted = step_row(gates[1], np.array([astuple(drive)], gate.DRIVE)[0], inputs[0], now_ns)
+    granted = compiled_step(gates[1], np.array([astuple(drive)], gate.DRIVE)[0], inputs[0], now_ns)
     assert not gates[[0, 2]].tobytes().strip(b"\0")
     state = record_of(GateState, gates[1])
     return state, _output(state, granted)

@@ -15,7 +15,7 @@ CHECKS = [
     ("TRACKER_SILENT_NS = 250 * _MS", "TRACKER_SILENT_NS = 260 * _MS"),
     ("STALE_TICKS = 15", "STALE_TICKS = 16"),
     ("\nOVERRUNS = 3", "\nOVERRUNS = 4"),
-    ("\nLATE_NS = 100 * _MS", "\nLATE_NS = 101 * _MS"),
+    ("\nUNSEEN_NS = 100 * _MS", "\nUNSEEN_NS = 101 * _MS"),
     ("\nLOST_NS = 2 * _S", "\nLOST_NS = 3 * _S"),
     ("\nOPERATOR_NS = _S", "\nOPERATOR_NS = 2 * _S"),
     ("\nINFEASIBLE_NS = 500 * _MS", "\nINFEASIBLE_NS = 520 * _MS"),

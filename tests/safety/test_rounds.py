@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.safety.rounds import rounds, within
+from robofleet.safety.arming import rounds, within
 
 PLACES = st.lists(st.tuples(*[st.floats(0.0, 1.0)] * 2), min_size=1, max_size=30)
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from robofleet.safety import runaway
-from robofleet.safety.runaway import RESTS_WITHIN_NS, ROLLED_M, TURNING_RAD_S, WINDOW_NS, Rolling, Turning
+from robofleet.safety.runaway import RESTS_WITHIN_NS, ROLLED_M, TURNING_RAD_S, WINDOW_NS, Rolling, turning_since_ns
 from robofleet.safety.view import RobotView
 
 MS = 1_000_000
@@ -20,10 +20,11 @@ Pose = tuple[float, float, float]
 
 def looked(speeds: Iterable[float], *, told: bool = False, every_ns: int = LOOP_NS) -> list[bool]:
     """Return whether a wheel runs by itself, at each look."""
-    turning, found = Turning(NOW, NOW), []
+    since_ns, found = NOW, []
     for k, speed in enumerate(speeds):
-        turning = runaway.look(turning, told, speed, NOW + (k + 1) * every_ns)
-        found.append(turning.runs)
+        looked_ns, now_ns = NOW + k * every_ns, NOW + (k + 1) * every_ns
+        since_ns = turning_since_ns(since_ns, looked_ns, told, speed, now_ns)
+        found.append(runaway.runs(since_ns, now_ns))
     return found
 
 
@@ -55,22 +56,21 @@ def test_who_did_not_look_did_not_see_it_turn_all_the_time(pause_ns: int, named:
 
 
 def test_a_clock_that_is_set_back_begins_anew() -> None:
-    turning = Turning(NOW - 790 * MS, NOW)
-    back = runaway.look(turning, False, FAST, NOW - 1)
-    assert back == Turning(NOW - 1, NOW - 1)
-    assert runaway.look(turning, False, FAST, NOW) == turning
+    since_ns = NOW - 790 * MS
+    assert turning_since_ns(since_ns, NOW, False, FAST, NOW - 1) == NOW - 1
+    assert turning_since_ns(since_ns, NOW, False, FAST, NOW) == since_ns
 
 
 def test_a_wheel_that_comes_to_rest_after_driving_is_not_named() -> None:
-    turning, now = Turning(NOW, NOW), NOW
+    since_ns = now = NOW
     for _ in range(100):
         now += LOOP_NS
-        turning = runaway.look(turning, True, FAST, now)
+        since_ns = turning_since_ns(since_ns, now - LOOP_NS, True, FAST, now)
     for k in range(200):  # a lag of 50 ms, from 12.5 rad/s
         now += LOOP_NS
-        turning = runaway.look(turning, False, 12.5 * math.exp(-k / 5), now)
-        assert not turning.runs
-    assert now - turning.since_ns < RESTS_WITHIN_NS
+        since_ns = turning_since_ns(since_ns, now - LOOP_NS, False, 12.5 * math.exp(-k / 5), now)
+        assert not runaway.runs(since_ns, now)
+    assert now - since_ns < RESTS_WITHIN_NS
 
 
 def seen(poses: Iterable[Pose], every_ns: int = WINDOW_NS, **changes: float) -> list[bool]:

@@ -15,10 +15,10 @@ from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.simulation.sources import SimulatedCamera
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.photometric import PhotometricFit
 from robofleet.tracking.sources import CameraContext, Frame
-from robofleet.tracking.tags import TagDetector
-from robofleet.tracking.targets import Target
+from robofleet.tracking.tags.detection import TagDetector
+from robofleet.tracking.tags.photometric import PhotometricFit
+from robofleet.tracking.tags.targets import Target
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.bus.alone import Truth
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robofleet.config.calibrated import CameraModel
 from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.targets import Target
+from robofleet.tracking.tags.targets import Target
 
 ROOT = Path(__file__).parents[2]
 MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))

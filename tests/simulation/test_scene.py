@@ -13,9 +13,9 @@ from robofleet.config.tree import Config
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.photometric import PhotometricFit
-from robofleet.tracking.tags import TagDetector
-from robofleet.tracking.targets import Target
+from robofleet.tracking.tags.detection import TagDetector
+from robofleet.tracking.tags.photometric import PhotometricFit
+from robofleet.tracking.tags.targets import Target
 
 PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 PLACES = np.array([(-0.9, 0.4, 0.3), (0.8, 0.5, 2.0), (-0.6, -0.5, -2.5), (0.7, -0.4, 1.0)])

@@ -145,7 +145,7 @@ def test_a_robot_that_never_spoke_is_not_seen() -> None:
     seen = floor.observe(floor.source(), 3)
     assert [pose[0] for pose in seen[-1].poses] == [1, 2, 4]
     world = World(floor.config, floor.config.robots, floor.bus)
-    assert np.isnan(world.told_at(floor.clock.now_ns())).all()
+    assert np.isnan(world.reported_at(floor.clock.now_ns())).all()
 
 
 @pytest.mark.parametrize("how", ["silent", "not a number"])

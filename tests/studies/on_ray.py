@@ -7,13 +7,13 @@ from typing import Any
 
 import psutil
 
-from robofleet.studies import engines
+from robofleet.studies import cluster
 from tests.studies.work import squared
 
 
 def seen() -> dict[str, Any]:
     """Return the results of eight units, where Ray's processes listen, and how the server answers to which token."""
-    with engines.opened("ray", 2) as opened, closing(opened.each(squared, range(8))) as results:
+    with cluster.opened("ray", 2) as opened, closing(opened.each(squared, range(8))) as results:
         finished = sorted(results)
         listening = [ip for process in psutil.Process().children(recursive=True) for ip in _listening(process)]
         tokens = {"its own": os.environ.get("RAY_AUTH_TOKEN"), "another": "0" * 64, "none": None}

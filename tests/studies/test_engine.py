@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from robofleet.core.refusal import RefusedError
-from robofleet.studies import engines
+from robofleet.studies import cluster
 from robofleet.studies.engine import WORKER_DIED, Finished
 from tests.studies.work import squared
 
 
 def _all(on: str) -> list[Finished[int]]:
-    with engines.opened(on, 2) as opened, closing(opened.each(squared, range(8))) as results:
+    with cluster.opened(on, 2) as opened, closing(opened.each(squared, range(8))) as results:
         return sorted(results)
 
 
@@ -36,7 +36,7 @@ def test_a_unit_that_fails_and_one_whose_worker_dies_are_named_and_the_others_ar
 
 
 def test_ended_early_an_engine_leaves_no_process() -> None:
-    with engines.opened("local", 2) as opened, closing(opened.each(squared, [1] * 100)) as results:
+    with cluster.opened("local", 2) as opened, closing(opened.each(squared, [1] * 100)) as results:
         next(results)
     assert not active_children()
 
@@ -62,9 +62,9 @@ def test_a_module_of_the_current_folder_runs_in_no_worker_of_ray(tmp_path: Path)
     script = tmp_path / "elsewhere" / "try_it.py"
     script.parent.mkdir()
     script.write_text(
-        "from robofleet.studies import engines\nfrom colorsys import rgb_to_hsv\n"
+        "from robofleet.studies import cluster\nfrom colorsys import rgb_to_hsv\n"
         "def hue(red):\n    import colorsys\n    return colorsys.rgb_to_hsv(red, 0, 0)[2]\n"
-        "with engines.opened('ray', 1) as opened:\n    print([one.result for one in opened.each(hue, [1.0])])\n"
+        "with cluster.opened('ray', 1) as opened:\n    print([one.result for one in opened.each(hue, [1.0])])\n"
     )
     done = subprocess.run(
         [sys.executable, "-P", str(script)], cwd=tmp_path, capture_output=True, text=True, check=False
@@ -79,7 +79,7 @@ def test_ray_that_does_not_start_is_said_in_one_line(monkeypatch: pytest.MonkeyP
     folder = tmp_path / ("x" * 90)  # a socket's name has 107 bytes at most
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    with pytest.raises(RefusedError, match=r"^--on: ray cannot be used: .*: try --on local$"), engines.opened("ray", 1):
+    with pytest.raises(RefusedError, match=r"^--on: ray cannot be used: .*: try --on local$"), cluster.opened("ray", 1):
         pass
     assert not list(folder.iterdir())
 
@@ -97,7 +97,7 @@ def test_an_engine_that_is_not_there_is_refused_in_one_line(
 ) -> None:
     has_all: Callable[..., None] = lambda *_: None  # noqa: E731
     monkeypatch.setattr("robofleet.studies.cluster.need_extra", has_all)
-    with pytest.raises(RefusedError) as refused, engines.opened(on, None):
+    with pytest.raises(RefusedError) as refused, cluster.opened(on, None):
         pass
     assert str(refused.value).startswith(said)
     assert "\n" not in str(refused.value)
@@ -105,5 +105,5 @@ def test_an_engine_that_is_not_there_is_refused_in_one_line(
 
 def test_ray_that_is_not_installed_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robofleet.core.refusal.find_spec", lambda _: None)
-    with pytest.raises(RefusedError, match=r"this needs ray: .*\[ray\]"), engines.opened("ray", None):
+    with pytest.raises(RefusedError, match=r"this needs ray: .*\[ray\]"), cluster.opened("ray", None):
         pass

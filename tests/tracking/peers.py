@@ -15,8 +15,8 @@ import pyapriltags
 from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.targets import Target
-from robofleet.tracking.tracker import TagTracker
+from robofleet.tracking.tags.targets import Target
+from robofleet.tracking.tags.tracker import TagTracker
 
 Image = NDArray[np.uint8]
 

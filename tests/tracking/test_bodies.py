@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from robofleet.config.names import SHIPPED
 
 from robofleet.config.load import load_config
 from robofleet.config.mocap import MocapSettings
-from robofleet.config.names import SHIPPED
 from robofleet.core.clock import MS, S
 from robofleet.tracking.bodies import Body, FleetBodies, planar
 from robofleet.tracking.events import TrackerEvent

@@ -19,7 +19,7 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import pose_covariance, sensitivity
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import NO_TAG, Notice, TrackerEvent
-from robofleet.tracking.tracker import TagSighting
+from robofleet.tracking.tags.tracker import TagSighting
 
 ROOT = Path(__file__).parents[2]
 MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
@@ -261,12 +261,12 @@ def test_a_kicked_tag_alone_witnesses_nothing_until_it_lies_where_it_was() -> No
     home = lab.tags.copy()
     lab.tags[0, 0] += 0.02
     lab.see(CALIBRATED, SECOND)
-    assert lab.monitor.witnessed
+    assert lab.monitor.floor_seen
     lab.see(KNOCKS["tilt"], 3, hidden=(1, 2, 3))
-    assert not lab.monitor.witnessed
+    assert not lab.monitor.floor_seen
     lab.tags = home
     lab.see(CALIBRATED, 2 * SECOND, hidden=(1, 2, 3))
-    assert lab.monitor.witnessed
+    assert lab.monitor.floor_seen
 
 
 def test_while_a_small_knock_is_not_explained_nobody_is_sure_and_then_it_is_told() -> None:

@@ -7,7 +7,6 @@ import cv2
 import typer
 from rich.console import Console
 
-from robofleet.calibration.board import Board
 from robofleet.calibration.commands.shared import (
     CameraName,
     ConfigsFolder,
@@ -18,12 +17,13 @@ from robofleet.calibration.commands.shared import (
     report_file,
 )
 from robofleet.calibration.commands.shared import live as live_camera
-from robofleet.calibration.floor import Ceiling
 from robofleet.calibration.frames import open_camera
-from robofleet.calibration.gathering import Gathering, gather
-from robofleet.calibration.intrinsics import COEFFICIENTS, Asked, Measured, measure
-from robofleet.calibration.intrinsics_page import page
-from robofleet.calibration.live import Screen, capture, lens_config
+from robofleet.calibration.lens.board import Board
+from robofleet.calibration.lens.floor import Ceiling
+from robofleet.calibration.lens.gathering import Gathering, gather
+from robofleet.calibration.lens.intrinsics import COEFFICIENTS, Conditions, Measured, measure
+from robofleet.calibration.lens.live import Screen, capture, lens_config
+from robofleet.calibration.lens.page import page
 from robofleet.calibration.sizes import count, size
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.calibrated import CameraModel
@@ -78,8 +78,8 @@ def intrinsics(
         raise CalibrationError("--tag-height-m must lie between the floor and the camera's --height-m")
     ceiling, coefficient_count = Ceiling(height_m, tag_height_m, arena), _coefficients(lens, coefficients)
 
-    def ask(pixels: tuple[int, int]) -> Asked:
-        return Asked(board, lens, coefficient_count, pixels, ceiling)
+    def conditions(pixels: tuple[int, int]) -> Conditions:
+        return Conditions(board, lens, coefficient_count, pixels, ceiling)
 
     shown = report_file(report, "intrinsics")
     if config is not None:
@@ -87,7 +87,7 @@ def intrinsics(
         gathering, identity = Gathering(board, film=True), source_camera.identity
         try:
             with Screen(Console(stderr=True)) as screen:
-                capture(source_camera, gathering, ask, screen)
+                capture(source_camera, gathering, conditions, screen)
         finally:
             source_camera.close()
             _keep(gathering, shown.parent / "views")
@@ -95,7 +95,7 @@ def intrinsics(
         assert source is not None
         gathering, identity = gather(source, board), ""
     gathering.refuse()
-    measured = measure(gathering.views, ask(gathering.size))
+    measured = measure(gathering.views, conditions(gathering.size))
     faults = measured.faults()
     page(measured, gathering, faults).write(shown)
     if faults:

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from robofleet.calibration import frames
-from robofleet.calibration.arena import Wanted, calibrate_arena, calibrate_together
 from robofleet.calibration.commands.shared import (
     CameraName,
     ConfigsFolder,
@@ -17,9 +16,10 @@ from robofleet.calibration.commands.shared import (
     report_file,
 )
 from robofleet.calibration.commands.shared import live as live_camera
+from robofleet.calibration.extrinsics.arena import Wanted, calibrate_arena, calibrate_together
+from robofleet.calibration.extrinsics.verify import verify as verify_camera
 from robofleet.calibration.sizes import size
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.verify import verify as verify_camera
 from robofleet.config.tree import Config
 
 SurveyFile = Annotated[Path, typer.Argument(metavar="SURVEY", help="YAML with floor_tags and points, in metres.")]
@@ -73,10 +73,10 @@ def arena(
         tag_height_m = config.tracker.tag_height_m if tag_height_m is None else tag_height_m
     page = report_file(report, "arena")
     taken = _taken(files, images or [], config, count)
+    wanted = Wanted(survey, survey_mm, sides, tag_height_m or 0.0)
     if len(files) == 1:
-        results = [calibrate_arena(files[0], survey, taken[0], page, survey_mm, sides, tag_height_m or 0.0)]
+        results = [calibrate_arena(files[0], taken[0], page, wanted)]
     else:
-        wanted = Wanted(survey, survey_mm, sides, tag_height_m or 0.0)
         results = calibrate_together(files, taken, page, wanted)
     for file, result in zip(files, results, strict=True):
         for note in result.notes:

@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from robofleet.calibration import drive as drives
-from robofleet.calibration import drive_file
-from robofleet.calibration import latency as latencies
-from robofleet.calibration import offsets as tag_offsets
-from robofleet.calibration import robots as robot_files
 from robofleet.calibration.commands.shared import Overrides, report_file
-from robofleet.calibration.drive_file import RobotDrive
+from robofleet.calibration.robots import drive as drives
+from robofleet.calibration.robots import drive_file
+from robofleet.calibration.robots import latency as latencies
+from robofleet.calibration.robots import offsets as tag_offsets
+from robofleet.calibration.robots import results as robot_files
+from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError, save
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration

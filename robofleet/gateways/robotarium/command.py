@@ -11,9 +11,9 @@ from typing import Annotated
 import matplotlib as mpl
 import typer
 
+from robofleet.config.files.names import SHIPPED
+from robofleet.config.files.yamlfile import printable
 from robofleet.config.load import ConfigError
-from robofleet.config.names import SHIPPED
-from robofleet.config.yamlfile import printable
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra, new_folder
 from robofleet.gateways.robotarium import script as scripts

@@ -1,25 +1,35 @@
 """The gateway: all its parts on one node. ``live.py`` and ``simulated.py`` let time pass for it."""
 
+import math
 from collections.abc import Callable
-from typing import Protocol
+from functools import partial
+from typing import Any, Protocol
 
+import numpy as np
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.task import Future
+from std_msgs.msg import String
 
 from robofleet.bus.bus import Bus
 from robofleet.bus.observer import Observer, Source
 from robofleet.bus.ticks import TickFollower
+from robofleet.config import obstacles
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
+from robofleet.gateways import urdf
+from robofleet.gateways.asking import SERVICES, Ask
+from robofleet.gateways.place import Served
 from robofleet.gateways.ros2 import camera, topics
 from robofleet.gateways.ros2.camera import Camera
-from robofleet.gateways.ros2.floor import Floor
-from robofleet.gateways.ros2.graph import Graph
+from robofleet.gateways.ros2.graph import TRANSFORMS_PACKAGE, Graph, Transforms, has_transforms
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.run import Run, markers
 from robofleet.gateways.ros2.sensing import Sensing, places
-from robofleet.gateways.ros2.transforms import PACKAGE, Transforms, there
+from robofleet.gateways.ros2.topics import SERVICE, load
 from robofleet.gateways.ros2.velocities import Velocities
-from robofleet.gateways.served import Served
+from robofleet.vehicles.solids import distances
 
 NODE = "robofleet"
 
@@ -56,9 +66,9 @@ class Gateway:
         self._markers.publish(markers(config, names, graph.frames))
         self._floor = Floor(graph, config, names)
         self._say_places(graph, config, names)
-        if not there():
+        if not has_transforms():
             node.get_logger().warning(
-                f"no /tf, so RViz and Nav2 see no robots: this Python has no {PACKAGE}, and PyPI has none: "
+                f"no /tf, so RViz and Nav2 see no robots: this Python has no {TRANSFORMS_PACKAGE}, and PyPI has none: "
                 "install robofleet for the Python of a ROS 2 of your own (configs/ROS2.md), which has it"
             )
 
@@ -80,3 +90,59 @@ class Gateway:
             seen = camera.place(view.camera, graph.frames, stamp)
             found += [] if seen is None else [seen]
         self._fixed.say(found)
+
+
+FREE, OCCUPIED = 0, 100  # nav_msgs/OccupancyGrid
+_CELL_M = 0.02
+_MOST_CELLS = 1_000_000
+
+
+class Floor:
+    """Says once what does not move; who comes later hears it, too."""
+
+    def __init__(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
+        self._publishers: list[Any] = [graph.publisher(topics.FLOOR)]
+        self._publishers[0].publish(grid(config, graph))
+        for robot in config.robots:
+            description = graph.publisher(topics.DESCRIPTION, names[robot.id])
+            description.publish(String(data=urdf.urdf(robot)))
+            self._publishers.append(description)
+
+
+def grid(config: Config, graph: Graph) -> OccupancyGrid:
+    """Return the arena as an occupancy grid: a cell is occupied if its middle is in an obstacle or beside the floor."""
+    cell_m, cells = occupied(config)
+    rows, columns = cells.shape
+    message = OccupancyGrid()
+    message.header.frame_id = graph.frames.map
+    message.header.stamp = message.info.map_load_time = graph.stamp(graph.clock.now_ns())
+    message.info.resolution, message.info.width, message.info.height = cell_m, columns, rows
+    message.info.origin.position.x, message.info.origin.position.y = -columns * cell_m / 2.0, -rows * cell_m / 2.0
+    message.info.origin.orientation.w = 1.0
+    message.data = np.where(cells, OCCUPIED, FREE).astype(np.int8).ravel().tolist()
+    return message
+
+
+def occupied(config: Config) -> tuple[float, NDArray[np.bool_]]:
+    """Return the side of a cell [m], and which cells of the arena are occupied: rows by y, columns by x, from below."""
+    x_m, y_m = config.arena.size_m
+    cell_m = max(_CELL_M, math.sqrt(x_m * y_m / _MOST_CELLS))
+    columns, rows = math.ceil(x_m / cell_m), math.ceil(y_m / cell_m)
+    x, y = ((np.arange(count) + 0.5 - count / 2.0) * cell_m for count in (columns, rows))
+    middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    solids = obstacles.every(config.arena)
+    inside = distances(solids, middles).min(axis=0) < 0.0 if solids else np.zeros(len(middles), np.bool_)
+    return cell_m, inside.reshape(rows, columns)
+
+
+def serve_requests(node: Node, ask: Ask) -> None:
+    """Serve them; the node goes on while one is answered."""
+
+    async def answer(what: str, _request: Any, response: Any) -> Any:
+        outcome: Future = Future(executor=node.executor)
+        ask(what).add_done_callback(lambda done: None if done.cancelled() else outcome.set_result(done.result()))
+        response.success, response.message = await outcome
+        return response
+
+    for what in SERVICES:
+        node.create_service(load(SERVICE), what, partial(answer, what))

@@ -1,14 +1,17 @@
 """The node, and what it says: the table's rows made real."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
 from robofleet.core.clock import Clock, S, WallClock
+from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.topics import Frames, Quality, Topic, load
 
 _WALL = WallClock()
@@ -68,3 +71,30 @@ def profile(quality: Quality) -> QoSProfile:
 def wanted(publisher: Any) -> bool:
     """Return whether somebody listens."""
     return bool(publisher.get_subscription_count())
+
+
+TRANSFORMS_PACKAGE = "tf2_msgs"  # PyPI has no such package; every ROS 2 has it
+
+
+def has_transforms() -> bool:
+    """Return whether frames can be published."""
+    return find_spec(TRANSFORMS_PACKAGE) is not None
+
+
+class Transforms:
+    """A publisher of frames."""
+
+    def __init__(self, graph: Graph, topic: Topic = topics.TRANSFORMS) -> None:
+        self._publisher = graph.publisher(topic) if has_transforms() else None
+        self._type: Any = topics.load(topic.type) if has_transforms() else None
+        self._latched = topic.quality.latched
+
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody listens, or will."""
+        return self._publisher is not None and (self._latched or wanted(self._publisher))
+
+    def say(self, frames: Sequence[TransformStamped]) -> None:
+        """Say where these frames are."""
+        if self._publisher is not None and frames:
+            self._publisher.publish(self._type(transforms=frames))

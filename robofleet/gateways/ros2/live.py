@@ -18,10 +18,8 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import WallClock, epoch_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import ArenaAccess, is_over, joined_otherwise
-from robofleet.gateways.ros2 import services
-from robofleet.gateways.ros2.gateway import NODE, Gateway
-from robofleet.gateways.served import Served
+from robofleet.gateways.place import ArenaAccess, Served, is_over, joined_otherwise
+from robofleet.gateways.ros2.gateway import NODE, Gateway, serve_requests
 from robofleet.operator.terminal.terminal import interrupts
 
 _JOINED_WITHIN_S = 3.0
@@ -72,7 +70,7 @@ def serve(config: Config, access: ArenaAccess, namespace: str) -> None:
         served = Served(lambda: is_over(config, access), clock.now_ns())
         gateway = Gateway(made, config, bus, clock, epoch_ns, served)
         held.callback(gateway.velocities.stand)
-        services.serve(made, asking)
+        serve_requests(made, asking)
         made.create_timer(_LOOK_S, gateway.step)
         if groups.wishing(config, Ros2) and (why := joined_otherwise(config, access, SCRIPT)):
             print(why, file=sys.stderr)

@@ -19,11 +19,10 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.gateways.ros2 import topics
-from robofleet.gateways.ros2.graph import Graph, single, wanted
+from robofleet.gateways.ros2.graph import Graph, Transforms, single, wanted
 from robofleet.gateways.ros2.odometry import Odometry
-from robofleet.gateways.ros2.transforms import Transforms
 from robofleet.gateways.urdf import WHEELS
-from robofleet.tracking.estimator import rows_of
+from robofleet.tracking.filter.estimator import rows_of
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 _JOINTS = [f"{wheel}_joint" for wheel in WHEELS]

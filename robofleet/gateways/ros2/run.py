@@ -14,10 +14,10 @@ from robofleet.bus.messages import TICK_RECORD
 from robofleet.bus.observer import Observer, Source
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
+from robofleet.gateways.place import Served
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph
 from robofleet.gateways.ros2.topics import Frames
-from robofleet.gateways.served import Served
 from robofleet.gateways.urdf import HEIGHT_M
 from robofleet.recording.causes import halt_cause, named
 from robofleet.recording.state_words import state_words

@@ -16,11 +16,11 @@ from rosgraph_msgs.msg import Clock
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.gateways.asking import Asked
-from robofleet.gateways.ros2 import services, topics
-from robofleet.gateways.ros2.gateway import Gateway
+from robofleet.gateways.place import Served
+from robofleet.gateways.ros2 import topics
+from robofleet.gateways.ros2.gateway import Gateway, serve_requests
 from robofleet.gateways.ros2.graph import profile, stamped
 from robofleet.gateways.ros2.live import node
-from robofleet.gateways.served import Served
 from robofleet.operator.terminal.terminal import Interrupts, interrupts
 from robofleet.safety.supervisor import Phase
 from robofleet.scripts.script_link import FleetError
@@ -65,7 +65,7 @@ class _Passing:
         clock = self._run.clock
         served = Served(lambda: False, clock.now_ns())
         self._gateway = Gateway(made, link.config, self._run.bus, clock, lambda: 0, served)
-        services.serve(made, self._asked)
+        serve_requests(made, self._asked)
         self._ticking = made.create_publisher(Clock, topics.CLOCK.name, profile(topics.CLOCK.quality))
         self._pace = _Pace(speed, clock.now_ns())
 

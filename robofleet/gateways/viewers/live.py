@@ -16,8 +16,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, WallClock, epoch_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import ArenaAccess, is_over
-from robofleet.gateways.served import Served
+from robofleet.gateways.place import ArenaAccess, Served, is_over
 from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.nodes.node import Lifeline
 from robofleet.operator.viewer_address import RERUN, Address

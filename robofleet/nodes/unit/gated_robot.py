@@ -1,12 +1,14 @@
-"""One robot behind its gate: what arrives, what is written to the wheels, what is measured, what is kept.
+"""The robots of a unit that have a driver each: their gates, what is written to the wheels, what is measured.
 
-It is a robot that exists, or one of a simulation that somebody else wrote. ``simulated_robots.py`` has those of
+These are real robots, and those of a simulation that somebody else wrote. ``simulated_robots.py`` has those of
 ``drivers/simulated.py``, many at once.
 """
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from copy import copy
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,42 +18,79 @@ from robofleet.bus import sensors
 from robofleet.bus.messages import (
     UNIT_STATUS,
     UNIT_TRUTH,
+    Enable,
     LeaseAnswer,
     RobotStatus,
     Truth,
     UnitCommand,
     UnitEnable,
+    WheelCommand,
 )
 from robofleet.bus.sensors import SensorsSaid
-from robofleet.core.clock import MS, S
-from robofleet.nodes.unit.health import Health
-from robofleet.nodes.unit.keeping import RobotState, StateStore, kept
-from robofleet.safety import gate
+from robofleet.nodes.unit import link
+from robofleet.nodes.unit.attached import in_words, sound
+from robofleet.nodes.unit.keeping import RobotState, StateStore
 from robofleet.safety.gate import GateState, Inputs, LeaseAction
-from robofleet.safety.latches import GateStatus, Latch
+from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, SimulatedDriver, WheelSpeeds
 from robofleet.vehicles.readings import SensorReading
-
-TURNING_RAD_S = 0.05  # a wheel that is measured faster than this is not at rest
-# In health a gate lives on nonces of up to 60 ms: a status every 20 ms, an enable every 40 ms.
-BAD_LINK_NS = 70 * MS
-NO_LINK_NS = S // 2  # it is not a bad one
-HURRY_NS = 60 * S
-LOOK_NS = gate.VALID_NS // 2  # so often a gate is stepped while it changes: twice that, and it was held up
 
 Probe = Callable[[str, int, Inputs, GateState], None]  # robot, instant, what its gate got and decided
 
 
-class GatedRobots:
+class Complaints:
+    """What the log is to say of a unit's robots, each complaint once."""
+
+    def __init__(self) -> None:
+        self._newest: dict[str, str] = {}
+        self._lines: list[str] = []
+
+    def add(self, robot: str, complaint: str) -> None:
+        """Note a complaint."""
+        if complaint != self._newest.get(robot):
+            self._newest[robot] = complaint
+            self._lines.append(f"{robot}: {complaint}")
+
+    def say(self) -> None:
+        """Write the new ones: a log may be slow, so the wheels and the bus go first."""
+        if self._lines:
+            lines, self._lines = self._lines, []
+            print("\n".join(lines), file=sys.stderr)
+
+
+class LinkedRobots:
+    """What every unit does about its robots' links, whatever moves the robots."""
+
+    def __init__(self) -> None:
+        self._complaints = Complaints()
+        self._left = 0  # to do, as bits of ``link.settle``
+
+    @property
+    def hurries(self) -> bool:
+        """Whether the link was bad a short while ago."""
+        return bool(self._left & link.HURRIES)
+
+    @property
+    def latch_is_new(self) -> bool:
+        """Whether the newest status does not tell of a gate's latch yet."""
+        return bool(self._left & link.NEW_LATCH)
+
+    def say(self) -> None:
+        """Say in the log what there is to complain about."""
+        self._complaints.say()
+
+
+class GatedRobots(LinkedRobots):
     """The robots of a unit, each behind its gate; ``now_ns`` is asked again for each: the one before may block."""
 
     def __init__(
         self, contexts: Sequence[DriverContext], drivers: Sequence[Driver], boot_id: int, keeping: StateStore,
         probe: Probe | None, now_ns: Callable[[], int],
     ) -> None:  # fmt: skip
+        super().__init__()
         self._now_ns = now_ns
         self._robots = [
-            GatedRobot(context, driver, boot_id, keeping, probe)
+            GatedRobot(context, driver, boot_id, keeping, probe, self._complaints)
             for context, driver in zip(contexts, drivers, strict=True)
         ]
         self._simulated = [index for index, driver in enumerate(drivers) if isinstance(driver, SimulatedDriver)]
@@ -63,37 +102,28 @@ class GatedRobots:
     @property
     def boot_id(self) -> int:
         """What was drawn when the unit started, and counted on whenever its clock was set back."""
-        return self._robots[0].boot_id
+        return self._robots[0].gate.boot_id
 
     @property
     def deadline_ns(self) -> int:
         """When a gate must be asked again."""
-        return min(robot.deadline_ns for robot in self._robots)
-
-    @property
-    def hurries(self) -> bool:
-        """Whether the link was bad a short while ago."""
-        return any(robot.hurries for robot in self._robots)
+        return min(robot.gate.deadline_ns for robot in self._robots)
 
     @property
     def newest_nonce_ns(self) -> int:
         """The newest nonce that a command and a permission have echoed."""
-        return max(robot.newest_nonce_ns for robot in self._robots)
-
-    @property
-    def latch_is_new(self) -> bool:
-        """Whether the newest status does not tell of a gate's latch yet."""
-        return any(robot.latch_is_new for robot in self._robots)
+        return max(min(robot.gate.command_nonce, robot.gate.enabled_nonce) for robot in self._robots)
 
     @property
     def any_open(self) -> bool:
         """Whether a gate lets a controller's commands through."""
-        return any(robot.is_open for robot in self._robots)
+        return any(robot.gate.status == GateStatus.OPEN for robot in self._robots)
 
     def set_back(self, from_ns: int, now_ns: int) -> None:
         """Let every gate begin anew: the clock was set back."""
         for robot in self._robots:
-            robot.set_back(from_ns, now_ns)
+            robot.gate.at_ns = from_ns
+            self._left |= robot.pass_on(now_ns, Inputs(), 0)
 
     def pass_on(
         self, _now_ns: int, command: tuple[NDArray[Any], NDArray[Any]] | None,
@@ -101,25 +131,35 @@ class GatedRobots:
     ) -> None:  # fmt: skip
         """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
         inputs = [Inputs() for _ in self._robots]
-        exposure_ns = 0 if command is None else _put_command(inputs, *command)
+        exposure_ns = 0
+        if command is not None:
+            message = UnitCommand._make([*command[0][0].item()[1:-1], ()])
+            exposure_ns = message.exposure_ns
+            for i, item in zip(inputs, command[1].tolist(), strict=True):
+                link.put_command(i, message, WheelCommand(*item))
         if enable is not None:
-            _put_permission(inputs, *enable)
+            permission = UnitEnable._make([*enable[0][0].item()[1:-1], ()])
+            for i, item in zip(inputs, enable[1].tolist(), strict=True):
+                link.put_permission(i, permission, Enable(*item))
+        self._left = 0
         for robot, given in zip(self._robots, inputs, strict=True):
             if due:
                 robot.look(self._now_ns())
-            robot.pass_on(self._now_ns(), given, exposure_ns)
+            self._left |= robot.pass_on(self._now_ns(), given, exposure_ns)
 
     def lease(self, session: int, action: LeaseAction, _now_ns: int) -> tuple[LeaseAnswer, ...]:
-        """Answer a request for the leases; an epoch that a restart would give out again is not given out."""
+        """Answer a request for the leases."""
         return tuple(robot.lease(session, action, self._now_ns()) for robot in self._robots)
 
     def keep(self, *, due: bool) -> None:
         """Keep what must be kept of the gates: a lease's epoch, a latch."""
-        for robot in self._robots:
-            robot.keep(due=due)
+        if self._left & link.TO_STORE:
+            for robot in self._robots:
+                robot.keep(due=due)
 
     def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
         """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
+        self._left &= ~link.NEW_LATCH
         return np.array([robot.status(now_ns, refused) for robot in self._robots], UNIT_STATUS.item_dtype)
 
     def truths(self) -> NDArray[Any] | None:
@@ -132,11 +172,6 @@ class GatedRobots:
         readings = ((index, robot.sensors) for index, robot in enumerate(self._robots))
         return sensors.said((index, reading) for index, reading in readings if reading is not None)
 
-    def say(self) -> None:
-        """Say in the log what there is to complain about."""
-        for robot in self._robots:
-            robot.say()
-
     def close(self) -> None:
         """Motors off, every robot, whatever one of them does."""
         errors = []
@@ -145,6 +180,7 @@ class GatedRobots:
                 robot.close()
             except Exception as error:  # noqa: BLE001 - the others' motors must go off too
                 errors.append(error)
+        self.say()
         if errors:
             raise ExceptionGroup("closing the drivers", errors)
 
@@ -153,100 +189,76 @@ class GatedRobot:
     """One robot: what arrives passes the gate, what passes moves the wheels, what is measured is published."""
 
     def __init__(
-        self, context: DriverContext, driver: Driver, boot_id: int, keeping: StateStore, probe: Probe | None
-    ) -> None:
+        self, context: DriverContext, driver: Driver, boot_id: int, keeping: StateStore, probe: Probe | None,
+        complaints: Complaints,
+    ) -> None:  # fmt: skip
         self._robot, self._driver, self._drive = context.robot, driver, context.drive
-        self._probe = probe
-        self._health = Health(context.robot, context.now_ns())
-        self._memory = RobotState(context.robot, keeping, self._health.complain)
-        self._gate = GateState(boot_id=boot_id, **self._memory.kept._asdict())
-        self._written: WheelSpeeds | None = None
-        self._last_command, self._told_ns, self._reported_wheels = (0.0, 0.0), 0, STOP
-        self._accepted_exposure_ns: int | None = None  # of a command that has not reached the wheels yet
-        self._applied = (0, 0)  # the newest one that has: its exposure, and when
-        self._opened = False  # the gate was open: before, late messages are those of processes that start
-        self._hurry_until_ns = 0
+        self._probe, self._complaints = probe, complaints
+        self._memory = RobotState(context.robot, keeping, self._complain)
+        self.gate = GateState(boot_id=boot_id, **self._memory.kept._asdict())
+        self._link = link.new_link(self.gate, context.now_ns())
+        self._sensors: SensorReading | None = None
+        self._away = False  # its driver failed, and has not reconnected yet
         self._closed = False
-        self._told_latch = (self._gate.latch, self._gate.latch_id)  # in the newest status
-        self._retry = False  # what the robot was told last may not have reached it
         self.look(context.now_ns())
 
-    @property
-    def boot_id(self) -> int:
-        """What every message to it must echo."""
-        return self._gate.boot_id
-
-    @property
-    def deadline_ns(self) -> int:
-        """When its gate must be asked again."""
-        return self._gate.deadline_ns
-
-    @property
-    def newest_nonce_ns(self) -> int:
-        """The newest nonce that a command and a permission have echoed."""
-        return min(self._gate.command_nonce, self._gate.enabled_nonce)
-
-    @property
-    def is_open(self) -> bool:
-        """Whether its gate lets a controller's commands through."""
-        return self._gate.status == GateStatus.OPEN
-
-    def set_back(self, from_ns: int, now_ns: int) -> None:
-        """Let the gate begin anew: the clock was set back."""
-        self._gate.at_ns = from_ns
-        self.pass_on(now_ns, Inputs(), 0)
-
-    @property
-    def hurries(self) -> bool:
-        """Whether its link was bad a short while ago: then its status goes out in every loop."""
-        return self._gate.at_ns < self._hurry_until_ns
-
     def look(self, now_ns: int) -> None:
-        """Read the robot, and tell it again what may have been lost on its way: to stand, or what failed."""
-        self._retry = self._health.look(self._driver, self._gate.latch, self._gate.output, now_ns)
-        if not self.is_open and self._gate.output == STOP:
-            self._retry = False
+        """Read the robot, and command it again what may have been lost on its way: to stand, or what failed."""
+        l = self._link
+        l.retry, l.failed = l.failed, False
+        try:
+            reading = sound(self._driver.read())
+        except Exception as error:  # noqa: BLE001 - whatever a driver does, it is its own robot that stops
+            self._fail(error)
+        else:
+            l.left_angle, l.right_angle, l.left_speed, l.right_speed, l.battery, l.faults, self._sensors = reading
+            if self._away and not l.retry:
+                self._away = False
+                self._complain("its driver has reconnected: look at the robot, then reset")
+        stop_again = link.look(self.gate, l, now_ns)
+        if l.runaway == 1:
+            self._complain(link.runaway_complaint(l))
+        if stop_again:
+            l.retry = False
             self._write(STOP)
 
-    def pass_on(self, now_ns: int, inputs: Inputs, exposure_ns: int) -> None:
-        """Let the gate decide on what arrived, and write the wheels; ``exposure_ns``: of the image behind a command."""
-        state = self._gate
-        quiet = not inputs.command and not inputs.permission and self._health.latch <= state.latch
-        timed = state.deadline_ns != gate.NEVER_NS and now_ns >= min(state.deadline_ns, state.at_ns + LOOK_NS)
-        if quiet and not timed and not self._retry and now_ns >= state.at_ns:
-            return  # the gate's output changes by a message, by the robot's own stop, at its deadline
-        self._opened = self._opened or self.is_open
-        age_ns = now_ns - self.newest_nonce_ns
-        if self._opened and BAD_LINK_NS < age_ns < NO_LINK_NS:
-            self._hurry_until_ns = now_ns + HURRY_NS
-        seq = state.seq
-        self._step(inputs, now_ns)
-        self._adopt(inputs, now_ns, again=inputs.command or self._retry)
-        self._retry = False
-        if inputs.command and exposure_ns != self._applied[0] and state.seq != seq:
-            self._accepted_exposure_ns = exposure_ns
-        if self._accepted_exposure_ns is not None and self.is_open:
-            self._applied, self._accepted_exposure_ns = (self._accepted_exposure_ns, now_ns), None
+    def pass_on(self, now_ns: int, inputs: Inputs, exposure_ns: int) -> int:
+        """Let the gate decide on what arrived, and write the wheels; returns what is left to do, as ``link.settle``."""
+        self._decide(inputs, exposure_ns, now_ns)
+        return link.settle(self.gate, self._link, now_ns)
 
-    @property
-    def latch_is_new(self) -> bool:
-        """Whether the newest status does not tell of the gate's latch yet."""
-        return (self._gate.latch, self._gate.latch_id) != self._told_latch
+    def _decide(self, inputs: Inputs, exposure_ns: int, now_ns: int) -> None:
+        write = link.pass_on(self.gate, self._link, self._drive, inputs, exposure_ns, now_ns)
+        if self._link.stepped:
+            self._obey(inputs, now_ns, write=write)
+
+    def _obey(self, inputs: Inputs, now_ns: int, *, write: bool) -> None:
+        """Do what the gate decided on ``inputs``."""
+        if self._probe is not None:
+            self._probe(self._robot, now_ns, inputs, copy(self.gate))
+        if write:
+            self._write(self.gate.output)
+        if self._link.latch > self.gate.latch:  # it failed just now
+            self._decide(Inputs(), 0, now_ns)
 
     def keep(self, *, due: bool) -> None:
         """Keep what must be kept of the gate."""
-        self._memory.keep(kept(self._gate), due=due)
+        link.store(self.gate, self._link, self._memory, due=due)
 
     def lease(self, session: int, action: LeaseAction, now_ns: int) -> LeaseAnswer:
         """Answer a request for the lease."""
-        inputs, before = Inputs(lease=True, lease_session=session, lease_action=action), copy(self._gate)
-        granted = self._step(inputs, now_ns)
-        if self._gate.epoch != before.epoch and not self._memory.save(kept(self._gate)):
-            # an epoch that a restart would give out again is not given out: nothing has happened
-            self._gate, granted = before, 0
-        else:
-            self._adopt(inputs, now_ns)
-        return LeaseAnswer(granted, self._gate.epoch, self._gate.session)
+        l = self._link
+        inputs, after, answer = link.take_lease(self.gate, l, self._drive, self._memory, session, action, now_ns)
+        if after is not self.gate:
+            self.gate = after
+            self._obey(inputs, now_ns, write=link.take_output(after, l, False, now_ns))
+        return answer
+
+    def status(self, now_ns: int, refused: int) -> RobotStatus:
+        """Return its part of a status; ``refused``: messages of the unit that nobody could read."""
+        status = SimpleNamespace()
+        link.fill_status(status, self.gate, self._link, now_ns, refused)
+        return RobotStatus(**vars(status))
 
     def truth(self, index: int) -> Truth:
         """Return where the robot really is, if it is simulated; ``place``: in its unit."""
@@ -256,11 +268,7 @@ class GatedRobot:
     @property
     def sensors(self) -> SensorReading | None:
         """What its sensors say; None where they say nothing, and where its driver has lost it."""
-        return None if self._health.failed else self._health.reading.sensors
-
-    def say(self) -> None:
-        """Say in the log what there is to complain about."""
-        self._health.say()
+        return None if self._link.failed else self._sensors
 
     def close(self) -> None:
         """Motors off at once, driver closed. Idempotent."""
@@ -269,77 +277,23 @@ class GatedRobot:
             try:
                 self._driver.write(STOP)
             except DriverError as error:
-                self._health.complain(f"its wheels did not get the last stop command: {error}")
+                self._complain(f"its wheels did not get the last stop command: {error}")
             finally:
                 self._driver.close()
-                self._health.say()
-
-    def _step(self, inputs: Inputs, now_ns: int) -> int:
-        """Let the gate take what arrived, and the robot's own state; return its answer to a lease request."""
-        reading = self._health.reading
-        inputs.latch = self._health.latch
-        inputs.turning = max(abs(reading.left_speed), abs(reading.right_speed)) > TURNING_RAD_S
-        return gate.step(self._gate, self._drive, inputs, now_ns)
-
-    def _adopt(self, inputs: Inputs, now_ns: int, *, again: bool = False) -> None:
-        """Do what the gate decided; ``again`` tells the robot also what it was told before."""
-        if self._probe is not None:
-            self._probe(self._robot, now_ns, inputs, copy(self._gate))
-        output = self._gate.output
-        if again or output != self._written:
-            self._last_command, self._told_ns, self._reported_wheels = self._told_until(now_ns), now_ns, output
-            self._write(output)
-        if self._health.latch > self._gate.latch:  # just now
-            inputs = Inputs()
-            self._step(inputs, now_ns)
-            self._adopt(inputs, now_ns)
-
-    def _told_until(self, now_ns: int) -> tuple[float, float]:
-        """Return how far the wheels were told to turn [rad]."""
-        (left, right), (told_left, told_right), since_s = (
-            self._reported_wheels,
-            self._last_command,
-            (now_ns - self._told_ns) * 1e-9,
-        )
-        return told_left + left * since_s, told_right + right * since_s
 
     def _write(self, wheels: WheelSpeeds) -> None:
+        l = self._link
         try:
             self._driver.write(wheels)
-            self._written = wheels
+            l.left_written, l.right_written = wheels
         except Exception as error:  # noqa: BLE001 - whatever a driver does, it is its own robot that stops
-            self._health.fail(error)
-            self._written = None
+            self._fail(error)
+            l.left_written = l.right_written = math.nan
 
-    def status(self, now_ns: int, refused: int) -> RobotStatus:
-        """Return its part of a status; ``refused``: messages of the unit that nobody could read."""
-        state, reading = self._gate, self._health.reading
-        self._told_latch = (state.latch, state.latch_id)
-        battery = reading.battery if math.isfinite(reading.battery) else -1.0
-        return RobotStatus(
-            state.epoch, state.session, *self._applied, state.refused + refused, state.status, state.latch,
-            state.latch_id, self._health.faults(state.latch), state.target_after_ns, state.output_after_ns,
-            reading.left_angle, reading.right_angle, reading.left_speed, reading.right_speed, *state.output,
-            *self._told_until(now_ns), battery,
-        )  # fmt: skip
+    def _fail(self, error: Exception) -> None:
+        self._away = True
+        link.fail(self._link)
+        self._complain(f"its driver failed: {in_words(error)}")
 
-
-def _put_command(inputs: Sequence[Inputs], head: NDArray[Any], items: NDArray[Any]) -> int:
-    """Tell each robot what a unit's command says to it; return the exposure behind it."""
-    whole = UnitCommand._make([*head[0].item()[1:-1], ()])
-    for i, (epoch, left, right) in zip(inputs, items.tolist(), strict=True):
-        if epoch:
-            i.command, i.command_epoch, i.command_session, i.command_seq = True, epoch, whole.session, whole.seq
-            i.command_boot_id, i.command_nonce = whole.boot_id, whole.nonce
-            i.command_left, i.command_right = left, right
-    return whole.exposure_ns
-
-
-def _put_permission(inputs: Sequence[Inputs], head: NDArray[Any], items: NDArray[Any]) -> None:
-    """Tell each robot its permission; a latch of another version is the emergency stop."""
-    whole = UnitEnable._make([*head[0].item()[1:-1], ()])
-    for i, (epoch, latch, clear, limit) in zip(inputs, items.tolist(), strict=True):
-        i.permission, i.permission_epoch, i.permission_seq = True, epoch, whole.seq
-        i.permission_boot_id, i.permission_nonce = whole.boot_id, whole.nonce
-        i.permission_latch = latch if latch <= max(Latch) else Latch.EMERGENCY_STOP
-        i.permission_clear, i.permission_limit = clear, limit
+    def _complain(self, complaint: str) -> None:
+        self._complaints.add(self._robot, complaint)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from robofleet.bus.messages import Hurry
 from robofleet.core.clock import MS, S
-from robofleet.nodes.unit.gated_robot import BAD_LINK_NS, NO_LINK_NS
+from robofleet.nodes.unit.link import BAD_LINK_NS, NO_LINK_NS
 
 if TYPE_CHECKING:
     from robofleet.nodes.unit.drivers import Robots

@@ -10,24 +10,20 @@ from collections import deque
 from typing import Protocol
 
 from starlette.requests import HTTPConnection
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.types import Scope
 
 from robofleet.bus.permissions import OPERATOR, VIEWER
 from robofleet.bus.requests import SAFE
 from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.page_address import Addresses
-from robofleet.operator.page.refused import LOGIN, TICKET, TOKEN, USED, Words
+from robofleet.operator.page.refused import LOGIN, TEMPLATES, TICKET, TOKEN, USED, Words
 from robofleet.operator.page.ticket import OneTimeToken, Taker
 
 ROLES = OPERATOR, VIEWER
 OPEN = "/open"  # takes a ticket
 _MOST_INVITED = 16  # addresses that no browser has opened yet; the oldest ends
 _SEE_OTHER = 303
-_ENTERING = (  # not a redirection: a browser that came from another site would send no cookie of ours along
-    '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta http-equiv="refresh" content="0;url=/">'
-    '<link rel="icon" href="data:,"><title>robofleet</title></head><body><a href="/">The page</a></body></html>\n'
-)
 _POLICY = "default-src 'none'; img-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 
 
@@ -113,7 +109,8 @@ class CookieAccess:
 
     def open(self, scope: Scope, shown: str) -> Response | None:
         """Give a browser its cookie; one that has its cookie may open its address again."""
-        page = Response(_ENTERING, 200, {"Content-Security-Policy": _POLICY}, "text/html")
+        # Not a redirection: a browser that came from another site would send no cookie of ours along.
+        page = HTMLResponse(TEMPLATES.get_template("entering.html").render(), 200, {"Content-Security-Policy": _POLICY})
         for ticket in (*self._printed, *self._invited):
             if ticket.take(shown, scope.get("client"), self._port):
                 session = new_secret()

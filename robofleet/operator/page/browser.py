@@ -38,7 +38,9 @@ def opener(environment: Mapping[str, str], *, root: bool, windows: bool, found: 
 
 def open_page(address: str) -> bool:
     """Open an address; returns whether a browser was asked to. It has no terminal, and nobody waits for it."""
-    command = opener(os.environ, root=os.geteuid() == 0, windows=_in_windows(), found=shutil.which)
+    command = opener(
+        os.environ, root=os.geteuid() == 0, windows="microsoft" in os.uname().release.lower(), found=shutil.which
+    )
     if command is None:
         return False
     environment = {name: value for name, value in os.environ.items() if name != "TERM"}  # then no text browser is tried
@@ -54,7 +56,3 @@ def open_page(address: str) -> bool:
 
 
 _opened_by: list["subprocess.Popen[bytes]"] = []  # they end by themselves
-
-
-def _in_windows() -> bool:
-    return "microsoft" in os.uname().release.lower()

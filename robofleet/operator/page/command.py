@@ -15,6 +15,7 @@ from robofleet.core.refusal import RefusedError
 from robofleet.operator.page.browser import open_page
 from robofleet.operator.page.page_address import Addresses, address_lines
 from robofleet.operator.page.verdict import REPORT, verdict_of
+from robofleet.operator.requests import chosen
 from robofleet.operator.terminal.qr_code import qr_code
 
 if TYPE_CHECKING:  # whether a run has ended is said without the server's packages: they take their time
@@ -33,11 +34,11 @@ class There(NamedTuple):
     run: ArenaFile | None  # None: its processes were started one by one
 
 
-def there(named: str | None, running: Callable[[str | None], ArenaFile], load: Callable[[Path], Config]) -> There:
+def there(named: str | None, load: Callable[[Path], Config]) -> There:
     """Return the run that is meant: of an arena, or of a configuration; RefusedError where it has ended."""
     file = None if named is None else Path(named)
     if file is None or not (file.exists() or file.suffix):
-        run = running(named)
+        run = chosen(named, own=True)
         folder = Path(run.folder)
         return There(load(folder / _CONFIG), folder, run)
     file = file / _CONFIG if file.is_dir() else file

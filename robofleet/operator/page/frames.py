@@ -18,7 +18,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
 from robofleet.operator.hand import driven
-from robofleet.operator.page.hearing import CameraHearing, Hearing, Shown
+from robofleet.operator.page.hearing import Hearing, Shown
 from robofleet.operator.page.words import phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import OnTheWay
@@ -197,8 +197,11 @@ def _robot(config: Config, row: int) -> Frame:
 
 def _health(hearing: Hearing) -> Frame:
     record = None if hearing.controller_silent() else hearing.record
-    now_ns, several = hearing.now_ns(), len(hearing.cameras) > 1
+    several = len(hearing.cameras) > 1
     each = [(camera, *_tracker(list(camera.images), len(hearing.tags))) for camera in hearing.cameras]
+    cameras = [
+        {"name": camera.name, "hz": hz, "age_ms": _age_ms(camera.heard_ns, hearing.now_ns())} for camera, hz, _ in each
+    ]
     rate, seen = each[0][1:]
     if several:  # no camera sees all robots
         rates = [age for _, age, _ in each if age is not None]
@@ -210,12 +213,8 @@ def _health(hearing: Hearing) -> Frame:
         "latency_ms": _latency_ms(hearing),
         "tracker_hz": rate,
         "seen_pct": seen,
-        **({"cameras": [_camera(camera, age, now_ns) for camera, age, _ in each]} if several else {}),
+        **({"cameras": cameras} if several else {}),
     }
-
-
-def _camera(camera: CameraHearing, rate_hz: float | None, now_ns: int) -> Frame:
-    return {"name": camera.name, "hz": rate_hz, "age_ms": _age_ms(camera.heard_ns, now_ns)}
 
 
 def _measured_pct(record: TickRecord | None) -> float | None:
@@ -257,13 +256,13 @@ def _rows(
         driven, placed = row < len(texts.references), record is not None and hearing.placed[row]
         rows.append([
             *(_place(record) if record is not None and placed else _standing(hearing, row)),
-            *([_known(value, 4) for value in texts.references[row]] if driven else [None] * 2),
-            *(_drive(record) if record is not None else [None] * 2),
+            *([_rounded(value, 4) for value in texts.references[row]] if driven else [None] * 2),
+            *((_rounded(record.left_rad_s, 2), _rounded(record.right_rad_s, 2)) if record else [None] * 2),
             *_gate(status), own_state(state, row, record) or None, _battery(status),
             _age_ms(arrival_ns, now_ns),
-            *((int(record.measured), int(record.lost), int(record.filtered)) if record is not None else [None] * 3),
+            *((int(record.measured), int(record.lost), int(record.filtered)) if record else [None] * 3),
             _rounded(to_go_m[row], 3) if driven else None,
-            [_known(value, _DIGITS) for value in texts.figures[row]] if driven else unknown,
+            [_rounded(value, _DIGITS) for value in texts.figures[row]] if driven else unknown,
         ])  # fmt: skip
     return rows
 
@@ -281,10 +280,6 @@ def _standing(hearing: Hearing, row: int) -> list[float | None]:
     return [_rounded(pose.x_m, 4), _rounded(pose.y_m, 4), _rounded(pose.psi_rad, 4), None, None]
 
 
-def _drive(record: RobotTick) -> list[float | None]:
-    return [_rounded(record.left_rad_s, 2), _rounded(record.right_rad_s, 2)]
-
-
 def _gate(status: RobotStatus | None) -> tuple[str | None, str | None]:
     if status is None:
         return None, None
@@ -299,9 +294,5 @@ def _age_ms(heard_ns: int, now_ns: int) -> int | None:
     return (now_ns - heard_ns) // MS if heard_ns else None
 
 
-def _known(value: float, digits: int) -> float | None:
-    return _rounded(value, digits) if math.isfinite(value) else None
-
-
 def _rounded(value: float | None, digits: int) -> float | None:
-    return None if value is None else round(float(value), digits)
+    return round(float(value), digits) if value is not None and math.isfinite(value) else None

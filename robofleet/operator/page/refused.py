@@ -5,21 +5,15 @@ It looks like the page: the page's own colours stand in it, as it may fetch noth
 
 import base64
 import hashlib
-import html
 from pathlib import Path
 
-_SHEET = Path(__file__).parent / "static" / "page.css"
-_OWN = """
-body { display: grid; place-content: center; min-height: 100vh; min-height: 100dvh; padding: 16px }
-main { max-width: 34rem; padding: 20px 24px; background: var(--panel); border: 1px solid var(--line) }
-main { border-left: 6px solid var(--amber); border-radius: 8px; font-size: 16px }
-h1 { margin: 0 0 8px; font-size: 22px; line-height: 1.2 }
-p { margin: 8px 0 }
-code { overflow-wrap: anywhere }
-"""
+from markupsafe import Markup
+from starlette.templating import Jinja2Templates
 
+_FOLDER = Path(__file__).parent
+TEMPLATES = Jinja2Templates(_FOLDER / "templates")
+_STYLES = _FOLDER / "static" / "page.css", _FOLDER / "templates" / "refused.css"
 _NEW_PAGE = "The terminal opens another page of a run that is on: <code>robofleet web</code>"
-_STOP = "The terminal stops every robot without any page: <code>robofleet stop</code>"
 TOKEN = (
     "This address is not complete, or it is an old one",
     "Each start of the page has an address of its own. Its end, <code>?token=...</code>, is missing here or is of "
@@ -61,17 +55,12 @@ class RefusedPage:
     """A whole page of words, made once: to refuse costs no more than to write it."""
 
     def __init__(self, words: Words) -> None:
-        title, what, cure, more = words
-        style = _SHEET.read_text() + _OWN
+        title, *texts = words
+        style = "".join(sheet.read_text() for sheet in _STYLES)
         digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
         self.policy = (
             f"default-src 'none'; img-src data:; style-src 'sha256-{digest}'; frame-ancestors 'none'; base-uri 'none'"
         )
-        self.body = (
-            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            '<meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">'
-            f"<title>robofleet: {html.escape(title)}</title><style>{style}</style></head>"
-            f"<body><main><h1>{html.escape(title)}</h1><p>{what}</p><p><strong>{cure}</strong></p><p>{more}</p>"
-            f"<p>{_STOP}</p></main></body></html>\n"
-        ).encode()
+        what, cure, more = map(Markup, texts)
+        template = TEMPLATES.get_template("refused.html")
+        self.body = template.render(title=title, style=Markup(style), what=what, cure=cure, more=more).encode()

@@ -14,7 +14,7 @@ import segno
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -36,6 +36,7 @@ from robofleet.operator.page.greeting import Greetings
 from robofleet.operator.page.guard import Guard, authorities
 from robofleet.operator.page.page_address import LOOPBACK, Addresses
 from robofleet.operator.page.places import Complaints, Connection, ConnectionLimiter
+from robofleet.operator.page.refused import TEMPLATES
 from robofleet.operator.page.verdict import REPORT
 
 _PAGE = Path(__file__).parent / "static"
@@ -123,12 +124,10 @@ async def serve(
 
 def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
     """Return what is behind the guard, which has given each request its role."""
-    whole = (_PAGE / "index.html").read_text()
 
     async def index(request: Request) -> Response:
-        if not isinstance(access, CookieAccess):
-            return FileResponse(_PAGE / "index.html")
-        return HTMLResponse(whole.replace("<body>", f'<body data-role="{request.scope["role"]}">', 1))
+        role = request.scope["role"] if isinstance(access, CookieAccess) else None
+        return TEMPLATES.TemplateResponse(request, "index.html", {"role": role})
 
     async def invite(request: Request) -> Response:
         role = request.path_params["role"]

@@ -2,7 +2,6 @@
 
 import sys
 from functools import cached_property
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -27,9 +26,8 @@ from robofleet.operator.terminal.live_state import UNDER_WAY, WAITING, banner, c
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.operator.terminal.qr_code import qr_code
 from robofleet.operator.terminal.terminal import Terminal
-from robofleet.recording import busy_machine
 from robofleet.recording.run import Recording
-from robofleet.recording.state_words import StateWords, state_words
+from robofleet.recording.state_words import StateWords, busy_notice, state_words
 from robofleet.runs.console import READY
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.events import describe
@@ -65,9 +63,7 @@ class LiveView:
             self._live.start()
         return self
 
-    def __exit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give the terminal back."""
         if self._live is not None:
             self._live.stop()
@@ -110,7 +106,7 @@ class LiveView:
         """Say once that the machine is busy, as soon as that is known."""
         if (busy := recording.newest(BUSY)) is not None:
             self._noticed = True
-            print(busy_machine.notice(busy, self._ids), file=sys.stderr)
+            print(busy_notice(busy, self._ids), file=sys.stderr)
 
     def _goes_on(self, recording: Recording) -> bool:
         state = recording.newest(STATE)
@@ -163,7 +159,7 @@ class LiveView:
         if state is not None and words is not None and (seen := banner(state, words, by_key=by_key, way=held)):
             parts += ["", seen]
         elif (busy := recording.newest(BUSY)) is not None:
-            parts += ["", Text(busy_machine.notice(busy, self._ids), "yellow")]
+            parts += ["", Text(busy_notice(busy, self._ids), "yellow")]
         if tick is not None:
             statuses = [recording.newest_status(robot.id) for robot in self._config.members]
             way = live_robots.Way(self._way, to_go_m) if self._way.phase is not None else None

@@ -14,7 +14,7 @@ from robofleet.bus.messages import RobotStatus, RobotTick, RunState, TickRecord
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.recording.causes import named, own_state
-from robofleet.reports.fitting import Fitting
+from robofleet.reports.tables import Fitting
 from robofleet.safety.latches import GateStatus, Latch
 
 _ROBOT, _POSE, _WHEELS, _BATTERY, _STATE = "robot", "pose", "wheels", "battery", "state"

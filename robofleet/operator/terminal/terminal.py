@@ -13,7 +13,6 @@ import tty
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from robofleet.bus.bus import Bus
@@ -73,9 +72,7 @@ class Terminal:
             self._hearing.start()
         return self
 
-    def __exit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Give it back."""
         if self._hearing is not None and self._end is not None:
             os.close(self._end[1])

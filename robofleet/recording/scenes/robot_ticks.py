@@ -14,9 +14,9 @@ from robofleet.bus.messages import TICK_RECORD
 from robofleet.config.tree import Config
 from robofleet.recording.columns import COLUMNS, own_name, own_names, own_table, table
 from robofleet.recording.gauge import Gauge
+from robofleet.recording.measures import series
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.scenes.scalars import Scalar, Scalars
-from robofleet.recording.series import series
 
 BATCH = 64  # ticks: in real time some seconds, which is what a kill may lose of them
 LARGE_BATCH = 1024  # in lockstep: what a batch costs by itself is shared by more

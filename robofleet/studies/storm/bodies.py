@@ -1,4 +1,4 @@
-"""Where the robots really were: rest after a stop, bodies apart, inside the arena. From what the plants say."""
+"""Invariants of the true motion: rest after a stop, no contact, inside the arena. The plants publish it."""
 
 import itertools
 import math
@@ -38,29 +38,29 @@ def rest_within_s(robot: Robot) -> float:
 
 
 def rolling_on(
-    robot: Robot, decisions: Array, said_ns: Array, truth: NDArray[Any], runaways: Sequence[Outage]
+    robot: Robot, decisions: Array, sent_ns: Array, truth: NDArray[Any], runaways: Sequence[Outage]
 ) -> list[Violation]:
     """Find robots that move although their output has been zero for long enough.
 
     ``decisions``: instant [ns] and whether the output is zero, (K, 2); ``runaways``: when a wheel turned by itself.
     """
     found = []
-    innocent = np.zeros(len(said_ns), dtype=np.bool_)
+    innocent = np.zeros(len(sent_ns), dtype=np.bool_)
     for runs in runaways:
-        innocent |= (said_ns >= runs.start_ns) & (said_ns <= runs.end_ns + rest_within_s(robot) * S)
+        innocent |= (sent_ns >= runs.start_ns) & (sent_ns <= runs.end_ns + rest_within_s(robot) * S)
     half_base = robot.vehicle.wheel_base_m / 2
     speed = abs(truth["v_m_s"]) + half_base * abs(truth["omega_rad_s"])
     within_ns = rest_within_s(robot) * S
     for first, last in intervals(decisions[:, 1] > 0):
         until = decisions[last + 1, 0] if last + 1 < len(decisions) else math.inf
-        a, b = np.searchsorted(said_ns, [decisions[first, 0] + within_ns, until], side="right")
+        a, b = np.searchsorted(sent_ns, [decisions[first, 0] + within_ns, until], side="right")
         moving = (speed > _STANDING_M_S) & ~innocent
         late = np.flatnonzero(moving[a : max(a, b - 1)])
         if len(late):
             row = a + int(late[0])
-            since_ms = (said_ns[row] - decisions[first, 0]) / 1e6
+            since_ms = (sent_ns[row] - decisions[first, 0]) / 1e6
             numbers = f"{1e3 * speed[row]:.2f} mm/s {since_ms:.0f} ms after its output was zero"
-            found.append(Violation("the robot is not at rest", said_ns[row] / S, robot.id, numbers))
+            found.append(Violation("the robot is not at rest", sent_ns[row] / S, robot.id, numbers))
     return found
 
 
@@ -135,14 +135,14 @@ def at_goals(config: Config, poses: Mapping[str, tuple[float, float, float]]) ->
     return found
 
 
-def apart(config: Config, said_ns: list[Array], truths: list[NDArray[Any]], until_ns: float) -> list[Violation]:
+def apart(config: Config, sent_ns: list[Array], truths: list[NDArray[Any]], until_ns: float) -> list[Violation]:
     """Find two bodies that touch, and bodies that cross the arena's edge, before an instant."""
-    start, end = max(times[0] for times in said_ns), min(until_ns, *(times[-1] for times in said_ns))
+    start, end = max(times[0] for times in sent_ns), min(until_ns, *(times[-1] for times in sent_ns))
     grid = np.arange(start, end, _GRID_NS)
     if not len(grid):
         return []
     x, y = (
-        np.array([np.interp(grid, t, truth[name]) for t, truth in zip(said_ns, truths, strict=True)])
+        np.array([np.interp(grid, t, truth[name]) for t, truth in zip(sent_ns, truths, strict=True)])
         for name in ("x_m", "y_m")
     )
     robots, found = config.bodies, []

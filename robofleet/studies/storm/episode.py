@@ -1,4 +1,4 @@
-"""One seed of a storm: a fleet that starts, is hit, heals, and has to run again; then everything is judged."""
+"""One seed of a storm: a fleet starts, faults act and end, and the fleet must run again; then everything is judged."""
 
 import gc
 import math
@@ -80,6 +80,8 @@ class _Player:
         self._config, self._plan = config, storm
         self._ledger = Ledger()
         self._lockstep = Lockstep(config, self._ledger.probe)
+        assert self._lockstep.faults is not None
+        self._faults = self._lockstep.faults
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
         tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.robots}
         self._senders = Senders(config, self._lockstep.bus)
@@ -94,8 +96,7 @@ class _Player:
 
     def log(self) -> AbstractContextManager[object]:
         """Have everybody's log lines go where theirs go in a run: to the disk that may be full."""
-        assert self._lockstep.faults is not None
-        return redirect_stderr(Unfailing(FaultyLog(self._lockstep.faults)))
+        return redirect_stderr(Unfailing(FaultyLog(self._faults)))
 
     def play(self) -> Episode:
         lockstep, storm = self._lockstep, self._plan
@@ -215,12 +216,11 @@ class _Player:
 
     def _losing(self, topic: str) -> bool:
         """Whether messages of a topic may be lost now, or were a moment ago."""
-        faults, now_ns = self._lockstep.faults, self._lockstep.clock.now_ns()
-        assert faults is not None
+        now_ns = self._lockstep.clock.now_ns()
         return any(
             injection.start_ns <= now_ns <= injection.end_ns + S
             and (injection.fault.kind == "network_cut" or topic in getattr(injection.fault, "topics", ()))
-            for injection in faults.injections
+            for injection in self._faults.injections
         )
 
     def _fail(self, invariant: str, numbers: str) -> None:
@@ -230,38 +230,36 @@ class _Player:
         config, recording, ledger = self._config, self._lockstep.recording, self._ledger
         arena = config.arena.name
         state_key, request_key = key(arena, STATE), key(arena, REQUEST, "supervisor")
-        self._states = States.of(ledger.said_ns[state_key], recording.messages[state_key], len(config.bodies))
+        self._states = States.of(ledger.sent_ns[state_key], recording.messages[state_key], len(config.bodies))
         resets = [
-            ns for ns, payload in zip(ledger.said_ns[request_key], recording.messages[request_key], strict=True)
+            ns for ns, payload in zip(ledger.sent_ns[request_key], recording.messages[request_key], strict=True)
             if payload == b"reset"
         ]  # fmt: skip
-        truths, said_ns = [], []
-        faults = self._lockstep.faults
-        assert faults is not None
-        stops_asked = stops(self._stops_ns, resets)
+        truths, sent_ns = [], []
+        requested_stops = stops(self._stops_ns, resets)
         unheard: list[Outage] = []
         for row, robot in enumerate(config.bodies):
             truths.append(recording.of_robot(TRUTH, robot.id))
-            unit_said_ns = np.array(ledger.said_ns[key(arena, TRUTH, config.unit_of[robot.id])], dtype=np.float64)
-            said_ns.append(unit_said_ns[truths[-1]["message"]])
+            unit_sent_ns = np.array(ledger.sent_ns[key(arena, TRUTH, config.unit_of[robot.id])], dtype=np.float64)
+            sent_ns.append(unit_sent_ns[truths[-1]["message"]])
             outages = self._outages(config.driver_of(robot.id))
             audit = GateAudit(robot.id, slices.drive(robot), lambda ns: any(t <= ns for t in resets), outages)
             self._found += audit.violations(ledger.decisions[robot.id])
-            unreached = out_of_reach(faults, robot.id)
+            unreached = out_of_reach(self._faults, robot.id)
             unheard += unreached
-            self._found += unlatched(robot.id, ledger.decisions[robot.id], stops_asked, unreached)
+            self._found += unlatched(robot.id, ledger.decisions[robot.id], requested_stops, unreached)
             runaways = self._acting("motor_runs", robot=robot.id)
             if row < len(config.members):  # a hand moves bystanders
-                self._found += rolling_on(robot, audit.standing, said_ns[-1], truths[-1], runaways)
+                self._found += rolling_on(robot, audit.standing, sent_ns[-1], truths[-1], runaways)
             stuck = self._acting("motor_stuck", robot=robot.id)
             self._found += unnamed(robot.id, ledger.decisions[robot.id], runaways, outages + stuck)
             unseen = outages + unreached + self._outages("supervisor")
             self._found += unheld(robot.id, ledger.decisions[robot.id], stuck, unseen)
             self._found += moved_unasked(self._states, row, robot.id, audit.moving)
-        self._found += apart(config, said_ns, truths, run_ns + self._plan.outside_s * S)
+        self._found += apart(config, sent_ns, truths, run_ns + self._plan.outside_s * S)
         if self._longest_queue > _MOST_QUEUED:
             self._fail("a queue grows without bound", f"{self._longest_queue} steps")
-        self._found += going_on(self._states, stops_asked, self._outages("supervisor"), unheard)
+        self._found += going_on(self._states, requested_stops, self._outages("supervisor"), unheard)
         self._found += without_cause(self._states, config.ids[: len(config.members)])
         self._found += unanswered(self._states, len(config.members), self._of_the_fleet(), run_ns)
 
@@ -271,9 +269,8 @@ class _Player:
         return [fault for fault in self._plan.faults if getattr(fault, "robot", None) not in parked]
 
     def _injected(self) -> Counter[str]:
-        assert self._lockstep.faults is not None
         effects: Counter[str] = Counter()
-        for injection in self._lockstep.faults.injections:
+        for injection in self._faults.injections:
             effects[injection.fault.kind] += injection.effects
         return effects
 
@@ -283,5 +280,4 @@ class _Player:
 
     def _acting(self, *kinds: str, **keys: str) -> list[Outage]:
         """Return when faults of some kinds acted."""
-        assert self._lockstep.faults is not None
-        return [Outage(fault.start_ns, fault.end_ns) for fault in self._lockstep.faults.of(*kinds, **keys)]
+        return [Outage(fault.start_ns, fault.end_ns) for fault in self._faults.of(*kinds, **keys)]

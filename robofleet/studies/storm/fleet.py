@@ -1,4 +1,4 @@
-"""What the whole run must keep: wheels turn in the phases that let them, and every stop has a cause and an end."""
+"""Invariants of the whole run: wheels turn only in phases that permit it, and every stop has a cause and an end."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -28,15 +28,15 @@ Flags = NDArray[np.bool_]
 class States(NamedTuple):
     """Every state that the supervisor said, oldest first."""
 
-    said_ns: Array
+    sent_ns: Array
     heads: NDArray[Any]  # the layout's columns; ``items``: one a robot
 
     @classmethod
-    def of(cls, said_ns: list[int], payloads: list[bytes], robots: int) -> "States":
+    def of(cls, sent_ns: list[int], payloads: list[bytes], robots: int) -> "States":
         """Read them all at once."""
         dtype = RUN_STATE.dtype(robots)
         assert all(len(p) == dtype.itemsize and p[0] == VERSION for p in payloads), "a state that nobody can read"
-        return cls(np.array(said_ns, dtype=np.float64), np.frombuffer(b"".join(payloads), dtype=dtype))
+        return cls(np.array(sent_ns, dtype=np.float64), np.frombuffer(b"".join(payloads), dtype=dtype))
 
     def running(self) -> Flags:
         """Return in which the fleet runs."""
@@ -58,11 +58,11 @@ def moved_unasked(states: States, row: int, robot: str, targets: Array) -> list[
     """Find wheels that turn although no state let them. ``targets``: instant [ns], target not zero, (K, 2)."""
     free = states.free(row)
     at_ns = targets[targets[:, 1] > 0, 0]
-    state = np.searchsorted(states.said_ns, at_ns, side="right") - 1
+    state = np.searchsorted(states.sent_ns, at_ns, side="right") - 1
     wrong = np.ones(len(at_ns), dtype=np.bool_)
     for first, last in intervals(free):
-        end_ns = states.said_ns[last + 1] if last + 1 < len(free) else np.inf
-        wrong &= ~((at_ns >= states.said_ns[first]) & (at_ns <= end_ns + _WITHIN_NS))
+        end_ns = states.sent_ns[last + 1] if last + 1 < len(free) else np.inf
+        wrong &= ~((at_ns >= states.sent_ns[first]) & (at_ns <= end_ns + _WITHIN_NS))
     invariant = "wheels turn while the run's state does not let them"
     return [
         Violation(invariant, at_ns[k] / S, robot, _phase(states, int(state[k])).name) for k in np.flatnonzero(wrong)[:3]
@@ -75,14 +75,14 @@ def without_cause(states: States, robots: tuple[str, ...]) -> list[Violation]:
     same = heads["epoch"][1:] == heads["epoch"][:-1]
     ended = np.flatnonzero(running[:-1] & ~running[1:] & same & (heads["cause"][1:] == Event.NOTHING))
     found += [
-        Violation("the run ended without a cause", states.said_ns[k + 1] / S, "", _phase(states, k + 1).name)
+        Violation("the run ended without a cause", states.sent_ns[k + 1] / S, "", _phase(states, k + 1).name)
         for k in ended.tolist()
     ]
     items = heads["items"]
     halted = running[:, None] & (items["permitted"] == 0) & (items["cause"] == Event.NOTHING)
     for row, robot in enumerate(robots):
         found += [
-            Violation("the robot was halted without a cause", states.said_ns[k] / S, robot, "RUNNING")
+            Violation("the robot was halted without a cause", states.sent_ns[k] / S, robot, "RUNNING")
             for k, _ in intervals(halted[:, row])
         ]
     return found
@@ -98,8 +98,8 @@ def unanswered(states: States, robots: int, faults: Iterable[InjectedFault], run
         if fault.at_s is None or fault.duration_s is None or fault.duration_s < within_s:
             continue
         start_ns, end_ns = run_ns + fault.at_s * S, run_ns + (fault.at_s + within_s) * S
-        first, last = np.searchsorted(states.said_ns, [start_ns, end_ns], side="right").tolist()
-        spoken = last > first > 0 and states.said_ns[last - 1] > end_ns - 100 * MS
+        first, last = np.searchsorted(states.sent_ns, [start_ns, end_ns], side="right").tolist()
+        spoken = last > first > 0 and states.sent_ns[last - 1] > end_ns - 100 * MS
         if spoken and free[first - 1 : last].all():
             numbers = f"{fault.kind} since {start_ns / S:.3f} s"
             found.append(Violation("nothing stopped, though something had to", end_ns / S, "", numbers))

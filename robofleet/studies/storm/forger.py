@@ -1,4 +1,4 @@
-"""Messages that nobody may obey, made from those that are on the bus: the newest nonce, and one thing wrong."""
+"""Forged messages that every gate must refuse: copies of messages on the bus, with one field wrong."""
 
 from collections.abc import Callable
 from typing import Any
@@ -45,7 +45,7 @@ _ENABLES: tuple[Callable[[UnitEnable], UnitEnable], ...] = (
 
 
 class Forger:
-    """Somebody on the network who means no good, or a program that is broken.
+    """An attacker on the network, or a broken program.
 
     A sequence number once more is wrong only where the first one came: where it may be lost, nothing is forged so.
     """

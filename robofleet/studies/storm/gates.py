@@ -1,8 +1,8 @@
 """What every gate must keep, judged from what it was given and what it let through.
 
-Nothing here asks the gate: each change of what it remembers needs a message that allows it by rules written down
-here a second time, and each target needs what it remembers. By induction from a start that knows nothing, the wheels
-were turned only by whom they may be.
+An independent oracle: it does not call the gate. The rules of acceptance are written here a second time. Each change
+of the gate's memory needs a message that allows it, and each target that is not zero needs that memory. So, by
+induction from an empty memory, only an authorised controller turned the wheels.
 """
 
 from collections.abc import Callable, Iterator, Sequence

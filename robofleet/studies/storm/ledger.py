@@ -1,4 +1,4 @@
-"""What a storm sees of a run: every decision of every gate, and when every message was said.
+"""What a storm records of a run: every decision of every gate, and when every message was sent.
 
 It keeps references only: a run must not slow down because it is watched. ``gates.py`` and ``fleet.py`` judge later.
 """
@@ -30,12 +30,12 @@ class Ledger:
 
     def __init__(self) -> None:
         self.decisions: dict[str, list[GateDecision]] = defaultdict(list)
-        self.said_ns: dict[str, list[int]] = defaultdict(list)
+        self.sent_ns: dict[str, list[int]] = defaultdict(list)
 
     def follow(self, clock: Clock, bus: MemoryBus) -> None:
         """Take the time from here on, and hear what is said."""
         self._now_ns = clock.now_ns
-        bus.tap(self._heard)
+        bus.tap(self._take)
 
     def turning(self) -> set[str]:
         """Return the robots whose wheels are let turn now."""
@@ -48,15 +48,15 @@ class Ledger:
     def forget(self) -> None:
         """Let go of everything."""
         self.decisions.clear()
-        self.said_ns.clear()
+        self.sent_ns.clear()
 
     def probe(self, robot: str, now_ns: int, inputs: Inputs, state: GateState) -> None:
         """Keep what a gate decided."""
         self.decisions[robot].append(GateDecision(self._now_ns(), now_ns, inputs, state))
 
-    def _heard(self, message: tuple[str, bytes]) -> None:
+    def _take(self, message: tuple[str, bytes]) -> None:
         """Keep when a message was said; what it says is in the recording, in the same order."""
-        self.said_ns[message[0]].append(self._now_ns())
+        self.sent_ns[message[0]].append(self._now_ns())
 
 
 class Outage(NamedTuple):

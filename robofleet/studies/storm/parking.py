@@ -1,4 +1,4 @@
-"""Robots that a storm parks beside the robots' ways: bodies that the fleet keeps clear of, and that a hand pushes."""
+"""Bystanders that a storm places beside the robots' ways, and that a simulated hand pushes."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""From a seed to a storm: timed faults, several at once, and an operator who does not sit still."""
+"""From a seed to a storm: timed faults, several at once, and random requests of an operator."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ class Plan(NamedTuple):
 
     faults: tuple[InjectedFault, ...]
     acts: tuple[Act, ...]
-    healed_s: float  # nothing is wrong any more, and the operator is sober
+    healed_s: float  # every fault and every random request has ended
     outside_s: float  # from here on bodies may touch; inf: never
     parked: tuple[Robot, ...] = ()  # bystanders
 

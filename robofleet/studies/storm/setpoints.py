@@ -1,4 +1,4 @@
-"""Who drives the groups that a program or a person drives: a sender of valid setpoints, as restless as the storm.
+"""Senders of random valid setpoints, for groups that a program or a person drives.
 
 It sees the controller's ticks and answers each of them on the group's own topic, as a script, a person's hand or a
 ROS 2 node does: with its epoch, a number that grows, and the tick that it has seen.
@@ -42,7 +42,7 @@ class Senders:
         ]
         self._tick_key = key(config.arena.name, TICK)
         if self._senders:
-            bus.tap(self._heard)
+            bus.tap(self._take)
 
     def calm(self) -> None:
         """Let every robot drive from now on."""
@@ -51,7 +51,7 @@ class Senders:
             sender.reach = _INSIDE
             sender.left_ticks = 0
 
-    def _heard(self, message: tuple[str, bytes]) -> None:
+    def _take(self, message: tuple[str, bytes]) -> None:
         if message[0] == self._tick_key and (record := TICK_RECORD.view(message[1])) is not None:
             head, robots = record
             for sender in self._senders:

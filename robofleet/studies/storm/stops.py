@@ -1,4 +1,4 @@
-"""What an operator's emergency stop must bring, whatever the supervisor does meanwhile.
+"""Invariants of an operator's emergency stop, whatever the supervisor does meanwhile.
 
 Every gate that can be reached latches within 100 ms and keeps its latch until somebody asks for a reset, and a
 supervisor that is awake lets nobody go on.
@@ -33,9 +33,9 @@ class Stop(NamedTuple):
     until_ns: float
 
 
-def stops(asked_ns: Sequence[int], resets_ns: Sequence[int]) -> list[Stop]:
+def stops(requested_ns: Sequence[int], resets_ns: Sequence[int]) -> list[Stop]:
     """Return the emergency stops that were asked for."""
-    return [Stop(ns, min((reset for reset in resets_ns if reset > ns), default=np.inf)) for ns in asked_ns]
+    return [Stop(ns, min((reset for reset in resets_ns if reset > ns), default=np.inf)) for ns in requested_ns]
 
 
 def out_of_reach(faults: Schedule, robot: str) -> list[Outage]:
@@ -93,10 +93,10 @@ def going_on(
                 due_ns = max(due_ns, outage.end_ns + _STANDS_WITHIN_NS)
         if _meets(outages, stop.at_ns, due_ns):
             continue
-        first, last = np.searchsorted(states.said_ns, [due_ns, stop.until_ns]).tolist()
+        first, last = np.searchsorted(states.sent_ns, [due_ns, stop.until_ns]).tolist()
         wrong = np.flatnonzero(np.isin(phases[first:last], (Phase.RUNNING, Phase.HOLD)))
         if len(wrong):
-            at_ns = states.said_ns[first + int(wrong[0])]
+            at_ns = states.sent_ns[first + int(wrong[0])]
             found.append(Violation("the run went on after an emergency stop", at_ns / S, "", f"{stop}"))
     return found
 

@@ -1,4 +1,4 @@
-"""What a storm has done in all: every kind of fault with its effects, every reaction of the supervisor's."""
+"""The totals of a storm: effects of each kind of fault, and each event of the supervisor."""
 
 from collections import Counter
 from collections.abc import Iterator

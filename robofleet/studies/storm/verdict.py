@@ -1,4 +1,4 @@
-"""What a storm says of one seed."""
+"""A violated invariant of a storm."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Many seeds at once, wherever the engine has room for them."""
+"""Plays many seeds in parallel on an engine."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing, redirect_stderr

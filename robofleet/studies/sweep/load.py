@@ -2,7 +2,7 @@
 
 import os
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from hashlib import blake2b
@@ -11,16 +11,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robofleet.config.faults import counted
+from robofleet.config.files.parameters import load_placed
+from robofleet.config.files.yamlfile import Mistake, Node, printable
 from robofleet.config.load import Change, ConfigError, spelled
-from robofleet.config.parameters import Loc, load_placed, mistake_at
 from robofleet.config.tree import Config
-from robofleet.config.yamlfile import Mistake, Node, printable
 from robofleet.runs.check import Study as CheckedStudy
 from robofleet.runs.check import load_checked
 from robofleet.studies.progress import Bar
 from robofleet.studies.sweep.plan import Setting, Sweep, settings
 
 _SEED = "run.seed"
+
+Keys = Sequence[str | int]
 
 Progress = Callable[[int], AbstractContextManager[Bar]]  # shows how many of so many settings were checked
 
@@ -51,7 +53,7 @@ class Study(NamedTuple):
 def load(file: Path, progress: Progress) -> Study:
     """Read a sweep and check each of its runs; ConfigError with everything that is wrong, where it stands."""
     sweep, root = load_placed(Sweep, file)
-    if wrong := list(_complaints(sweep, root)):
+    if wrong := [*filter(None, _complaints(sweep, root))]:
         raise ConfigError(map(str, wrong))
     config = _beside(file, sweep.config)
     shared = CheckedStudy({}, {})
@@ -74,39 +76,39 @@ def load(file: Path, progress: Progress) -> Study:
             replay = f"{words} --seed {seeded.run.seed}"
             plans.append(Planned(len(plans) + 1, setting.values, name, seeded.run.seed, seeded, replay))
     if broken.lines:
-        raise ConfigError(broken.said(count))
+        raise ConfigError(broken.all_lines(count))
     random = sweep.random.keys.items() if sweep.random else ()
     spans = {key: distribution.log_uniform is not None for key, distribution in random if distribution.span is not None}
     return Study(file.stem, file, config, sweep.keys, spans, tuple(plans), _digest(plans))
 
 
-def _complaints(sweep: Sweep, root: Node) -> Iterator[Mistake]:
+def _complaints(sweep: Sweep, root: Node) -> Iterator[Mistake | None]:
     """What is wrong with the file itself."""
     if not sweep.keys:
         message = "names no key to vary: add `grid: {controller.alpha: [30, 45]}`, or `random`"
-        yield mistake_at(root, (), message)
+        yield root.mistake((), message)
     for key, distribution in sweep.random.keys.items() if sweep.random else ():
         if (message := distribution.complaint() or "") != "":
-            yield mistake_at(root, ("random", "keys", key), message)
+            yield root.mistake(("random", "keys", key), message)
     parts: dict[str, tuple[str, ...]] = {}
     for part in (("set",), ("grid",), ("random", "keys")):
         node = _at(root, part)
         for key in node.value if node is not None and isinstance(node.value, dict) else ():
             if key in parts:
-                yield mistake_at(root, (*part, key), f"stands under {'.'.join(parts[key])} already", at_key=True)
+                yield root.mistake((*part, key), f"stands under {'.'.join(parts[key])} already", at_key=True)
             elif key == _SEED:
-                yield mistake_at(root, (*part, key), "seeds stand under `seeds`: move it there", at_key=True)
+                yield root.mistake((*part, key), "seeds stand under `seeds`: move it there", at_key=True)
             elif "" in key.split("."):
-                yield mistake_at(root, (*part, key), "write a dotted key, for example robots.0.tag", at_key=True)
+                yield root.mistake((*part, key), "write a dotted key, for example robots.0.tag", at_key=True)
             parts.setdefault(key, part)
     for i, faults in enumerate(sweep.faults):
         if faults == "none":
-            yield mistake_at(root, ("faults", i), "write null for runs without faults")
+            yield root.mistake(("faults", i), "write null for runs without faults")
     if sweep.total > sweep.runs:
         many = " x ".join(f"{number:,} {what}" for what, number in sweep.factors.items() if number > 1)
         message = f"these are {sweep.total:,} runs ({many}): at most {sweep.runs:,} are asked for"
         at = ("runs",) if root.child("runs") else ()
-        yield mistake_at(root, at, f"{message}: leave some out, or write `runs: {sweep.total}`")
+        yield root.mistake(at, f"{message}: leave some out, or write `runs: {sweep.total}`")
 
 
 def _each(sweep: Sweep, shown: AbstractContextManager[Bar]) -> Iterator[Setting]:
@@ -131,7 +133,7 @@ class _Broken:
             self.lines.setdefault(position, (line, f"run {number}: {values}"))
             self._times[position] = self._times.get(position, 0) + 1
 
-    def said(self, count: int) -> Iterator[str]:
+    def all_lines(self, count: int) -> Iterator[str]:
         """Yield the lines; what is wrong with every setting needs no example."""
         for position, (line, example) in self.lines.items():
             times = self._times[position]
@@ -145,14 +147,14 @@ def _beside(file: Path, name: str) -> Path:
     return Path(os.path.normpath(file.parent / name))
 
 
-def _at(root: Node, loc: Loc) -> Node | None:
+def _at(root: Node, loc: Keys) -> Node | None:
     node: Node | None = root
     for part in loc:
         node = None if node is None else node.child(part)
     return node
 
 
-def _written(root: Node, loc: Loc, value: Any) -> Node:
+def _written(root: Node, loc: Keys, value: Any) -> Node:
     """Return a value with the places of what stands at ``loc``; a drawn one stands nowhere else."""
     node, named = _at(root, loc), _at(root, loc[:2] if loc[0] == "grid" else loc)
     assert node is not None and named is not None

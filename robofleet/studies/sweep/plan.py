@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, JsonValue
 
-from robofleet.config.parameters import Parameters
+from robofleet.config.files.parameters import Parameters
 from robofleet.config.slices import generator
 from robofleet.core.settings import MANY, Model, Named, within
 

@@ -52,7 +52,7 @@ def summarise(study: Study, runs: Sequence[Ran], files: Sequence[Path]) -> None:
         print(file)
 
 
-def told(study: Study, runs: Sequence[Ran], folder: Path) -> dict[str, Any]:
+def as_json(study: Study, runs: Sequence[Ran], folder: Path) -> dict[str, Any]:
     """Return the end of a sweep as one object."""
     found = measures(runs)
     return {

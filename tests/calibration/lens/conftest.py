@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.calibration.board import Board, BoardView
+from robofleet.calibration.lens.board import Board, BoardView
 
 Array = NDArray[np.float64]
 BOARD = Board()

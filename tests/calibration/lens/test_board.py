@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from robofleet.calibration.board import Board, BoardDetector
-from robofleet.calibration.gathering import Gathering
+from robofleet.calibration.lens.board import Board, BoardDetector
+from robofleet.calibration.lens.gathering import Gathering
+from robofleet.calibration.lens.views import Collector, Offer
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.views import Collector, Offer
 
 BOARD = Board()
 

@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from robofleet.calibration.board import Board, BoardView
-from robofleet.calibration.floor import COLUMNS as COLUMNS_ASKED
-from robofleet.calibration.floor import ROWS as ROWS_ASKED
-from robofleet.calibration.floor import Ceiling, FloorErrors
-from robofleet.calibration.intrinsics import Asked, Measured, measure
-from robofleet.calibration.lens import Lens
+from robofleet.calibration.lens.board import Board, BoardView
+from robofleet.calibration.lens.floor import COLUMNS as COLUMNS_ASKED
+from robofleet.calibration.lens.floor import ROWS as ROWS_ASKED
+from robofleet.calibration.lens.floor import Ceiling, FloorErrors
+from robofleet.calibration.lens.intrinsics import Conditions, Measured, measure
+from robofleet.calibration.lens.projection import Lens
+from robofleet.calibration.lens.views import COLUMNS, ROWS, Lean, tilt
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.views import COLUMNS, ROWS, Lean, tilt
 from robofleet.tracking.camera import CameraGeometry
 
 BOARD = Board()
@@ -22,7 +22,7 @@ CEILING = Ceiling(2.5, 0.08)
 
 def measured(camera, views: Sequence[BoardView], coefficients: int = 5) -> Measured:  # type: ignore[no-untyped-def]
     count = 4 if camera.kind == "fisheye" else coefficients
-    return measure(views, Asked(BOARD, camera.kind, count, camera.size, CEILING))
+    return measure(views, Conditions(BOARD, camera.kind, count, camera.size, CEILING))
 
 
 def seen(camera, poses, noise_px: float, rng: np.random.Generator) -> list[BoardView]:  # type: ignore[no-untyped-def]
@@ -333,7 +333,7 @@ def test_the_arena_that_matters_can_be_smaller_than_the_image(fisheye) -> None: 
     rng = np.random.default_rng(13)
     views = seen(fisheye, fisheye.good_poses(24, rng), 0.08, rng)
     everything, small = (
-        measure(views, Asked(BOARD, "fisheye", 4, fisheye.size, Ceiling(2.5, 0.08, arena)))
+        measure(views, Conditions(BOARD, "fisheye", 4, fisheye.size, Ceiling(2.5, 0.08, arena)))
         for arena in (None, (3.2, 2.0))
     )
     assert small.arena_mm < everything.arena_mm
@@ -357,7 +357,7 @@ def test_corners_that_no_lens_explains(true_camera) -> None:  # type: ignore[no-
 def test_an_arena_that_no_pixel_sees_is_not_certain(true_camera) -> None:  # type: ignore[no-untyped-def]
     rng = np.random.default_rng(15)
     views = seen(true_camera, true_camera.good_poses(14, rng), 0.1, rng)
-    result = measure(views, Asked(BOARD, "pinhole", 5, true_camera.size, Ceiling(2.5, 0.08, (0.001, 0.001))))
+    result = measure(views, Conditions(BOARD, "pinhole", 5, true_camera.size, Ceiling(2.5, 0.08, (0.001, 0.001))))
     assert any("uncertain by inf mm" in fault for fault in result.faults())
 
 

@@ -14,13 +14,13 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.calibration.board import Board
-from robofleet.calibration.floor import Ceiling
-from robofleet.calibration.gathering import Gathering, gather
-from robofleet.calibration.intrinsics import Asked, measure
-from robofleet.calibration.live import picture
+from robofleet.calibration.lens.board import Board
+from robofleet.calibration.lens.floor import Ceiling
+from robofleet.calibration.lens.gathering import Gathering, gather
+from robofleet.calibration.lens.intrinsics import Conditions, measure
+from robofleet.calibration.lens.live import picture
+from robofleet.calibration.lens.views import Offer
 from robofleet.calibration.store import load, save
-from robofleet.calibration.views import Offer
 from robofleet.config.calibrated import CameraModel, PoseSettings
 from robofleet.config.load import load_config
 
@@ -276,7 +276,7 @@ def test_a_live_camera_is_read_until_its_lens_is_determined(calibrate, scripted,
     assert sys.modules[yaml.safe_load(config.read_text())["camera"]["source"].split(":")[0]].Camera.closed
     # What the camera showed was kept: the same lens comes out of it again.
     again = gather(tmp_path / "out" / "views", Board())
-    lens = measure(again.views, Asked(Board(), "pinhole", 5, again.size, Ceiling(2.5, 0.08))).fit.lens
+    lens = measure(again.views, Conditions(Board(), "pinhole", 5, again.size, Ceiling(2.5, 0.08))).fit.lens
     assert model.focal_px == pytest.approx(lens.values[:2], rel=1e-6)
 
 
@@ -313,7 +313,7 @@ def test_the_screen_shows_what_was_seen_and_what_is_missing(photos: Path) -> Non
     for k in range(6):
         name = f"{k:02d}.png"
         gathering.take(name, np.asarray(cv2.imread(str(photos / name), cv2.IMREAD_GRAYSCALE), np.uint8))
-    result = measure(gathering.views, Asked(board, "pinhole", 5, gathering.size, Ceiling(2.5, 0.08)))
+    result = measure(gathering.views, Conditions(board, "pinhole", 5, gathering.size, Ceiling(2.5, 0.08)))
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(picture(gathering, result, Offer.ALIKE))
     lines = console.export_text().splitlines()

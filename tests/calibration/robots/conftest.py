@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.calibration.drive_file import RobotDrive
+from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.config.calibrated import TagOffset
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.tracking.offset import tag_from_centre

@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.calibration import drive_file
-from robofleet.calibration.drive_file import RobotDrive
+from robofleet.calibration.robots import drive_file
+from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import load
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration

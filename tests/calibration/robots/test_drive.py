@@ -9,7 +9,7 @@ import pytest
 
 from robofleet.bus.keys import CAMERA, POSES, STATUS, TRUTH, key
 from robofleet.bus.messages import FLEET_POSES
-from robofleet.calibration import drive, drive_file, latency, offsets
+from robofleet.calibration.robots import drive, drive_file, latency, offsets
 from robofleet.calibration.store import CalibrationError
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration, TagOffset

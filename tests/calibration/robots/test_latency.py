@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.calibration import latency
-from robofleet.calibration.drive_file import RobotDrive
-from robofleet.calibration.increments import wheel_travel
+from robofleet.calibration.robots import latency
+from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.increments import wheel_travel
 from robofleet.calibration.store import CalibrationError
 
 from .conftest import LATE, Make

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.calibration import offsets
-from robofleet.calibration.drive_file import RobotDrive
+from robofleet.calibration.robots import offsets
+from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
 from robofleet.tracking.offset import centre_from_tag

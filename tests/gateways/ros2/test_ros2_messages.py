@@ -24,12 +24,13 @@ from robofleet.bus.messages import SCRIPT_WISH, UNIT_TRUTH
 from robofleet.bus.observer import Observer
 from robofleet.bus.ticks import TickFollower
 from robofleet.config import groups
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, SimulatedClock
-from robofleet.gateways.ros2 import camera, run, sensing, topics, transforms
-from robofleet.gateways.ros2.floor import grid
+from robofleet.gateways.ros2 import camera, run, sensing, topics
+from robofleet.gateways.ros2 import graph as ros_graph
+from robofleet.gateways.ros2.gateway import grid
 from robofleet.gateways.ros2.graph import stamped
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.sensing import Sensing
@@ -131,7 +132,7 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Paper:
     messages.TFMessage = Frames  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "tf2_msgs", package)
     monkeypatch.setitem(sys.modules, "tf2_msgs.msg", messages)
-    monkeypatch.setattr(transforms, "there", lambda: True)
+    monkeypatch.setattr(ros_graph, "has_transforms", lambda: True)
     return Paper()
 
 

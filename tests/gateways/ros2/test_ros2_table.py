@@ -14,8 +14,8 @@ import yaml
 from typer.testing import CliRunner
 
 from robofleet.cli import app
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.ros2 import command, topics
 

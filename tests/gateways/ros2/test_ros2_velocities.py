@@ -14,8 +14,8 @@ from geometry_msgs.msg import TwistStamped
 from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import WISH
 from robofleet.bus.messages import SCRIPT_WISH
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
-from robofleet.config.names import SHIPPED
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.gateways.ros2.velocities import Velocities
 

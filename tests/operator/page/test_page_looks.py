@@ -12,8 +12,8 @@ from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 from selenium.webdriver.common.by import By
 
-from robofleet.calibration import offsets
-from robofleet.calibration.robots import offsets_page
+from robofleet.calibration.robots import offsets
+from robofleet.calibration.robots.results import offsets_page
 from robofleet.config.load import load_config
 from robofleet.recording.log import FILE
 from robofleet.reports import after

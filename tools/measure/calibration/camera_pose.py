@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from robofleet.calibration.consensus import agree
-from robofleet.calibration.fiducials import Marks
-from robofleet.calibration.placing import Lens, moved
+from robofleet.calibration.extrinsics.consensus import agree
+from robofleet.calibration.extrinsics.fiducials import Marks
+from robofleet.calibration.extrinsics.placing import Lens, moved
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 

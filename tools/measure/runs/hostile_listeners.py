@@ -23,7 +23,7 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
-from robofleet.gateways.served import Served
+from robofleet.gateways.place import Served
 from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.server import Opened

@@ -29,11 +29,11 @@ import yaml
 
 from robofleet.bus import credentials
 from robofleet.bus.credentials import KeysError
+from robofleet.calibration.extrinsics.survey import load_survey
 from robofleet.calibration.store import CalibrationError
-from robofleet.calibration.survey import load_survey
+from robofleet.config.files.parameters import load_parameters, load_placed
+from robofleet.config.files.robot_file import load_robot_file
 from robofleet.config.load import ConfigError, ConfigFile
-from robofleet.config.parameters import load_parameters, load_placed
-from robofleet.config.robot_file import load_robot_file
 from robofleet.core.clock import S, processor_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.experiments import paper

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.targets import Target
+from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting, Sighting
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from robofleet.core.clock import stopwatch_ns
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.targets import Target
+from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting
 from tests.tracking.raycast import BLACK, SQUARES, WHITE, Cable, Print, RayCaster, clutter
 from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, WRONG, camera, cell_wide

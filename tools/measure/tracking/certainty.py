@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.deep import DeepSearch
-from robofleet.tracking.photometric import Fit, PhotometricFit
-from robofleet.tracking.targets import Target
-from robofleet.tracking.tracker import CLEAR
+from robofleet.tracking.tags.deep import DeepSearch
+from robofleet.tracking.tags.photometric import Fit, PhotometricFit
+from robofleet.tracking.tags.targets import Target
+from robofleet.tracking.tags.tracker import CLEAR
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, clutter
 from tools.measure.tracking.accuracy import HEIGHT, SIDE, cell_wide

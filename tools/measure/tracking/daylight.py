@@ -18,10 +18,11 @@ from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.nodes.pose_sources import CameraPoses
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.cameras.light import TagLight
 from robofleet.tracking.events import Notice
-from robofleet.tracking.light import SeenTag, TagLight
 from robofleet.tracking.sources import Exposure, PoseContext
-from robofleet.tracking.targets import robot_targets
+from robofleet.tracking.tags.targets import robot_targets
+from robofleet.tracking.tags.tracker import TagSighting
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.bus.alone import Truth
 
@@ -106,7 +107,7 @@ class Day:
         true = {robot.tag: self.where(row, seen.exposure_ns) for row, robot in enumerate(self.config.robots)}
         measured = [pose for pose in seen.poses if pose.coasted_ns == 0]
         errors = [math.dist((pose.x_m, pose.y_m), true[pose.tag][:2]) for pose in measured]
-        light = self._light.of(frame.image, self._eye, [SeenTag(tag, *pose) for tag, pose in true.items()])
+        light = self._light.of(frame.image, self._eye, [TagSighting(tag, *pose, 0, 0) for tag, pose in true.items()])
         rms = 1e3 * math.sqrt(sum(e * e for e in errors) / max(len(errors), 1))
         self._to(max(end_ns, came_ns))
         self._taken.clear()

@@ -22,8 +22,8 @@ from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
 from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.simulation.effects import effects
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.targets import Target
-from robofleet.tracking.tracker import TagTracker
+from robofleet.tracking.tags.targets import Target
+from robofleet.tracking.tags.tracker import TagTracker
 
 Array = NDArray[np.float64]
 

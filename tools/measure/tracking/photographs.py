@@ -20,10 +20,10 @@ import pyapriltags
 from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.deep import DeepSearch
-from robofleet.tracking.photometric import PhotometricFit
-from robofleet.tracking.tags import TagDetector
-from robofleet.tracking.targets import Target
+from robofleet.tracking.tags.deep import DeepSearch
+from robofleet.tracking.tags.detection import TagDetector
+from robofleet.tracking.tags.photometric import PhotometricFit
+from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import OURS
 
 Image = NDArray[np.uint8]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.tracking.sight import FleetSight
-from robofleet.tracking.targets import robot_targets
+from robofleet.tracking.tags.targets import robot_targets
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import Print, RayCaster, along, clutter
 

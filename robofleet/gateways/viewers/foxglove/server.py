@@ -3,15 +3,18 @@
 The library writes to each viewer in threads of its own. A viewer that is too slow misses the oldest messages.
 """
 
+import json
 import logging
 import os
 import re
+import secrets
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
 
-from foxglove import Channel, Context, Schema, Service, start_server
+from foxglove import Channel, Context, MessageSchema, Schema, Service, ServiceRequest, ServiceSchema, start_server
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
 from robofleet.bus.credentials import credentials
@@ -19,8 +22,8 @@ from robofleet.bus.permissions import OPERATOR, PAGE
 from robofleet.config.tree import Config
 from robofleet.core.files import read_plain, replaced
 from robofleet.core.refusal import RefusedError
-from robofleet.gateways.asking import SERVICES
-from robofleet.gateways.viewers.foxglove.services import new_key, services
+from robofleet.core.valid_json import dumps
+from robofleet.gateways.asking import SERVICES, Ask
 from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.operator.viewer_address import Address
@@ -29,7 +32,7 @@ from robofleet.recording.scenes.drawn import Channel as Described
 from robofleet.reports.layouts import foxglove as layouts
 
 LAYOUT = "foxglove.json"
-_LARGEST = 1 << 26  # of a layout [bytes]
+_LARGEST_LAYOUT = 1 << 26  # [bytes]
 _KEY = re.compile(rb'\\"key\\": ?\\"([0-9a-f]{32})\\"')  # in a button's request
 _BACKLOG = 16384  # messages for a viewer: half a second of a hundred robots comes at once
 
@@ -123,9 +126,9 @@ def written(config: Config, folder: Path, *, asks: bool) -> tuple[Path, str]:
         return layouts.layout(recording, SERVICES if asks else (), {"key": key})
 
     try:
-        found, status = read_plain(file, _LARGEST), file.lstat()
+        found, status = read_plain(file, _LARGEST_LAYOUT), file.lstat()
     except FileNotFoundError:
-        key = new_key() if asks else ""
+        key = secrets.token_hex(16) if asks else ""
         with replaced(file) as stream:
             os.fchmod(stream.fileno(), 0o600)
             stream.write(layout(key))
@@ -138,3 +141,46 @@ def written(config: Config, folder: Path, *, asks: bool) -> tuple[Path, str]:
     if not private or bool(own) != asks or found != layout(own):
         raise RefusedError(f"{file} is not the layout of this run: move it away, or start this in another folder")
     return file, own
+
+
+_ANSWER_WITHIN_S = 10.0
+_LARGEST_REQUEST = 1024  # [bytes]
+_REQUEST = {"type": "object", "properties": {"key": {"type": "string"}}, "required": ["key"]}
+_RESPONSE = {"type": "object", "properties": {"success": {"type": "boolean"}, "message": {"type": "string"}}}
+_STRANGER = "refused: this needs the operator's key: the layout in the run's folder has it"
+
+
+def services(ask: Ask, key: str) -> list[Service]:
+    """Return the services by which an operator asks something of a run; each request must bring the key.
+
+    Every web site that a browser of this computer has open reaches a server on this computer.
+    """
+    schema = ServiceSchema(
+        "robofleet.Ask",
+        request=_schema("robofleet.Request", _REQUEST),
+        response=_schema("robofleet.Answer", _RESPONSE),
+    )
+    return [Service(what, schema=schema, handler=partial(_answer, ask, key, what)) for what in SERVICES]
+
+
+def _schema(name: str, described: object) -> MessageSchema:
+    return MessageSchema(
+        encoding="json", schema=Schema(name=name, encoding="jsonschema", data=dumps(described).encode())
+    )
+
+
+def _answer(ask: Ask, key: str, what: str, request: ServiceRequest) -> bytes:
+    try:
+        done, text = ask(what).result(_ANSWER_WITHIN_S) if _permitted(request.payload, key) else (False, _STRANGER)
+    except TimeoutError:
+        done, text = False, f"no answer within {_ANSWER_WITHIN_S:g} s: the requests before it wait, too"
+    return dumps({"success": done, "message": text}).encode()
+
+
+def _permitted(payload: bytes, key: str) -> bool:
+    try:
+        fields = json.loads(payload) if len(payload) <= _LARGEST_REQUEST else None
+    except (ValueError, RecursionError):
+        return False
+    shown = fields.get("key") if isinstance(fields, dict) else None
+    return isinstance(shown, str) and secrets.compare_digest(shown.encode(), key.encode())

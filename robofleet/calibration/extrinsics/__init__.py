@@ -1,0 +1,1 @@
+"""The camera's pose: from surveyed marks on the floor."""

@@ -1,0 +1,151 @@
+"""The page about a camera's pose: its uncertainty over the floor, and each mark's error."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from robofleet.calibration.extrinsics.consensus import Agreement
+from robofleet.calibration.extrinsics.fiducials import Marks
+from robofleet.calibration.extrinsics.region import COLUMNS, ROWS, Region
+from robofleet.calibration.report import Report
+from robofleet.config.calibrated import CameraModel
+from robofleet.core.figures import COLOURS, INK, STYLE
+
+Array = NDArray[np.float64]
+
+_BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", COLOURS[0]])
+_WIDTH = 7.0  # of a plot [inch]
+_ARROW = 0.12  # of the longest arrow, over the region's width
+
+
+def write_page(
+    file: Path,
+    title: str,
+    model: CameraModel,
+    agreement: Agreement,
+    marks: Marks,
+    region: Region,
+    sigma_mm: Array,
+    notes: Sequence[str],
+) -> None:
+    """Write the page; ``sigma_mm`` (ROWS * COLUMNS,) at the region's points, NaN out of sight."""
+    assert model.arena is not None and model.T_world_camera is not None
+    figures = model.arena.figures
+    report = Report(title)
+    report.verdict(
+        f"Expected error on the arena: {figures['predicted_rms_mm']:.2f} mm rms, {figures['predicted_max_mm']:.2f} mm "
+        f"at most, from {figures['marks_used']:.0f} marks.",
+        good=True,
+    )
+    if notes:
+        report.verdict("\n".join(notes), good=False)
+    with mpl.rc_context(STYLE):
+        report.section("Expected error", "One standard deviation, both coordinates together, where robots wear tags.")
+        report.figure(_heat_map(region, sigma_mm, marks, agreement), "White: out of the camera's sight.")
+        report.section("Marks", "Each mark is compared with a pose that was fitted to all the others.")
+        report.figure(_arrows(region, marks, agreement), "From where a mark was surveyed to where it is seen.")
+    _table(report, marks, agreement)
+    report.section("The camera's place")
+    _place(report, model)
+    report.section("Figures")
+    report.figures(figures)
+    report.section("Measured in")
+    report.table(("input", "hash"), list(model.arena.inputs.items()))
+    report.write(file)
+
+
+def _axes(region: Region) -> tuple[Figure, Axes]:
+    x, y = np.subtract(region.high, region.low)
+    height = min(1.5 * _WIDTH, _WIDTH * (y + 0.2 * x) / (1.2 * x)) if x > 0 else _WIDTH
+    figure = Figure(figsize=(_WIDTH, max(2.5, height)), layout="constrained")
+    axes = figure.subplots()
+    axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+    return figure, axes
+
+
+def _heat_map(region: Region, sigma_mm: Array, marks: Marks, agreement: Agreement) -> Figure:
+    figure, axes = _axes(region)
+    axes.grid(visible=False)
+    x, y = (np.unique(region.points[:, k]) for k in (0, 1))
+    values = np.ma.masked_invalid(sigma_mm.reshape(ROWS, COLUMNS))
+    image = axes.pcolormesh(x, y, values, cmap=_BLUES, vmin=0.0, shading="nearest", rasterized=True)
+    lines = axes.contour(x, y, values, 5, colors=INK, linewidths=0.6)
+    axes.clabel(lines, fmt="%.2f")
+    _dots(axes, marks, agreement)
+    figure.colorbar(image, ax=axes, label="mm", shrink=0.8)
+    return figure
+
+
+def _arrows(region: Region, marks: Marks, agreement: Agreement) -> Figure:
+    figure, axes = _axes(region)
+    known = np.isfinite(agreement.error[:, 0])
+    used = known & agreement.inside
+    longest = np.hypot(*agreement.error[used].T).max() if used.any() else 1e-3
+    scale = _ARROW * (region.high[0] - region.low[0]) / longest
+    for which, colour in ((used, COLOURS[0]), (known & ~agreement.inside, COLOURS[1])):
+        # One that was left out may be far off: its arrow is cut, its number is in the table.
+        error = agreement.error[which]
+        cut = np.minimum(1.0, 3.0 * longest / np.maximum(np.hypot(*error.T), 1e-12))[:, None]
+        x, y = marks.points[which, :2].T
+        style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
+        axes.quiver(x, y, *(scale * cut * error).T, color=colour, **style)
+    _dots(axes, marks, agreement)
+    axes.margins(0.15)
+    axes.set_title(f"the longest blue arrow is {1e3 * longest:.2f} mm")
+    return figure
+
+
+def _dots(axes: Axes, marks: Marks, agreement: Agreement) -> None:
+    for name, (x, y, _), used in zip(marks.names, marks.points, agreement.inside, strict=True):
+        axes.plot(x, y, "o", ms=4, color=INK if used else COLOURS[1])
+        axes.annotate(name, (x, y), (4, 4), textcoords="offset points", color=INK if used else COLOURS[1], fontsize=8)
+
+
+def _table(report: Report, marks: Marks, agreement: Agreement) -> None:
+    headings = iter(np.degrees(agreement.placement.heading_error))
+    sigma = 1e3 * np.sqrt(np.trace(agreement.covariance, axis1=1, axis2=2))
+    rows = []
+    for i, used in enumerate(agreement.inside):
+        x, y = (1e3 * agreement.error[i]).tolist()
+        heading = float(next(headings)) if used else math.nan
+        cells = (x, y, math.hypot(x, y), float(sigma[i]), heading)
+        shown = [None if math.isnan(cell) else cell for cell in cells]
+        rows.append((marks.names[i], *marks.points[i].tolist(), *shown, "" if used else "left out"))
+    head = (
+        "mark",
+        "x, m",
+        "y, m",
+        "height, m",
+        "off in x, mm",
+        "in y, mm",
+        "both, mm",
+        "expected, mm",
+        "heading off, deg",
+    )
+    report.table((*head, ""), rows)
+
+
+def _place(report: Report, model: CameraModel) -> None:
+    assert model.arena is not None and model.T_world_camera is not None
+    sigma = np.sqrt(np.diagonal(np.array(model.arena.covariance)))
+    x, y, z = model.T_world_camera.position_m
+    report.table(
+        ("", "value", "standard deviation"),
+        [
+            ("position x, m", x, f"{1e3 * sigma[3]:.2f} mm"),
+            ("position y, m", y, f"{1e3 * sigma[4]:.2f} mm"),
+            ("position z, m", z, f"{1e3 * sigma[5]:.2f} mm"),
+            *(
+                (f"rotation about {axis}, rad", value, f"{math.degrees(s):.4f} degrees, about the world's {axis}")
+                for axis, value, s in zip("xyz", model.T_world_camera.rotation_rad, sigma[:3], strict=True)
+            ),
+        ],
+    )

@@ -1,0 +1,1 @@
+"""The lens: from images of a board to a camera model and its uncertainty."""

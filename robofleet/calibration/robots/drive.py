@@ -1,0 +1,221 @@
+"""A calibration drive: runs it with the fleet's own processes, and extracts the data of each robot."""
+
+import sys
+from collections.abc import Callable, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.behaviours import described
+from robofleet.behaviours.excitation import Excitation
+from robofleet.bus.arena_file import ArenaBusyError, claimed
+from robofleet.bus.endpoint import check_router, settled
+from robofleet.bus.keys import POSES, STATE, STATUS, TICK, key
+from robofleet.bus.messages import FLEET_POSES, TICK_RECORD
+from robofleet.bus.private_folder import PlaceError
+from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.store import CalibrationError
+from robofleet.config import groups
+from robofleet.config.calibrated import TagOffset
+from robofleet.config.tree import Config, Group
+from robofleet.core.clock import S
+from robofleet.operator.terminal.live_state import WAITING
+from robofleet.operator.terminal.terminal import Terminal
+from robofleet.recording.reading import RecordingError, read
+from robofleet.recording.run import Recording, Watch
+from robofleet.recording.state_words import state_words
+from robofleet.runs.check import load_checked
+from robofleet.runs.launcher import Launcher
+from robofleet.runs.lockstep import Lockstep
+from robofleet.tracking.offset import tag_from_centre
+
+Array = NDArray[np.float64]
+Turned = tuple[Array, Array]  # at [s], angles (n, 2) [rad]
+Seen = tuple[float, float, float, float]  # at [s], x, y [m], psi [rad]
+
+_GROUP = "excitation"
+_AROUND_S = 0.5  # kept before the first and after the last motion
+
+
+def configure(
+    file: Path, robots: Sequence[str], overrides: Sequence[str] = (), *, lockstep: bool
+) -> tuple[Config, int]:
+    """Return the configuration of a drive in which ``robots`` (none: those of all groups) drive, and how many do.
+
+    The drive has one group: those that drive, then the other robots of the configuration's groups, which stand. It ends
+    when the first ones have driven.
+
+    Raises:
+        ConfigError: the configuration cannot work.
+        CalibrationError: an unknown robot.
+    """
+    driving: tuple[str, ...] = ()
+
+    def one_after_the_other(config: Config) -> Config:
+        nonlocal driving
+        grouped, known = [robot.id for robot in config.members], [robot.id for robot in config.robots]
+        driving = tuple(dict.fromkeys(robots or grouped))
+        for unknown in (name for name in driving if name not in known):
+            raise CalibrationError(f"--robots: there is no robot {unknown!r} in {file} (it has {', '.join(known)})")
+        order = tuple(dict.fromkeys([*driving, *grouped]))
+        return config.model_copy(update={"groups": (Group(name=_GROUP, behaviour=_GROUP, robots=order),)})
+
+    config = load_checked(file, overrides, lockstep=lockstep, change=one_after_the_other)
+    if config.run.attended and not lockstep and not sys.stdin.isatty():
+        raise CalibrationError("run.attended: stdin is not a terminal: start the drive in one, or set it to false")
+    end_s = float(_ends(config)[len(driving) - 1])
+    run = config.run.model_copy(update={"duration_s": end_s + _AROUND_S})
+    return config.model_copy(update={"run": run}), len(driving)
+
+
+def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: bool) -> Recording:
+    """Let a configured drive take place, in lockstep or with real processes, and return its messages.
+
+    Raises:
+        CalibrationError: the drive did not come to its end.
+    """
+    watch = _Watch(config, say)
+    if lockstep:
+        simulated = Lockstep(config)
+        outcome, cause = simulated.run(watch)
+        recording = simulated.recording
+    else:
+        try:
+            config = settled(config, listen=True)
+        except PlaceError as error:
+            raise CalibrationError(str(error)) from error
+        outcome, cause, recording = _with_processes(config, folder, watch)
+    if outcome != "completed":
+        raise CalibrationError(f"the drive did not come to its end: {cause}: mend it, and drive again")
+    return recording
+
+
+def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, str | None, Recording]:
+    try:
+        with claimed(config, folder), Terminal() as terminal:
+            check_router(config)
+            outcome, cause = Launcher(config, folder, watch, terminal).run()
+        if outcome != "completed":
+            return outcome, cause, Recording(config)
+        return outcome, cause, read(folder, groups.own(config).__contains__)
+    except (ArenaBusyError, PlaceError, RecordingError) as error:
+        raise CalibrationError(str(error)) from error
+
+
+def extract(recording: Recording, count: int) -> list[RobotDrive]:
+    """Return what the first ``count`` robots of the group did and what was seen of them."""
+    config = recording.config
+    arena, robots = config.arena.name, config.members
+    dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups, len(config.camera_names)))
+    payloads = recording.messages.get(key(arena, TICK), ())
+    ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
+    if not len(ticks):
+        raise CalibrationError("the drive has no tick of the controller: is it running?")
+    (recorded,) = described.told(recording.groups, ticks["figures"])
+    held = np.nan_to_num(recorded.figures["held"])
+    start_ns, tick_ns = int(ticks["stamp_ns"][0]), round(config.controller.tick_s * S)
+    first = int(ticks["tick"][0])
+    seen: dict[int, list[Seen]] = {robot.tag: [] for robot in robots}
+    images = (recording.messages.get(key(arena, POSES, camera), ()) for camera in config.camera_names)
+    for payload in chain.from_iterable(images):
+        message = FLEET_POSES.decode(payload)
+        if message is None or not message.echo_tick:
+            continue
+        exposure_ns = (message.echo_tick - first) * tick_ns + message.since_tick_ns
+        for pose in message.poses:
+            if pose.coasted_ns == 0 and pose.tag in seen:
+                seen[pose.tag].append(((exposure_ns + pose.after_ns) / S, pose.x_m, pose.y_m, pose.psi_rad))
+    drives = []
+    for row, robot in enumerate(robots[:count]):
+        offset = TagOffset() if robot.calibration is None else robot.calibration.tag_offset
+        poses = [(at_s, *tag_from_centre(x, y, psi, offset)) for at_s, x, y, psi in seen[robot.tag]]
+        wheels = np.column_stack([ticks["items"]["left_rad_s"][:, row], ticks["items"]["right_rad_s"][:, row]])
+        statuses = recording.of_robot(STATUS, robot.id)
+        held_s = float(held[:, row].sum()) * config.controller.tick_s
+        commands_s = (ticks["stamp_ns"] - start_ns) / S
+        scalars = held_s, robot.vehicle.max_wheel_acceleration_rad_s2
+        drives.append(_cut(robot.id, commands_s, wheels, poses, _angles(statuses, ticks), scalars))
+    return drives
+
+
+def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Turned, Turned]:
+    """Return how far the wheels were told to turn, and how far they did (nothing, where the robot does not know that).
+
+    Both are on the controller's clock: a status says when the newest command was applied, and by which image that
+    command was made. The tick that used this image, if there is one alone, was before by as much as a command takes
+    and the two clocks differ.
+    """
+    exposures, index, counts = np.unique(ticks["exposure_ns"], return_index=True, return_counts=True)
+    stamp_of = dict(zip(exposures[counts == 1].tolist(), ticks["stamp_ns"][index[counts == 1]].tolist(), strict=True))
+    applied = zip(statuses["applied_exposure_ns"].tolist(), statuses["applied_ns"].tolist(), strict=True)
+    shifts = [
+        at_ns - stamp_of[exposure_ns] for exposure_ns, at_ns in applied if exposure_ns and exposure_ns in stamp_of
+    ]
+    nothing = np.empty(0), np.empty((0, 2))
+    if not shifts:
+        return nothing, nothing
+    at_s = (statuses["stamp_ns"] - min(shifts) - int(ticks["stamp_ns"][0])) / S
+    at_s, order = np.unique(at_s, return_index=True)
+    commanded, counted = (
+        np.column_stack([statuses[f"left_{name}_rad"], statuses[f"right_{name}_rad"]])[order]
+        for name in ("told", "angle")
+    )
+    return (at_s, commanded), (at_s, counted) if np.ptp(counted, axis=0).any() else nothing
+
+
+def _cut(
+    robot: str,
+    commands_s: Array,
+    wheels: Array,
+    poses: list[Seen],
+    angles: tuple[Turned, Turned],
+    scalars: tuple[float, float],
+) -> RobotDrive:
+    """Return a robot's own part of the drive: the others stand then, and it stands before and after."""
+    moving = commands_s[wheels.any(axis=1)]
+    if not len(moving):
+        raise CalibrationError(f"{robot}: it was never commanded to move: did the tracker see it, and had it room?")
+    start_s, end_s = float(moving[0]) - _AROUND_S, float(moving[-1]) + _AROUND_S
+    seen = np.array(sorted(poses)).reshape(-1, 4)
+    seen = seen[np.unique(seen[:, 0], return_index=True)[1]]
+
+    def inside(at_s: Array, values: Array) -> tuple[Array, Array]:
+        own = (at_s >= start_s) & (at_s <= end_s)
+        return at_s[own], values[own]
+
+    requested, measured = inside(commands_s, wheels), inside(seen[:, 0], seen[:, 1:])
+    commanded, counted = (inside(*turned) for turned in angles)
+    return RobotDrive(robot, *requested, *measured, *commanded, *counted, *scalars)
+
+
+def _ends(config: Config) -> Array:
+    """Return when each robot of a drive has driven [s]."""
+    (behaviour,) = groups.behaviours(config)
+    assert isinstance(behaviour, Excitation)
+    return behaviour.ends
+
+
+class _Watch:
+    """Says which robot drives, or what is waited for."""
+
+    def __init__(self, config: Config, say: Callable[[str], None]) -> None:
+        self._config, self._say, self._last_text = config, say, ""
+        self._ends = _ends(config)
+        self._count = int(np.searchsorted(self._ends, config.run.duration_s))
+
+    def __call__(self, recording: Recording, phase: str) -> None:
+        text = WAITING.get(phase, phase)
+        if phase == "held" and (state := recording.newest(STATE)) is not None:
+            words = state_words(state, None, self._config.ids)
+            text = f"held: {words.advice}; then press r, or `robofleet resume`"
+        head = recording.newest(TICK) if phase == "running" else None
+        if head is not None and head.run_tick >= 0:
+            row = int(np.searchsorted(self._ends, head.run_tick * self._config.controller.tick_s, side="right"))
+            if row < self._count:
+                text = f"{self._config.members[row].id} drives"
+        if text != self._last_text:
+            self._last_text = text
+            self._say(text)

@@ -1,0 +1,1 @@
+"""Files: YAML, CSV, parameters and robots' own files, read with positions."""

@@ -1,0 +1,21 @@
+"""Records as rows of arrays: what plain Python does with one record, a compiled function does with each row."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+Unsigned = Annotated[int, "<u8"]  # never beside a signed number, but 0: numba makes floats of both
+
+
+def row_type(record: type) -> np.dtype[Any]:
+    """Return the type of a row with the fields of a dataclass of numbers."""
+    kinds: dict[Any, str] = {bool: "<i8", int: "<i8", float: "<f8", Unsigned: "<u8"}
+    return np.dtype([(field.name, kinds[field.type]) for field in fields(record)])
+
+
+def record_of(record: Callable[..., T], row: np.void) -> T:
+    """Return a row as a record."""
+    return record(**dict(zip(row.dtype.names or (), row.item(), strict=True)))

@@ -1,0 +1,1 @@
+"""Cameras: drivers, recorded images, troubles of a camera, exposure."""

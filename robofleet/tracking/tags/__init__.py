@@ -1,0 +1,1 @@
+"""Tags in images: search, sub-pixel fit, tracking from image to image."""

@@ -1,0 +1,337 @@
+"""Fits tags to an image by least squares: the kernels of ``photometric.py``.
+
+Each pass solves for a step of the pose, of the brightness and its slopes, of the contrast and of the blur. It leaves
+out pixels whose grey was too far from the pass before: they show something else, as a cable or another robot. The first
+pass takes some of the pixels only, and the others all of them.
+
+The inverse of the normal equations, times the variance of what is left, is the covariance of the pose.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.core.kernels import image_kernel
+from robofleet.tracking.tags.mapping import map_pixels, on_level, shift_map, sight_slope
+from robofleet.tracking.tags.pixels import CHUNK, PARAMETERS, SLOTS, accumulate, likeness
+
+_PASSES = 10  # at most
+_COARSE = 12  # pixels along a side in the first pass, about
+_MOST = 150  # in the others
+_WIDER = 1.4  # blur of the first pass over the expected one: it catches guesses that are further off
+_CONVERGED_PX = 0.1  # a last step so short is the last: what it leaves is hundredths of it
+_NEAR = 0.015  # step after which the last map of pixels is good still [sides]
+_LONGEST_PX = 2.0  # step
+_FURTHEST = 0.2  # from the guess [sides, rad]
+_CUT, _KNOWN_CUT = 2.0, 4.0  # standard deviations of the noise beyond which a pixel shows something else
+_TRUNCATED = 0.88  # standard deviation of a normal distribution that is cut off at _CUT
+_MISFIT, _KNOWN_MISFIT = 0.2, 0.1  # of the contrast that a pixel may miss by itself, before and after the blur is known
+_MODEL = 0.035  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
+_MODEL_TURNS = 0.65  # of that, in a heading: it moves edges alike all over the print, and so turns it less
+_COVERED = 0.3  # share of a cell's pixels that show something else: then none of them counts
+_PARTLY = 0.98  # share of a tag's pixels that count: with fewer, something covers it
+_EVERYTHING = 1e9  # no cut [grey levels]
+_LEAST_NOISE = 0.5  # [grey levels]
+_NARROWEST, _WIDEST = 0.6, 3.0  # blur [px]
+_LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
+_GAIN = 0.2  # of what is learnt about blur and noise
+_STUDIED_FROM, _STUDIED = 0.8, 0.95  # least likeness, and share of pixels that count, to learn a tilt
+_STUDY_CUT = 0.8  # [contrasts] beyond which a pixel shows something else there
+_STUDY_DOUBT = 2.0  # variance of what is learnt of a tilt over that of white noise: lens and pattern are not exact
+_STUDY_FORGET = 0.99  # of what was known, from image to image
+_PRIOR = 1.0 / math.radians(1.0) ** 2  # what is known of a tilt before it was learnt [1/rad^2]
+_LITTLE = 1e-3  # of that, which any image says
+_STUDY_DENIED = 4.0**2  # squared distance of what an image says from what is known
+_MOST_TILT = math.radians(10.0)
+
+Array = NDArray[np.float64]
+
+
+class _Room(NamedTuple):
+    """What the fit of one tag overwrites."""
+
+    rows: Array  # (2, CHUNK), see pixels.py
+    pixels: NDArray[np.float32]  # (SLOTS * CHUNK,)
+    products: Array  # (9, 9)
+    sums: Array  # (6,)
+    tilted: Array  # (3, 12)
+    none: Array  # (0, 12)
+    factor: Array  # (8, 8), lower triangle: Cholesky's, of the normal equations
+    solution: Array  # (8,)
+    level: Array  # (4,): brightness, its slopes forward and left, contrast [grey levels]
+    nodes: Array  # (6, 9), see tag_map.py
+    bend: Array  # (2, 6)
+    shape: Array  # (2, 6)
+    window: Array  # (6,)
+
+
+@image_kernel
+def fit_tags(  # type: ignore[no-untyped-def]
+    image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
+    blurs, noises, tilts, studies, counts, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
+):  # fmt: skip
+    """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
+
+    hidden (C * C,) cells do not count; none where it is empty. blurs [px] and noises [grey levels; 0: not known] (N,):
+    what is known of the targets, and learnt. tilts (N, 2): as ``tag_map.map_pixels`` has it [rad]. Of the target
+    ``studied`` the tilt is learnt from this image, too; ``studies`` (N, 2, 2): what is known of it [1/rad^2], from so
+    many images: ``counts`` (N,).
+    """
+    n = PARAMETERS
+    room = _Room(
+        np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((n + 1, n + 1)), np.empty(6),
+        np.empty((3, n + 4)), np.empty((0, n + 4)), np.empty((n, n)), np.empty(n), np.empty(4), np.empty((6, 9)),
+        np.empty((2, 6)), np.empty((2, 6)), np.empty(6),
+    )  # fmt: skip
+    for m in range(len(index)):
+        i = index[m]
+        fit_centre[m], fit_psi[m], fit_alike[m], fit_row[m] = _fit(
+            image, camera, line_time, sides[i], heights[i], prints[i], cells, hidden, to_quadratic, centre[m], psi[m],
+            velocity[m], omega[m], blurs, noises, tilts[i], studies[i], i, room, fit_covariance[m],
+        )  # fmt: skip
+        if i == studied and fit_alike[m] > _STUDIED_FROM:
+            _study(
+                image, camera, line_time, sides[i], heights[i], prints[i], cells, to_quadratic, fit_centre[m],
+                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], tilts[i], studies[i], counts[i : i + 1], room,
+            )  # fmt: skip
+
+
+@image_kernel
+def _fit(  # type: ignore[no-untyped-def]
+    image, camera, line_time, side, height, corners, cells, hidden, to_quadratic, guess, guess_psi, velocity, omega,
+    blurs, noises, tilt, known_tilt, i, room, covariance,
+):  # fmt: skip
+    """Return centre, heading, likeness and row of one tag."""
+    centre, psi, blur, noise, row = guess, guess_psi, blurs[i], noises[i], 0.0
+    level, solution = room.level, room.solution
+    level[:], covariance[:] = 0.0, 0.0
+    known, cut = noise > 0.0, _EVERYTHING
+    misfit = _KNOWN_MISFIT if known else _MISFIT
+    variance = alike = left = before = side_px = 0.0
+    tally, by_cells = np.zeros((0, 2), np.int64), False  # by cells: pixels, and those that count
+    mapped, slope = False, (0.0, 0.0)
+    for step in range(_PASSES):
+        if not mapped:
+            row, side_px = map_pixels(
+                camera, line_time, side, height, tilt, to_quadratic, centre, psi, velocity, omega, room.nodes,
+                room.bend, room.shape, room.window,
+            )  # fmt: skip
+            slope = sight_slope(camera, side, height, centre, room.shape, room.window)
+        inside = _look(image, corners, cells, hidden, tally, side_px, blur, cut, step == 0, room)
+        left, seen = room.products[0, 0], room.sums[0]
+        if not inside or left < 3 * PARAMETERS:
+            return guess, guess_psi, 0.0, row
+        squares = _solve(room.products, room.factor, solution)
+        level += solution[:4]
+        forward, aside, spin, length = _step(side_px, level[3], solution)
+        centre += side * complex(math.cos(psi), math.sin(psi)) * on_level(forward, aside, tilt, slope)
+        psi += spin
+        if not (length >= 0.0 and abs(centre - guess) < _FURTHEST * side and abs(psi - guess_psi) < _FURTHEST):
+            return guess, guess_psi, 0.0, row
+        mapped = line_time == 0.0 and length < _NEAR * side_px and (step == 0 or not mapped)
+        shift_map(room.shape, forward, aside, spin)
+        if step == 0:
+            cut = max(_KNOWN_CUT * noise, misfit * level[3]) if known else _EVERYTHING
+            continue
+        variance = squares / (left - PARAMETERS)
+        if not by_cells:  # a tag is known by all of it that may be seen
+            alike = likeness(room.sums)
+        steady, before = left > _PARTLY * seen or abs(left - before) < 0.01 * left, left
+        done = length < _CONVERGED_PX and steady
+        if step == 1 and known and left < _LEARNT_FROM * seen:
+            known, misfit, cut = False, _MISFIT, _EVERYTHING  # a bad guess, or partly covered: see what it is
+        elif not known:  # cut more and more off, until that is no more than of a normal distribution
+            noise = math.sqrt(variance) / (_TRUNCATED if cut < _EVERYTHING else 1.0)
+            known = _CUT * noise > 0.9 * cut or cut < 1.1 * misfit * level[3]
+            cut = max((_KNOWN_CUT if known else _CUT) * noise, misfit * level[3])
+        elif len(tally):
+            hidden, tally = _covered(tally, hidden, cells), np.zeros((0, 2), np.int64)
+            if noises[i] > 0.0:
+                cut = max(_KNOWN_CUT * noise, _KNOWN_MISFIT * level[3])
+        elif done and (by_cells or left > _PARTLY * seen):
+            break
+        elif done:
+            tally, by_cells = np.zeros((cells * cells, 2), np.int64), True
+    sure = min(alike, left / room.sums[0]) > _LEARNT_FROM and not by_cells
+    _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
+    model = (_MODEL * blur * cells / side_px) ** 2
+    _covary(room.factor, variance / (level[3] * level[3]), model, side, psi, covariance)
+    covariance[5] += _of_tilt(slope, known_tilt)
+    return centre, psi, alike, row
+
+
+@image_kernel
+def _look(image, corners, cells, hidden, tally, side_px, blur, cut, coarse, room):  # type: ignore[no-untyped-def]
+    """Fill the equations of one pass; return whether the tag is whole in the image."""
+    stride = max(1, round(side_px / _COARSE)) if coarse else 1 + int(side_px / _MOST)
+    return side_px > 0.0 and accumulate(
+        image, room.shape, room.window, corners, cells, hidden, tally, side_px, _WIDER * blur if coarse else blur,
+        room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none,
+    )  # fmt: skip
+
+
+@image_kernel
+def _step(side_px, contrast, solution):  # type: ignore[no-untyped-def]
+    """Return a step forward, left [sides] and counter-clockwise [rad], and how far it goes [px]; -1: there is no
+    contrast, or it is that of a negative."""
+    if not contrast > 1.0:
+        return 0.0, 0.0, 0.0, -1.0
+    forward, left, spin = -solution[4] / contrast, -solution[5] / contrast, -solution[6] / contrast
+    length = side_px * math.hypot(forward, left)
+    shorter = min(1.0, _LONGEST_PX / max(length, 1e-9))
+    return shorter * forward, shorter * left, shorter * spin, max(length, 0.5 * side_px * abs(spin))
+
+
+@image_kernel
+def _learn(blurs, noises, i, wider, noise, sure):  # type: ignore[no-untyped-def]
+    """Follow a target's blur [px] and noise [grey levels], where it is ``sure`` that nothing else was seen."""
+    if not sure:
+        return
+    noise = max(noise, _LEAST_NOISE)
+    noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
+    blurs[i] = min(max(blurs[i] + _GAIN * min(max(wider, -0.5), 0.5), _NARROWEST), _WIDEST)
+
+
+@image_kernel
+def _study(  # type: ignore[no-untyped-def]
+    image, camera, line_time, side, height, corners, cells, to_quadratic, centre, psi, velocity, omega, blur, noise,
+    tilt, known, count, room,
+):  # fmt: skip
+    """Learn a tag's tilt (2,) [rad] by recursive least squares, from an image in which it was just fitted; known (2, 2)
+    is the information on it [1/rad^2], from ``count`` (1,) images. If an image denies what is known, the tag was moved
+    on its robot: it is learnt anew.
+
+    A tilt shears a tag that is seen aslant, and turns it. The size is left free: an error of the height changes it.
+    All pixels count that do not show something quite different: a tilt shows where the fit is worst.
+    """
+    _, side_px = map_pixels(
+        camera, line_time, side, height, tilt, to_quadratic, centre, psi, velocity, omega, room.nodes, room.bend,
+        room.shape, room.window,
+    )  # fmt: skip
+    slope = sight_slope(camera, side, height, centre, room.shape, room.window)
+    contrast = room.level[3]
+    inside = accumulate(
+        image, room.shape, room.window, corners, cells, np.zeros(0, np.bool_), np.zeros((0, 2), np.int64), side_px,
+        blur, room.level, _STUDY_CUT * contrast, 1 + int(side_px / _MOST), room.rows, room.pixels, room.products,
+        room.sums, slope, room.tilted,
+    )  # fmt: skip
+    if not inside or room.products[0, 0] < _STUDIED * room.sums[0]:
+        return
+    _solve(room.products, room.factor, room.solution)
+    # What the eight, and then the size, do not explain of the tilts and of what is left of the grey.
+    rows, left = np.empty((4, PARAMETERS)), np.empty((4, 4))
+    for n in range(4):
+        row = room.tilted[n] if n < 3 else room.products[PARAMETERS]
+        for i in range(PARAMETERS):
+            total = row[i]
+            for k in range(i):
+                total -= room.factor[i, k] * rows[n, k]
+            rows[n, i] = total / room.factor[i, i]
+        for m in range(n + 1):
+            left[n, m] = row[PARAMETERS] if m == n else room.tilted[m, PARAMETERS]
+            if n < 3:
+                left[n, m] = row[PARAMETERS + 1 + m]
+            for i in range(PARAMETERS):
+                left[n, m] -= rows[n, i] * rows[m, i]
+    for n in range(1, 4):
+        for m in range(1, n + 1):
+            left[n, m] -= left[n, 0] * left[m, 0] / left[0, 0]
+    variance = left[3, 3] / (room.products[0, 0] - PARAMETERS)
+    by = contrast / (_STUDY_DOUBT * max(variance, noise * noise))
+    a, b = by * left[3, 1], by * left[3, 2]
+    new_aa, new_ab, new_bb = by * contrast * left[1, 1], by * contrast * left[2, 1], by * contrast * left[2, 2]
+    known *= _STUDY_FORGET
+    aa, ab, bb = known[0, 0] + new_aa, known[0, 1] + new_ab, known[1, 1] + new_bb
+    by_all = _squared(a, b, aa + _PRIOR, ab, bb + _PRIOR)
+    if _squared(a, b, new_aa + _LITTLE * _PRIOR, new_ab, new_bb + _LITTLE * _PRIOR) - by_all > _STUDY_DENIED:
+        aa, ab, bb, count[0] = new_aa, new_ab, new_bb, 0
+    known[0, 0], known[0, 1], known[1, 1] = aa, ab, bb
+    count[0] += 1
+    aa, bb = aa + _PRIOR, bb + _PRIOR
+    area = aa * bb - ab * ab
+    tilt[0] = min(max(tilt[0] - (bb * a - ab * b) / area, -_MOST_TILT), _MOST_TILT)
+    tilt[1] = min(max(tilt[1] - (aa * b - ab * a) / area, -_MOST_TILT), _MOST_TILT)
+
+
+@image_kernel
+def _squared(a, b, aa, ab, bb):  # type: ignore[no-untyped-def]
+    """Return a vector's square by the inverse of a symmetric matrix."""
+    return (bb * a * a - 2.0 * ab * a * b + aa * b * b) / (aa * bb - ab * ab)
+
+
+@image_kernel
+def _of_tilt(slope, known):  # type: ignore[no-untyped-def]
+    """Return what a tilt that is not known exactly adds to a heading's variance [rad^2]: it turns the tag by half of
+    itself times the slope under which it is seen."""
+    aa, ab, bb = known[0, 0] + _PRIOR, known[0, 1], known[1, 1] + _PRIOR
+    ahead, aside = 0.5 * slope[0], 0.5 * slope[1]
+    return (bb * aside * aside + 2.0 * ab * aside * ahead + aa * ahead * ahead) / (aa * bb - ab * ab)
+
+
+@image_kernel
+def _covered(tally, hidden, cells):  # type: ignore[no-untyped-def]
+    """Return the cells (C * C,) that are hidden, or show something else."""
+    covered = np.zeros(cells * cells, np.bool_)
+    for cell in range(cells * cells):
+        covered[cell] = tally[cell, 1] < (1.0 - _COVERED) * tally[cell, 0] or (len(hidden) > 0 and hidden[cell])
+    return covered
+
+
+@image_kernel
+def _solve(products, factor, solution):  # type: ignore[no-untyped-def]
+    """Solve the normal equations by Cholesky's decomposition. Return the sum of squares that is left."""
+    squares = products[PARAMETERS, PARAMETERS]
+    for i in range(PARAMETERS):
+        for j in range(i + 1):
+            total = products[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                factor[i, i] = math.sqrt(max(total, 1e-7 * products[i, i] + 1e-9))
+            else:
+                factor[i, j] = total / factor[j, j]
+        total = products[PARAMETERS, i]
+        for k in range(i):
+            total -= factor[i, k] * solution[k]
+        solution[i] = total / factor[i, i]
+        squares -= solution[i] * solution[i]
+    for i in range(PARAMETERS - 1, -1, -1):
+        total = solution[i]
+        for k in range(i + 1, PARAMETERS):
+            total -= factor[k, i] * solution[k]
+        solution[i] = total / factor[i, i]
+    return max(squares, 1e-6)
+
+
+@image_kernel
+def _covary(factor, noise, model, side, psi, covariance):  # type: ignore[no-untyped-def]
+    """Write the covariance (6,) of x, y [m; world] and psi [rad]: xx, xy, yy, x psi, y psi, psi psi; noise and model
+    are variances of a pixel's grey [contrasts^2]."""
+    # The last rows of the equations' inverse need the last rows of their factor only.
+    inverse = np.zeros((4, 4))
+    for i in range(4):
+        inverse[i, i] = 1.0 / factor[4 + i, 4 + i]
+        for j in range(i):
+            total = 0.0
+            for k in range(j, i):
+                total -= factor[4 + i, 4 + k] * inverse[k, j]
+            inverse[i, j] = total / factor[4 + i, 4 + i]
+    products = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(max(i, j), 4):
+                products[i, j] += inverse[k, i] * inverse[k, j]
+    c, s, area = math.cos(psi), math.sin(psi), side * side * (noise + model)
+    ff, fl, ll = products[0, 0], products[0, 1], products[1, 1]
+    covariance[0] = area * (c * c * ff - 2.0 * c * s * fl + s * s * ll)
+    covariance[1] = area * (c * s * (ff - ll) + (c * c - s * s) * fl)
+    covariance[2] = area * (s * s * ff + 2.0 * c * s * fl + c * c * ll)
+    both = side * (noise + _MODEL_TURNS * model)
+    covariance[3] = both * (c * products[0, 2] - s * products[1, 2])
+    covariance[4] = both * (s * products[0, 2] + c * products[1, 2])
+    covariance[5] = (noise + _MODEL_TURNS * _MODEL_TURNS * model) * products[2, 2]
+
+
+KERNELS: tuple[Any, ...] = (fit_tags,)  # that are called from Python
