@@ -64,8 +64,8 @@ class Bus:
         stack.callback(self.operator.close)
         self.stranger = session(endpoint)
         stack.callback(self.stranger.close)
-        self.witness = session(endpoint)
-        stack.callback(self.witness.close)
+        self.probe = session(endpoint)
+        stack.callback(self.probe.close)
 
     def forge(self, full: str, reply: bytes | None, requests: list[bytes]) -> Any:
         """Let the stranger answer a key as the only one who is asked; without a reply it swallows what it hears."""
@@ -130,7 +130,7 @@ def test_a_flood_of_those_who_may_only_look_takes_no_place_of_an_operators_reque
     }
     until(lambda: arrived, lambda: bus.operator.ask(topic, "supervisor", what))
     before, flood = len(arrived), key("lab", SAFE_REQUEST, "supervisor")
-    until(lambda: len(arrived) > before + 40, lambda: bus.witness.get(flood, lambda _: None, payload=b"hold"))
+    until(lambda: len(arrived) > before + 40, lambda: bus.probe.get(flood, lambda _: None, payload=b"hold"))
     request = takes[topic]()
     assert request is not None and request.payload == what
     waiting = [request for _ in range(100) if (request := takes[SAFE_REQUEST]()) is not None]
@@ -163,7 +163,7 @@ def test_of_two_who_call_themselves_supervisor_none_is_believed_but_the_request_
 
 
 def there(bus: Bus) -> list[str]:
-    replies = bus.witness.liveliness().get("rf/lab/alive/supervisor/**")
+    replies = bus.probe.liveliness().get("rf/lab/alive/supervisor/**")
     return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
 
@@ -243,7 +243,7 @@ def test_a_message_that_is_larger_than_its_topic_allows_comes_to_nobody(bounding
 def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allows(bus: Bus) -> None:
     """Whoever listens: these do not look at lengths."""
     received: list[tuple[str, int]] = []
-    subscriber = bus.witness.declare_subscriber(
+    subscriber = bus.probe.declare_subscriber(
         "rf/**", zenoh.handlers.Callback(lambda s: received.append((str(s.key_expr), len(s.payload))), indirect=False)
     )
     asked_for: list[bytes] = []
@@ -369,7 +369,7 @@ def test_a_flood_of_requests_reaches_nobody_and_another_clients_request_is_heard
     requests.clear()
     began_ns, sent = CLOCK.now_ns(), 3000
     for _ in range(sent):
-        bus.witness.get(request, lambda _: None, payload=b"flood")
+        bus.probe.get(request, lambda _: None, payload=b"flood")
     until(
         lambda: b"hold" in requests or None,
         lambda: bus.supervisor._session.get(request, lambda _: None, payload=b"hold"),

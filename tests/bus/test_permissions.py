@@ -89,7 +89,7 @@ class Net(NamedTuple):
     endpoint: str
     who: dict[str, Identity]
     authority: Authority
-    witness: zenoh.Session  # of this user, on the socket
+    probe: zenoh.Session  # of this user, on the socket
 
     def joined(self, name: str) -> ZenohBus:
         """Return the bus of somebody on another host."""

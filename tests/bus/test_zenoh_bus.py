@@ -109,13 +109,13 @@ def test_a_full_stream_drops_the_oldest_and_counts_them(net: Net) -> None:
     stream, publish = net.b.stream("rf/lab/unit/r9/cmd", capacity=4), net.a.publisher(COMMAND, "r9")
     requests: list[bytes] = []
     net.b.listen(COMMAND, "r9", lambda _, payload: requests.append(payload))
-    witness = net.b.newest(COMMAND, "r9")
-    until(witness.take, lambda: publish(b"route"))
+    probe = net.b.newest(COMMAND, "r9")
+    until(probe.take, lambda: publish(b"route"))
     began_ns = CLOCK.now_ns()
     for k in range(30):
         publish(b"%d" % k)
         CLOCK.sleep_until(CLOCK.now_ns() + MS)
-    until(lambda: witness.take() == b"29" or None)
+    until(lambda: probe.take() == b"29" or None)
     arrivals = stream.drain()
     assert [payload for _, _, payload in arrivals] == [b"26", b"27", b"28", b"29"]
     until(lambda: len(requests) == stream.dropped + 4)

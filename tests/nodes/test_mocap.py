@@ -25,7 +25,7 @@ SILENT = "faults=[{kind: camera_stalled, at_s: 1, duration_s: 0.3}]"
 SHORT = "run.duration_s=3", "run.bounds={}"
 
 
-class Told(NamedTuple):
+class Poses(NamedTuple):
     """What a run said of its poses."""
 
     news: list[Any]
@@ -33,20 +33,20 @@ class Told(NamedTuple):
     holds: list[Any]  # words of the supervisor: those with which it held the run
 
 
-def told(recording: Recording) -> Told:
+def told(recording: Recording) -> Poses:
     def said(topic: Any, layout: Any, name: str = "") -> list[Any]:
         return [layout.decode(p) for p in recording.messages.get(key("mocap", topic, name), ())]
 
     states = said(STATE, RUN_STATE)
     holds = [after for before, after in itertools.pairwise(states) if after.phase != before.phase]
-    return Told(
+    return Poses(
         [news for news in said(NEWS, TRACKER_NEWS, CAMERA) if news.event >= E.POSES_SILENT],
         said(POSES, FLEET_POSES, CAMERA),
         [state for state in holds if state.phase == Phase.HOLD],
     )
 
 
-def in_lockstep(*keys: str) -> tuple[dict[str, Any], Told]:
+def in_lockstep(*keys: str) -> tuple[dict[str, Any], Poses]:
     run = Lockstep(load_config(MOCAP, [*SHORT, *keys]))
     outcome, cause = run.run()
     return summary(run.recording, name="mocap", mode="lockstep", outcome=outcome, cause=cause), told(run.recording)
@@ -68,7 +68,7 @@ def test_equal_seeds_give_equal_bytes(keys: tuple[str, ...]) -> None:
     assert first == other
 
 
-def judged(figures: Told) -> None:
+def judged(figures: Poses) -> None:
     """A silence of 0.3 s was named within 0.25 s, and held the run by its name."""
     silent, back = (
         next(news for news in figures.news if news.event == event) for event in (E.POSES_SILENT, E.POSES_BACK)

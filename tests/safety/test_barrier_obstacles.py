@@ -60,12 +60,12 @@ def test_nobody_comes_nearer_than_is_kept_whatever_is_asked_for(seed):
             poses[i] = *at, rng.uniform(-math.pi, math.pi)
             if left(solids, stop_point(poses[i], np.zeros(2))[None]).min() > 0.0:
                 break
-    turning, wishes = np.zeros((n, 2)), np.zeros((n, 2))
+    turning, setpoints = np.zeros((n, 2)), np.zeros((n, 2))
     for k in range(200):
         if k % 15 == 0:
-            wishes = np.array([feasible(row) for row in rng.uniform(-14.0, 14.0, (n, 2)) + rng.choice([-8, 8])])
+            setpoints = np.array([feasible(row) for row in rng.uniform(-14.0, 14.0, (n, 2)) + rng.choice([-8, 8])])
         everybody = np.ones(n, np.bool_)
-        wheels = barrier.filter(poses, turning, np.zeros(n), everybody, wishes, velocities(poses, wishes)).wheels
+        wheels = barrier.filter(poses, turning, np.zeros(n), everybody, setpoints, velocities(poses, setpoints)).wheels
         for i in range(n):
             for _ in range(PARTS):
                 poses[i], turning[i] = after(poses[i], turning[i], wheels[i], TICK / PARTS)

@@ -17,9 +17,9 @@ def test_it_stops_on_its_arc_with_limited_acceleration_and_in_time(step: Step, w
     issued = gate.now
     seen = written(gate, 400 * MS)
     assert seen[1][0] == issued + VALID_NS
-    for (before, one), (after, other) in pairwise(seen[1:]):
+    for (before, first), (after, second) in pairwise(seen[1:]):
         assert after - before == 5 * MS
-        assert max(abs(a - b) for a, b in zip(one, other, strict=True)) <= 150.0 * 5e-3 + 1e-9
+        assert max(abs(a - b) for a, b in zip(first, second, strict=True)) <= 150.0 * 5e-3 + 1e-9
     for _, (left, right) in seen:
         assert left * wheels[1] == pytest.approx(right * wheels[0])
         assert left * wheels[0] >= 0

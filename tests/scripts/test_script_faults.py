@@ -165,9 +165,9 @@ def stops(recording: Recording) -> list[tuple[Event, float, float]]:
     found = []
     for k in np.flatnonzero((failed > 0) & (np.roll(failed, 1) == 0)).tolist():
         newest = run.told[0].figures["wish"][k, 0]
-        wishes = [SCRIPT_WISH.decode_head(p) for p in recording.messages[key(arena, WISH, "script")]]
+        setpoints = [SCRIPT_WISH.decode_head(p) for p in recording.messages[key(arena, WISH, "script")]]
         epoch = run.told[0].figures["wish_epoch"][k, 0]
-        wish = next(w for w in wishes if w is not None and (w.epoch, w.seq) == (epoch, newest))
+        wish = next(w for w in setpoints if w is not None and (w.epoch, w.seq) == (epoch, newest))
         since_ns = ticks[wish.echo_tick]
         assert not np.abs(run.items["left_rad_s"][k:][:3]).any()  # what is commanded from that tick on
         target_ms = (int(run.ticks["stamp_ns"][k]) + int(run.ticks["lateness_ns"][k]) - since_ns) / MS

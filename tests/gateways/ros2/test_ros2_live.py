@@ -206,6 +206,6 @@ def test_ctrl_c_lets_the_robots_stand_and_says_nothing_else(stand: Stand) -> Non
     assert [line for line in lines if "[WARN]" not in line] == [
         "ROS 2 hears the run of ros2: Ctrl-C ends this, and not the run"
     ]
-    wishes = read(stand.run.folder).messages[key("ros2", WISH, "ros2")]
-    kinds = [head.kind for payload in wishes if (head := SCRIPT_WISH.decode_head(payload)) is not None]
+    setpoints = read(stand.run.folder).messages[key("ros2", WISH, "ros2")]
+    kinds = [head.kind for payload in setpoints if (head := SCRIPT_WISH.decode_head(payload)) is not None]
     assert WishKind.STAND in kinds and kinds[kinds.index(WishKind.STAND) - 1] == WishKind.BODY

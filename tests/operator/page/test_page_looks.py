@@ -149,11 +149,11 @@ def test_on_a_phone_fingers_meet_every_control_and_none_is_under_the_stop(page: 
 def test_on_a_phone_the_table_shows_figures_without_a_scroll(page: Seen) -> None:
     show_as(page.browser, PHONE)
     page.becomes(lambda: len(page.run("return document.querySelector('tbody tr').innerText").split()) > 4)
-    for place, words in enumerate(("Control error", "Estimated path error", "Estimated spacing"), start=3):
+    for column, words in enumerate(("Control error", "Estimated path error", "Estimated spacing"), start=3):
         head, box = page.run(
             "const cell = document.querySelector(`thead th:nth-child(${arguments[0]})`);"
             "return [cell.innerText, cell.getBoundingClientRect().toJSON()]",
-            place,
+            column,
         )
         assert " ".join(head.split()) == f"{words} mm"
         assert box["left"] >= 0 and box["right"] <= PHONE[0] and box["width"] > 40

@@ -83,9 +83,7 @@ def missing(run: Path, arrivals: list[Arrival]) -> list[Arrival]:
         said_on[arrival.key].append(arrival)
     lost = []
     for full, payloads in said_on.items():
-        places = {
-            payload: where for where, payload in recording.placed(full)
-        }  # every message has a number
+        places = {payload: where for where, payload in recording.placed(full)}  # every message has a number
         found = [places.get(arrival.payload) for arrival in payloads]
         order = [where for where in found if where is not None]
         assert order == sorted(order), f"{full}: another order than what was said"

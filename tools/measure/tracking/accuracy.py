@@ -95,10 +95,10 @@ class Score:
 
     def add(self, prints: Sequence[Print], sightings: Sequence[Sighting]) -> None:
         """Compare one image's sightings with the truth, each at its own instant."""
-        there = {tag.tag: tag for tag in prints}
-        self.tags += len(there)
+        by_tag = {tag.tag: tag for tag in prints}
+        self.tags += len(by_tag)
         for seen in sightings:
-            tag = there.pop(seen.tag, None)  # a second one of the same finds none
+            tag = by_tag.pop(seen.tag, None)  # a second one of the same finds none
             x, y, psi = along(tag.pose, tag.twist, seen.after_ns * 1e-9) if tag else (math.inf,) * 3
             if math.hypot(seen.x - x, seen.y - y) < WRONG:
                 turned = math.degrees(math.remainder(seen.psi - psi, math.tau))
