@@ -148,7 +148,7 @@ class Tried:
     def says(self) -> set[str]:
         """Put on every key."""
         senders: set[str] = set()
-        subscriber = self._net.witness.declare_subscriber("rf/**", _noted(senders))
+        subscriber = self._net.probe.declare_subscriber("rf/**", _noted(senders))
         expected = allowed(self._who, SAYS)
 
         def said() -> bool:
@@ -171,7 +171,7 @@ class Tried:
 
         def said() -> bool:
             for full in KEYS:
-                self._net.witness.put(full, b"told")
+                self._net.probe.put(full, b"told")
             return senders >= expected
 
         until(said)
@@ -183,7 +183,7 @@ class Tried:
 
     def asks(self) -> set[str]:
         """Ask on every key; the witness answers wherever it is asked."""
-        queryable = self._net.witness.declare_queryable("rf/**", lambda query: query.reply(query.key_expr, b"yes"))
+        queryable = self._net.probe.declare_queryable("rf/**", lambda query: query.reply(query.key_expr, b"yes"))
         answered = _all_answers(self._session, allowed(self._who, ASKS))
         queryable.undeclare()
         return answered
@@ -195,7 +195,7 @@ class Tried:
             for full in (*KEYS, "rf/**")
         ]
         self._marked("answers")
-        answered = _all_answers(self._net.witness, allowed(self._who, ANSWERS))
+        answered = _all_answers(self._net.probe, allowed(self._who, ANSWERS))
         for queryable in queryables:
             queryable.undeclare()
         return answered
@@ -205,7 +205,7 @@ class Tried:
         role = driver_role(self._who.name) if self._who.role == UNIT else self._who.role
         full = key(ARENA, ALIVE, f"{role}/{mark}/1")
         token = self._session.liveliness().declare_token(full)
-        assert until(lambda: full in _living(self._net.witness)), f"{self._who.name} may not say that it lives"
+        assert until(lambda: full in _living(self._net.probe)), f"{self._who.name} may not say that it lives"
         token.undeclare()
 
 
@@ -255,12 +255,12 @@ def test_everybody_sees_who_lives_and_nobody_claims_the_place_of_another(net: Ne
     who = net.who[name]
     roles = [*ROLES, *map(driver_role, UNITS)]
     own = driver_role(name) if who.role == UNIT else who.role
-    seen = net.witness.liveliness().declare_token(key(ARENA, ALIVE, "supervisor/witness/1"))
+    seen = net.probe.liveliness().declare_token(key(ARENA, ALIVE, "supervisor/witness/1"))
     bus = net.joined(name)
     try:
         tokens = [bus._session.liveliness().declare_token(key(ARENA, ALIVE, f"{role}/claimed/1")) for role in roles]
-        assert until(lambda: key(ARENA, ALIVE, f"{own}/claimed/1") in _living(net.witness))
-        claimed = {full.split("/")[3] for full in _living(net.witness) if "/claimed/" in full}
+        assert until(lambda: key(ARENA, ALIVE, f"{own}/claimed/1") in _living(net.probe))
+        claimed = {full.split("/")[3] for full in _living(net.probe) if "/claimed/" in full}
         assert claimed == {own}
         assert key(ARENA, ALIVE, "supervisor/witness/1") in _living(bus._session)
         for token in tokens:
