@@ -14,7 +14,7 @@ from selenium.webdriver.common.by import By
 from robofleet.bus.messages import TagPose
 from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import Event, Phase
-from tests.operator.page.browser import DESKTOP, LYING, PHONE, chromium, show_as
+from tests.operator.page.browser import DESKTOP, LYING, PHONE, show_as
 from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.webstand import CLOCK, WebStand, web_stand
 
@@ -31,12 +31,6 @@ PERMITTED = {
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Chrome]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
 def stand(browser: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStand]:
     with web_stand(tmp_path_factory.mktemp("run")) as stand:
         yield stand
@@ -47,12 +41,6 @@ def mortal(browser: Chrome, tmp_path: Path) -> Iterator[WebStand]:
     """A server that a test may end."""
     with web_stand(tmp_path) as stand:
         yield stand
-
-
-@pytest.fixture
-def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
-    with opened(browser, stand) as page:
-        yield page
 
 
 def test_the_page_shows_the_fleet_within_a_second_and_fetches_nothing_from_outside(page: Seen) -> None:

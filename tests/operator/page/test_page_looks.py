@@ -20,7 +20,7 @@ from robofleet.reports import after
 from robofleet.safety.supervisor import Event, Phase
 from tests.calibration.robots.conftest import drive
 from tests.operator.page.axe import violations
-from tests.operator.page.browser import LYING, PHONE, chromium, show_as, show_in
+from tests.operator.page.browser import LYING, PHONE, show_as, show_in
 from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.webstand import WebStand, web_stand
 from tests.robots import GTERNAL
@@ -45,21 +45,9 @@ PHASES = {  # what the page shows, and why
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Chrome]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
 def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStand]:
     with web_stand(tmp_path_factory.mktemp("run")) as stand:
         yield stand
-
-
-@pytest.fixture
-def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
-    with opened(browser, stand) as page:
-        yield page
 
 
 def found_by_axe(browser: Chrome, what: str) -> list[str]:

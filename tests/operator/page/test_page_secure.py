@@ -14,7 +14,7 @@ from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 
 from tests.operator.page.axe import violations
-from tests.operator.page.browser import DESKTOP, PHONE, chromium, show_as
+from tests.operator.page.browser import DESKTOP, PHONE, show_as
 from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.secureweb import HOST, keys_in
 from tests.operator.page.webstand import WebStand, web_stand
@@ -22,12 +22,6 @@ from tests.operator.page.webstand import WebStand, web_stand
 pytestmark = pytest.mark.slow
 
 TALL = 1440, 1700  # all of it is in sight
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Chrome]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture
