@@ -44,8 +44,8 @@ def test_the_input_on_record_is_what_the_wheels_are_told(started: Lockstep) -> N
     items, vehicle = run.items, config.robots[0].vehicle
     assert (items["filtered"] > 0).any()
     v, omega = body_from_wheels(items["left_rad_s"], items["right_rad_s"], vehicle.wheel_radius_m, vehicle.wheel_base_m)
-    told = np.hypot(v, config.controller.point_ahead_m * omega)
-    assert np.hypot(items["u_x_m_s"], items["u_y_m_s"]) == pytest.approx(told, abs=1e-9)
+    speeds = np.hypot(v, config.controller.point_ahead_m * omega)
+    assert np.hypot(items["u_x_m_s"], items["u_y_m_s"]) == pytest.approx(speeds, abs=1e-9)
 
 
 def test_behind_a_robot_that_stalls_bodies_stay_apart() -> None:

@@ -75,8 +75,8 @@ def test_the_same_bytes_and_the_same_decisions(monkeypatch: pytest.MonkeyPatch, 
     ]
     arrays = told(monkeypatch, *changes, arrays=True)
     alone = told(monkeypatch, *changes, arrays=False)
-    for one, other in zip(arrays[1], alone[1], strict=False):
-        assert one == other
+    for first, other in zip(arrays[1], alone[1], strict=False):
+        assert first == other
     assert arrays == alone
     assert Phase.ESTOP in arrays[2]
 

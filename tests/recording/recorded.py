@@ -12,7 +12,7 @@ from robofleet.recording.run import Recording
 from robofleet.runs.lockstep import Lockstep
 
 PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
-Said = list[tuple[str, bytes, int]]  # key, payload, instant [ns]
+Messages = list[tuple[str, bytes, int]]  # key, payload, instant [ns]
 
 
 def config(*overrides: str) -> Config:
@@ -21,17 +21,17 @@ def config(*overrides: str) -> Config:
     )
 
 
-def said_in(run_config: Config) -> Said:
-    said: Said = []
+def said_in(run_config: Config) -> Messages:
+    messages: Messages = []
     run = Lockstep(run_config)
-    run.bus.tap(lambda message: said.append((*message, run.clock.now_ns())))
+    run.bus.tap(lambda message: messages.append((*message, run.clock.now_ns())))
     run.run()
-    return said
+    return messages
 
 
 def in_order(recording: Recording) -> list[tuple[str, bytes]]:
     """Return the messages as they came, all keys together."""
-    placed = [(place, full, data) for full in recording.messages for place, data in recording.placed(full)]
+    placed = [(index, full, data) for full in recording.messages for index, data in recording.placed(full)]
     return [(full, data) for _, full, data in sorted(placed)]
 
 
@@ -46,7 +46,7 @@ def room_for(bytes_of_a_file: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def write(log: RunLog, said: Said) -> None:
-    for full, payload, at_ns in said:
+def write(log: RunLog, messages: Messages) -> None:
+    for full, payload, at_ns in messages:
         log.add(full, payload, at_ns)
         log.flush(at_ns)

@@ -65,21 +65,21 @@ class FarEnd(threading.Thread):
         loop_ns, was_open = CLOCK.now_ns(), False
         while not self.ended.is_set():
             wait_s = max(0.0, (loop_ns - CLOCK.now_ns()) / S)
-            heard = self._line.descriptor
-            select.select([] if heard is None else [heard], [], [], min(0.01, wait_s))
+            readable = self._line.descriptor
+            select.select([] if readable is None else [readable], [], [], min(0.01, wait_s))
             data, now_ns = self._line.read(), CLOCK.now_ns()
             if self._motion in data:
                 self.commanded_ns.append(now_ns)
             if self._line.open and not was_open:
                 self._firmware.opened(now_ns)
             was_open = self._line.open
-            said = self._firmware.receive(data, now_ns) if data else b""
+            answer = self._firmware.receive(data, now_ns) if data else b""
             if now_ns >= loop_ns:
                 loop_ns = now_ns + self._period_ns
-                said += self._firmware.loop(now_ns)
+                answer += self._firmware.loop(now_ns)
                 self._plant.write(self._hardware.command)
                 self._plant.advance(now_ns)
-            self._line.write(said)
+            self._line.write(answer)
         self._line.unplug()
 
 

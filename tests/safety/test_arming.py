@@ -172,25 +172,25 @@ def test_a_proved_fleet_is_started_only_while_it_is_ready(alter: Alter, unready:
 
 
 @pytest.mark.parametrize(
-    ("order", "told"),
+    ("order", "happening"),
     [(None, Happening(Event.WAYS_CROSS, 2, 1)), ((0, 2, 1), Happening(Event.WRONG_ORDER, 1, 2))],
 )
 def test_who_would_not_get_past_whom_is_named_before_a_wheel_is_tried(
-    order: tuple[int, ...] | None, told: Happening
+    order: tuple[int, ...] | None, happening: Happening
 ) -> None:
-    asked: list[object] = []
+    calls: list[object] = []
 
     def jam(poses: tuple[tuple[float, float, float], ...]) -> Reason:
-        asked.append(poses)
+        calls.append(poses)
         return Reason(1, 2, order)
 
     lab = Lab(3)
     lab.settings = lab.settings._replace(jam=jam)
-    assert lab.arm() == told
+    assert lab.arm() == happening
     assert lab.state.stage is Stage.CHECKS
     view = one(2, driven=False)(lab.view._replace(now_ns=lab.now_ns))
-    assert arming.unready(lab.settings, view) == told
-    assert asked[-1] == tuple(robot.pose for robot in view.robots[:2]), "it is asked of the robots that drive"
+    assert arming.unready(lab.settings, view) == happening
+    assert calls[-1] == tuple(robot.pose for robot in view.robots[:2]), "it is asked of the robots that drive"
 
 
 @pytest.mark.parametrize(

@@ -257,11 +257,11 @@ def test_it_goes_on_at_most_ten_times_a_minute_however_late_who_is(runs: list[in
 
 def test_words() -> None:
     robots = ("r1", "r2")
-    said = [Lateness(TRACKER, 310 * MS), Lateness(DRIVERS + 1, 120 * MS), Lateness(SUPERVISOR, 70 * MS)]
-    assert busy.words(said, 6.13, 2, robots) == (
+    lateness = [Lateness(TRACKER, 310 * MS), Lateness(DRIVERS + 1, 120 * MS), Lateness(SUPERVISOR, 70 * MS)]
+    assert busy.words(lateness, 6.13, 2, robots) == (
         "load 6.1 on 2 cores, the tracker was late by 310 ms, the driver of r2 was late by 120 ms, "
         "the supervisor was late by 70 ms"
     )
-    assert busy.words([*said, Lateness(CONTROLLER, 1)], 1.0, 1, robots).startswith("load 1.0 on 1 core, ")
-    assert "controller" not in busy.words([*said, Lateness(CONTROLLER, 1)], 1.0, 1, robots)  # three are enough
+    assert busy.words([*lateness, Lateness(CONTROLLER, 1)], 1.0, 1, robots).startswith("load 1.0 on 1 core, ")
+    assert "controller" not in busy.words([*lateness, Lateness(CONTROLLER, 1)], 1.0, 1, robots)  # three are enough
     assert busy.name(DRIVERS + 9, robots) == "another driver"

@@ -188,8 +188,8 @@ def test_two_that_are_just_as_far_apart_as_they_must_be_are_not_too_close() -> N
 
 
 def test_a_robot_that_is_not_seen_still_stands_in_the_way() -> None:
-    there = robot(1, pose=(0.45, 0.0, 0.0), unseen_ns=S)
-    assert told(there, before=there) == [
+    standing = robot(1, pose=(0.45, 0.0, 0.0), unseen_ns=S)
+    assert told(standing, before=standing) == [
         Happening(Event.TAG_LATE, 1),
         Happening(Event.TOO_CLOSE, 1, 2),
     ]
@@ -214,9 +214,9 @@ def test_a_change_is_told_once(change: Change, happening: Happening, phase: Phas
 def test_a_robot_that_is_seen_where_it_cannot_have_driven_was_moved(way: tuple[float, float]) -> None:
     def moved(by_m: float, seen_again_ns: int) -> list[list[Happening]]:
         """Robot 1 has a body of 60 mm and drives 0.5 m/s."""
-        place = robot(1, pose=(by_m * way[0], by_m * way[1], 0.0))
+        body = robot(1, pose=(by_m * way[0], by_m * way[1], 0.0))
         later = healthy(NOW + seen_again_ns)
-        return follow([healthy(NOW), place(later), place(healthy(NOW + seen_again_ns + 40 * MS))], Phase.RUNNING)
+        return follow([healthy(NOW), body(later), body(healthy(NOW + seen_again_ns + 40 * MS))], Phase.RUNNING)
 
     assert moved(0.0799, 40 * MS) == [[], [], []]
     quiet, jump, after = moved(0.0801, 40 * MS)

@@ -27,8 +27,8 @@ def test_of_any_two_robots_one_moves_while_the_other_stands(places: list[tuple[f
     given_ = rounds(len(places), close)
     assert len(set(given_)) == len(places), "one code for each"
     assert all(0 <= forth < back for forth, back in given_)
-    for one, other in close:
-        first, second = sorted((given_[one], given_[other]))
+    for row, near_row in close:
+        first, second = sorted((given_[row], given_[near_row]))
         assert first[1] < second[0], "back before the other one goes"
     assert set(range(max(back for _, back in given_) + 1)) <= {a for pair in given_ for a in pair}, "no idle round"
 

@@ -124,8 +124,8 @@ def test_no_transition_leads_where_the_run_already_is() -> None:
 def test_a_whole_run_with_a_hold() -> None:
     status = RunStatus()
     assert (status.phase, status.robot) == (Phase.IDLE, NOBODY)
-    wishes = (Event.START_REQUESTED, Event.PROVED, Event.HOLD_REQUESTED, Event.RESUME_REQUESTED)
-    for event in wishes:
+    setpoints = (Event.START_REQUESTED, Event.PROVED, Event.HOLD_REQUESTED, Event.RESUME_REQUESTED)
+    for event in setpoints:
         status = step(status, Happening(event))
     assert status.phase is Phase.RUNNING
     for happening in (Happening(Event.TAG_LATE, 1), Happening(Event.TAG_LOST, 2), Happening(Event.STOP_REQUESTED)):

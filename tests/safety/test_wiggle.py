@@ -70,7 +70,7 @@ class Trial:
 
     def at_rest(self) -> "Trial":
         """Let the first robot come to rest where the stroke leads."""
-        rolled = [2.0 * asked for asked in self.commanded]  # as long as it drove, so long it slows down
+        rolled = [2.0 * wheels for wheels in self.commanded]  # as long as it drove, so long it slows down
         pose = arc(0.0, 0.0, 0.0, *body_from_wheels(*rolled, RADIUS, BASE), 1.0)
         self.look(STROKE_NS, image=False, left_output=0.0, right_output=0.0, pose=pose)
         assert self.look(400 * MS, image=False) is None

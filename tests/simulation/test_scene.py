@@ -54,8 +54,8 @@ def calibrated(config: Config) -> CameraGeometry:
 def test_every_robot_carries_its_tag_at_its_own_height() -> None:
     config = load("robots.1.tag_height_m=0.15", "robots.2.tag_height_m=0.03")
     image = drawn(config).render(PLACES)
-    for place, tag, height in zip(PLACES, (1, 2, 3, 4), (HEIGHT, 0.15, 0.03, HEIGHT), strict=True):
-        assert_near(look(calibrated(config), image, Target(tag, SIDE, height, 0.2)), place)
+    for pose, tag, height in zip(PLACES, (1, 2, 3, 4), (HEIGHT, 0.15, 0.03, HEIGHT), strict=True):
+        assert_near(look(calibrated(config), image, Target(tag, SIDE, height, 0.2)), pose)
 
 
 @pytest.mark.parametrize("noise", [2.0, 5.0])
@@ -232,8 +232,8 @@ def test_covered_tags_are_not_seen_and_exchanged_ones_are_elsewhere() -> None:
     eye, renderer = calibrated(config), drawn(config)
     renderer.looks = np.array([1, 0, 4, 3])
     image = renderer.render(PLACES)
-    for tag, place in ((1, 1), (2, 0), (4, 3)):
-        assert_near(look(eye, image, Target(tag, SIDE, HEIGHT, 0.2)), PLACES[place])
+    for tag, position in ((1, 1), (2, 0), (4, 3)):
+        assert_near(look(eye, image, Target(tag, SIDE, HEIGHT, 0.2)), PLACES[position])
     assert look(eye, image, Target(3, SIDE, HEIGHT, 0.2)) == []
 
 

@@ -57,10 +57,10 @@ def test_whoever_asks_again_is_told_that_it_was_done(stand: Stand) -> None:
     ],
 )
 def test_what_cannot_be_done_is_refused_with_the_way_out(
-    stand: Stand, wishes: list[str], last: str, way_out: str
+    stand: Stand, setpoints: list[str], last: str, way_out: str
 ) -> None:
     stand.run(S // 5)
-    for wish in wishes:
+    for wish in setpoints:
         assert stand.ask(wish) == "ok"
         stand.run(S // 5)
     phase = stand.state.phase

@@ -77,7 +77,7 @@ def test_images_come_at_their_rate_each_its_own(lab: Lab) -> None:
         frames.append(camera.read())
         since_ns.append(lab.clock.now_ns() - frames[-1].exposure_ns)
     assert {(frame.image.shape, frame.image.dtype) for frame in frames} == {((240, 320), np.dtype(np.uint8))}
-    assert all((one.image != other.image).any() for one, other in itertools.pairwise(frames))
+    assert all((before.image != other.image).any() for before, other in itertools.pairwise(frames))
     assert all(frame.image.flags.writeable for frame in frames), "kernels are compiled for such"
     exposures = [frame.exposure_ns for frame in frames]
     assert np.median(np.diff(exposures)) == pytest.approx(20 * MS, abs=3 * MS)
