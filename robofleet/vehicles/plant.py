@@ -129,7 +129,8 @@ def capacity(delay_ns: int) -> int:
 
 def random_numbers(rng: np.random.Generator) -> list[float]:
     """Return the next block of random numbers."""
-    return rng.standard_normal(RANDOM_BLOCK)[::-1].tolist()
+    numbers: list[float] = rng.standard_normal(RANDOM_BLOCK)[::-1].tolist()
+    return numbers
 
 
 def befall(b: Body, trouble: BodyTrouble) -> None:
