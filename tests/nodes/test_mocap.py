@@ -5,10 +5,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
-from robofleet.config.names import SHIPPED
 
 from robofleet.bus.keys import CAMERA, NEWS, POSES, STATE, key
 from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TRACKER_NEWS
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S
 from robofleet.recording.reading import read

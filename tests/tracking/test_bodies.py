@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from robofleet.config.names import SHIPPED
 
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.config.mocap import MocapSettings
 from robofleet.core.clock import MS, S

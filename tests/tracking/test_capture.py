@@ -8,10 +8,10 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
-from robofleet.config.names import SHIPPED
 from typer.testing import CliRunner
 
 from robofleet.cli import app
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.mocap import MocapSettings
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.tracking import capture

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,8 +24,8 @@ from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sources import CameraError, Exposure, ExposureLimits
 from robofleet.tracking.tags.targets import Target, robot_targets
 from robofleet.tracking.tags.tracker import TagSighting
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 AIM = 200.0
 LIMITS = ExposureLimits(Exposure(1e-4, 0.0), Exposure(0.014, 24.0), Exposure(0.0, 0.0), 1.0)
 Sensor = Callable[[Exposure], float]  # grey of white paper
