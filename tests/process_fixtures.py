@@ -19,7 +19,7 @@ from robofleet.core.compiling import on_stderr
 from robofleet.nodes.node import Node
 from robofleet.nodes.unit.driver import LOOP_NS, DriverProcess
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
-from robofleet.nodes.unit.keeping import MemoryKeeping
+from robofleet.nodes.unit.state_store import MemoryStateStore
 from robofleet.runs import table
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
@@ -84,10 +84,10 @@ class Bench:
     def made(self, row: table.Row, wake: Wake = lambda _: None, faults: Schedule | None = None) -> Node:
         """Put a process together as a real run does, on this bench."""
         assert row.make is not None
-        rng, keeping = np.random.default_rng(1), MemoryKeeping()
+        rng, state_store = np.random.default_rng(1), MemoryStateStore()
         return row.make(
             table.Edges(
-                self.config, self.bus, self.clock, wake, rng, keeping, on_stderr(), faults=faults, real_time=True
+                self.config, self.bus, self.clock, wake, rng, state_store, on_stderr(), faults=faults, real_time=True
             )
         )
 
@@ -152,7 +152,7 @@ def driver_of() -> Callable[..., DriverProcess]:
 
     def start(bench: Bench, *robots: str, seed: int = 1, **keys: Any) -> DriverProcess:
         drivers = ConfiguredDrivers(bench.config, bench.clock.now_ns)
-        keys = {"wake": lambda _: None, "keeping": MemoryKeeping(), "drivers": drivers, **keys}
+        keys = {"wake": lambda _: None, "state_store": MemoryStateStore(), "drivers": drivers, **keys}
         unit = bench.config.unit_of[robots[0]]
         assert bench.config.units[unit] == robots
         rng = np.random.default_rng(seed)

@@ -20,7 +20,7 @@ OF_OUR_OWN = {  # and what the field says
     "Sighting": "measurement update", "Deciding": "behaviour runner", "Attached": "reconnecting driver",
     "Keeping": "state store", "Places": "connection limiter", "Greeting": "TLS handshake", "Ticket": "one-time token",
     "Witness": "probe", "witness": "probe", "Telling": "status scheduling",
-    "Wishes": "setpoints", "wishes": "setpoints",
+    "Wishes": "setpoints", "wishes": "setpoints", "Hurry": "link state", "keeping": "state store",
 }  # fmt: skip
 BANNED = FIT_EVERY_VALUE | FIT_EVERY_CLASS | OF_OUR_OWN.keys()
 

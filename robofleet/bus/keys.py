@@ -69,7 +69,7 @@ TOPICS = (
     COMMAND, STATUS, ENABLE, LEASE, CONFIG, HOST, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, SENSORS,
     WISH, TELEOP, NOTE, REQUEST, SAFE_REQUEST, ALIVE,
 )  # fmt: skip
-ASKED = LEASE, CONFIG, HOST, REQUEST, SAFE_REQUEST  # queries, which somebody answers
+QUERIES = LEASE, CONFIG, HOST, REQUEST, SAFE_REQUEST  # queries, which somebody answers
 OF_UNITS = COMMAND, STATUS, ENABLE, LEASE, TRUTH  # that a recording has of each unit; of some it has SENSORS
 
 

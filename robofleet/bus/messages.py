@@ -25,11 +25,11 @@ class WheelCommand(NamedTuple):
     right_rad_s: float
 
 
-class Hurry(IntEnum):
+class LinkState(IntEnum):
     """How a unit's link is, and so how often it should be spoken to."""
 
-    NO = 0
-    NOW = 1  # by cable: often, for its link was bad a short while ago; by radio: at once, for it has heard nothing new
+    GOOD = 0
+    BAD = 1  # by cable: often, for its link was bad a short while ago; by radio: at once, for it has heard nothing new
     WAS_BAD = 2  # by radio: after each status
 
 
@@ -41,7 +41,7 @@ class UnitStatus(NamedTuple):
     boot_id: int  # drawn when the unit started
     nonce: int  # opaque to everybody else
     stamp_ns: int  # [unit's clock]
-    hurry: int  # Hurry
+    hurry: int  # LinkState
     robots: tuple["RobotStatus", ...]  # in the unit's order
 
 

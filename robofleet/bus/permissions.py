@@ -8,7 +8,7 @@ it owns the configuration, the keys and the processes.
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from robofleet.bus.keys import ALIVE, ASKED, TOPICS, Topic, key, sender_key
+from robofleet.bus.keys import ALIVE, QUERIES, TOPICS, Topic, key, sender_key
 from robofleet.core.patterns import driver_role
 
 UNIT, PAGE, OPERATOR, VIEWER, SCRIPT = "unit", "web", "operator", "viewer", "script"
@@ -51,7 +51,7 @@ def permissions(arena: str, who: Identity) -> Iterator[Permission]:
     for topic in TOPICS:
         if topic is ALIVE:
             continue
-        first, second = (ASKS, ANSWERS) if topic in ASKED else (SAYS, HEARS)
+        first, second = (ASKS, ANSWERS) if topic in QUERIES else (SAYS, HEARS)
         if (full := _reached(arena, topic, who, topic.sender.split(), sends=True)) is not None:
             yield Permission(first, topic, full)
         if (full := _reached(arena, topic, who, _receivers(topic))) is not None:
@@ -65,7 +65,7 @@ def _receivers(topic: Topic) -> list[str]:
     """Return the roles that hear a topic, or answer on it."""
     several = {"all": ROLES, "viewers": ("recorder", PAGE, OPERATOR, VIEWER), "process": ("supervisor", "tracker")}
     receivers = [role for word in topic.receivers.split() for role in several.get(word, (word,))]
-    return receivers if topic in ASKED else [*receivers, "recorder"]  # it keeps what everybody said
+    return receivers if topic in QUERIES else [*receivers, "recorder"]  # it keeps what everybody said
 
 
 def _reached(arena: str, topic: Topic, who: Identity, roles: Iterable[str], *, sends: bool = False) -> str | None:

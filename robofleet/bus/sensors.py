@@ -10,10 +10,10 @@ from robofleet.bus.messages import UNIT_SENSORS
 from robofleet.vehicles.readings import SensorReading
 from robofleet.vehicles.sensors import numbers, packed, unpacked
 
-SensorsSaid = tuple[NDArray[Any], NDArray[np.float64]]  # whose numbers they are (n,), as RobotSensors; the numbers
+SensorMessage = tuple[NDArray[Any], NDArray[np.float64]]  # whose numbers they are (n,), as RobotSensors; the numbers
 
 
-def said(readings: Iterable[tuple[int, SensorReading]]) -> SensorsSaid:
+def said(readings: Iterable[tuple[int, SensorReading]]) -> SensorMessage:
     """Return what is said of the robots at these places of a unit."""
     robots, values = [], list[float]()
     for index, reading in readings:
@@ -23,7 +23,7 @@ def said(readings: Iterable[tuple[int, SensorReading]]) -> SensorsSaid:
     return np.array(robots, UNIT_SENSORS.item_dtype), np.array(values, np.float64)
 
 
-def encoded(seq: int, stamp_ns: int, message: SensorsSaid) -> bytes:
+def encoded(seq: int, stamp_ns: int, message: SensorMessage) -> bytes:
     """Return the payload of a unit's message."""
     robots, values = message
     return UNIT_SENSORS.encode_array((seq, stamp_ns), robots, values.astype("<f8", copy=False).tobytes())

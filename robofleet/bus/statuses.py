@@ -11,7 +11,7 @@ from robofleet.bus.keys import STATUS
 from robofleet.bus.messages import UNIT_STATUS, UnitStatus
 from robofleet.core.clock import MS
 
-HURRY_NS = 5 * MS
+URGENT_PERIOD_NS = 5 * MS
 
 
 class UnitPart(NamedTuple):
@@ -70,8 +70,8 @@ class Statuses:
             newer.append(number)
         return newer
 
-    def hurried(self) -> list[int]:
-        """Return the units by cable whose link is bad: what is said to these is said every HURRY_NS."""
+    def urgent_units(self) -> list[int]:
+        """Return the units by cable whose link is bad: what is said to these is said every URGENT_PERIOD_NS."""
         return [
             number
             for number, status in enumerate(self.newest)

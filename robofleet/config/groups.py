@@ -98,7 +98,7 @@ def scripted(config: Config) -> tuple[str, ...]:
     return tuple(group.title for group in config.groups if kind(group).takes_wishes)
 
 
-def wishing(config: Config, behaviour: type[Behaviour]) -> tuple[str, ...]:
+def taking_setpoints(config: Config, behaviour: type[Behaviour]) -> tuple[str, ...]:
     """Return the names of the groups of one kind of behaviour."""
     return tuple(group.title for group in config.groups if issubclass(kind(group), behaviour))
 

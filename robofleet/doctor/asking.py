@@ -18,7 +18,7 @@ from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
 from robofleet.doctor.serial_ports import devices, holders
 from robofleet.nodes.unit import driver_settings
-from robofleet.nodes.unit.attached import in_words
+from robofleet.nodes.unit.reconnecting_driver import in_words
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError
 

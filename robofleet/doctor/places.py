@@ -10,7 +10,7 @@ from robofleet.bus.endpoint import check_router, settled
 from robofleet.bus.private_folder import PlaceError, private_folder
 from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
-from robofleet.nodes.unit.keeping import state_folder
+from robofleet.nodes.unit.state_store import state_folder
 from robofleet.safety.monitor import LEAST_FREE_BYTES
 
 _BYTES_A_MINUTE = 11_000_000  # of a recording with pictures

@@ -12,8 +12,8 @@ from robofleet.core.clock import Clock
 from robofleet.operator.estop import emergency_stop
 
 SERVICES = "hold", "resume", "stop", "reset"
-Asked = tuple[bool, str]  # whether it is done, and what was answered
-Ask = Callable[[str], "Future[Asked]"]
+Outcome = tuple[bool, str]  # whether it is done, and what was answered
+Ask = Callable[[str], "Future[Outcome]"]
 
 
 class Asking:
@@ -25,17 +25,17 @@ class Asking:
         self._thread = ThreadPoolExecutor(1, "robofleet-asking")
         self._urgent = ThreadPoolExecutor(1, "robofleet-stopping")
 
-    def __call__(self, what: str) -> "Future[Asked]":
+    def __call__(self, what: str) -> "Future[Outcome]":
         """Ask; the emergency stop tells every gate itself, too."""
         if what == "stop":
             return self._urgent.submit(_answered, self._stop)
         return self._thread.submit(_answered, partial(self._ask, what))
 
-    def _ask(self, what: str) -> Asked:
+    def _ask(self, what: str) -> Outcome:
         answer = asked(self._bus, self._clock, "supervisor", what.encode(), role=self._role).decode(errors="replace")
         return answer.startswith("ok"), answer
 
-    def _stop(self) -> Asked:
+    def _stop(self) -> Outcome:
         stopped = emergency_stop(self._bus, self._clock, self._config.units)
         return not stopped.silent, stopped.describe()
 
@@ -45,7 +45,7 @@ class Asking:
             thread.shutdown(wait=False, cancel_futures=True)
 
 
-def _answered(ask: Callable[[], Asked]) -> Asked:
+def _answered(ask: Callable[[], Outcome]) -> Outcome:
     """Return what came of it: whoever asked is told in any case."""
     try:
         return ask()

@@ -16,12 +16,12 @@ from robofleet.bus.messages import (
     TICK_RECORD,
     UNIT_COMMAND,
     UNIT_STATUS,
-    Hurry,
     LeaseRequest,
+    LinkState,
     RobotTick,
     UnitCommand,
 )
-from robofleet.bus.statuses import HURRY_NS, Statuses
+from robofleet.bus.statuses import URGENT_PERIOD_NS, Statuses
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
 from robofleet.control import path, platoon
@@ -31,10 +31,10 @@ from robofleet.core.clock import Clock, S, TickGrid
 from robofleet.core.compiling import Say, on_stderr, told
 from robofleet.core.kernels import kernel
 from robofleet.nodes import fleet
-from robofleet.nodes.deciding import BehaviourRunner, Judge, untimed
+from robofleet.nodes.behaviour_runner import BehaviourRunner, Judge, untimed
+from robofleet.nodes.fleet_estimate import FleetEstimate, Prediction
 from robofleet.nodes.rescues import crawls
-from robofleet.nodes.sighting import FleetEstimate, Prediction
-from robofleet.nodes.wishes import SetpointInbox
+from robofleet.nodes.setpoints import SetpointInbox
 from robofleet.safety import barrier as safety_barrier
 from robofleet.safety.barrier import Filtered
 from robofleet.safety.gate import LeaseAction
@@ -128,8 +128,8 @@ class Controller:
         else:
             self._repeat()
         next_ns = self._grid.instant(self._index + 1)
-        hurries = self._statuses.by_radio or self._statuses.hurried()
-        return min(next_ns, now_ns + HURRY_NS) if hurries else next_ns
+        hurries = self._statuses.by_radio or self._statuses.urgent_units()
+        return min(next_ns, now_ns + URGENT_PERIOD_NS) if hurries else next_ns
 
     def close(self) -> None:
         """Nothing to bring to rest: the gates close when commands cease."""
@@ -244,13 +244,13 @@ class Controller:
         newer, statuses = self._statuses.take(), self._statuses
         if self._leases.refused:
             return
-        for unit in (*statuses.hurried(), *filter(self._waits, statuses.by_radio.intersection(newer))):
+        for unit in (*statuses.urgent_units(), *filter(self._waits, statuses.by_radio.intersection(newer))):
             self._command_unit(unit)
 
     def _waits(self, unit: int) -> bool:
         """Whether a unit on a radio, of which a status has just come, cannot wait for the next tick."""
         status = self._statuses.newest[unit]
-        return status is not None and (status.hurry == Hurry.NOW or self._stale[unit])
+        return status is not None and (status.hurry == LinkState.BAD or self._stale[unit])
 
     def _command_unit(self, unit: int) -> None:
         """Command the robots of a unit that answer to this controller; if none does, nothing is said."""

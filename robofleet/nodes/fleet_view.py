@@ -19,8 +19,8 @@ from robofleet.bus.statuses import Statuses
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.kernels import kernel
-from robofleet.nodes import cameras_heard
-from robofleet.nodes.cameras_heard import CamerasHeard
+from robofleet.nodes import camera_reports
+from robofleet.nodes.camera_reports import CameraReports
 from robofleet.safety.supervisor import MOVING, Event
 from robofleet.safety.view import ROBOT, FleetView, Machine, Rows
 
@@ -41,7 +41,7 @@ class FleetListener:
         self.statuses = Statuses(bus, config.units, ids, by_radio=config.daemons, wake=wake)
         self.newer: list[int] = []  # units, as numbers, of which the newest look found a newer status
         self._ticks = Inbox(bus.newest(TICK), TICK_RECORD.view)
-        self._cameras = CamerasHeard(config, bus)
+        self._cameras = CameraReports(config, bus)
         self._recorders = Inbox(bus.newest(RECORDER), RECORDER_STATUS.decode)
         self._recorder: RecorderStatus | None = None  # as it said last; lockstep has none
         self._robots = np.zeros(len(robots), ROBOT)
@@ -118,7 +118,7 @@ def _take_tick(robots, ticks, failures, moving):  # type: ignore[no-untyped-def]
                 r.failed = event
 
 
-KERNELS = (_take_statuses, _take_tick, *cameras_heard.KERNELS)
+KERNELS = (_take_statuses, _take_tick, *camera_reports.KERNELS)
 
 
 def compile_kernels() -> None:
@@ -126,4 +126,4 @@ def compile_kernels() -> None:
     robots = np.zeros(1, ROBOT)
     _take_statuses(robots, np.zeros(1, UNIT_STATUS.item_dtype), np.zeros(0, np.intp), 0, 0, np.uint64(0))
     _take_tick(robots, np.ndarray((0,), TICK_RECORD.item_dtype, b"0"), _FAILURES, True)
-    cameras_heard.compile_kernels(robots)
+    camera_reports.compile_kernels(robots)

@@ -42,7 +42,7 @@ class Pictures:
         self._clock, self._epoch = clock, epoch
         self._seq = 0
         self._newest_ns: int | None = None  # exposure of the picture chosen last
-        self._asked_until_ns = 0
+        self._requested_until_ns = 0
         self._shot: _Shot | None = None
 
     @property
@@ -58,14 +58,14 @@ class Pictures:
             elif self._refusal:
                 request.reply(self._refusal.encode())
             else:
-                self._asked_until_ns = now_ns + _LOOKING_NS
+                self._requested_until_ns = now_ns + _LOOKING_NS
                 request.reply(b"ok")
 
     def offer(self, image: NDArray[np.uint8] | None, exposure_ns: int, now_ns: int) -> None:
         """Take an image, if it is time for one; it is left as it is until ``publish``, or until the next one."""
         if image is None or self._period_ns is None:
             return
-        period_ns = min(self._period_ns, _LOOKED_AT_NS) if now_ns < self._asked_until_ns else self._period_ns
+        period_ns = min(self._period_ns, _LOOKED_AT_NS) if now_ns < self._requested_until_ns else self._period_ns
         # Counted in whole periods, the mean rate is kept although images come when they like.
         if self.waits or self._newest_ns is None or exposure_ns // period_ns != self._newest_ns // period_ns:
             self._shot = _Shot(image, exposure_ns)

@@ -15,7 +15,7 @@ from robofleet.recording.log import RunLog
 
 _QUEUE = 65536  # messages: half a minute of a fleet of four, three seconds of a hundred robots
 _PERIOD_NS = 40 * MS  # with the log's own flush a quarter of a second
-_SAID_NS = 250 * MS
+_REPORT_NS = 250 * MS
 
 
 class Recorder:
@@ -38,7 +38,7 @@ class Recorder:
         self._log.flush(now_ns)
         failed = self._log.failed is not None
         if now_ns >= self._say_ns or failed != self._failed:
-            self._failed, self._say_ns = failed, now_ns + _SAID_NS
+            self._failed, self._say_ns = failed, now_ns + _REPORT_NS
             self._seq += 1
             status = RecorderStatus(self._epoch, self._seq, self._log.messages, self._log.dropped, int(self._failed))
             self._publish(RECORDER_STATUS.encode(status))

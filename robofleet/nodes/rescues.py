@@ -21,7 +21,7 @@ _MOST_WORDS = 64  # between two steps, of a group
 
 def crawls(config: Config) -> NDArray[np.float64]:
     """Return the fastest wheel of each member that is driven out [rad/s]; 0 of who is in no group for a person."""
-    limits, by_hand = np.zeros(len(config.members)), groups.wishing(config, Teleop)
+    limits, by_hand = np.zeros(len(config.members)), groups.taking_setpoints(config, Teleop)
     for group, rows in zip(config.groups, groups.rows(config.groups), strict=True):
         if group.title in by_hand:
             crawl = Teleop.Settings.model_validate(group.settings).crawl_m_s
@@ -36,7 +36,7 @@ class Words:
 
     def __init__(self, config: Config, bus: Bus) -> None:
         self.crawls = crawls(config)
-        by_hand = groups.wishing(config, Teleop)
+        by_hand = groups.taking_setpoints(config, Teleop)
         self._groups = [
             (bus.stream(key(config.arena.name, TELEOP, group.title), capacity=_MOST_WORDS), rows)
             for group, rows in zip(config.groups, groups.rows(config.groups), strict=True)

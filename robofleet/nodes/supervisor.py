@@ -14,13 +14,13 @@ from robofleet.bus.messages import (
     UNIT_ENABLE,
     UNIT_STATUS,
     BusyMachine,
-    Hurry,
     Late,
+    LinkState,
     RunState,
     UnitEnable,
 )
 from robofleet.bus.requests import SAFE, SAFE_WORDS
-from robofleet.bus.statuses import HURRY_NS
+from robofleet.bus.statuses import URGENT_PERIOD_NS
 from robofleet.config import groups, obstacles, slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
@@ -153,11 +153,11 @@ class Supervisor:
         radio as soon as their status comes: their permissions are as fresh as can be, and none is said twice.
         """
         requests, statuses = self._requests(), self._listener.statuses
-        hurried = statuses.hurried()
+        urgent_units = statuses.urgent_units()
         between = self._next_ns - _PERIOD_NS <= now_ns < self._next_ns
-        if (hurried or statuses.by_radio) and between and not requests:
+        if (urgent_units or statuses.by_radio) and between and not requests:
             self._listener.hear_robots(now_ns)
-            for unit in (*hurried, *filter(self._waits, self._listener.newer)):
+            for unit in (*urgent_units, *filter(self._waits, self._listener.newer)):
                 self._enable(unit, now_ns)
             return self._wakes_ns(now_ns)
         self._lines += [f"{unit}: {why}" for unit, why in self._handing.step(now_ns)]
@@ -221,7 +221,8 @@ class Supervisor:
             self._say(line)
 
     def _wakes_ns(self, now_ns: int) -> int:
-        return min(self._next_ns, now_ns + HURRY_NS) if self._listener.statuses.hurried() else self._next_ns
+        urgent = self._listener.statuses.urgent_units()
+        return min(self._next_ns, now_ns + URGENT_PERIOD_NS) if urgent else self._next_ns
 
     def close(self) -> None:
         """Nothing to bring to rest: the gates close when enables cease."""
@@ -409,7 +410,7 @@ class Supervisor:
         if status is None or unit not in statuses.by_radio or status.nonce == self._echoed[unit]:
             return False
         self._passed_over[unit] += 1
-        urgent = status.hurry != Hurry.NO or self._status.phase is Phase.ESTOP
+        urgent = status.hurry != LinkState.GOOD or self._status.phase is Phase.ESTOP
         return urgent or self._passed_over[unit] >= _EVERY_OTHER
 
     def _enable(self, unit: int, now_ns: int) -> None:

@@ -33,7 +33,7 @@ class Ending:
         if dropped := summary["recording"]["dropped"]:
             many = f"{dropped:,} message{'s' * (dropped > 1)} of the run"
             self._lose(self._folder / "run.mcap", f"it lacks {many}: make room, and run it again")
-        kept = self._summary_kept()
+        kept = self._write_summary()
         if self._as_json or not kept:
             print(dumps(summary))
         elif completed or summary["ticks"]:
@@ -61,7 +61,7 @@ class Ending:
         self.lost.append(printable(f"results are lost: {file}: {why}"))
         print(self.lost[-1], file=sys.stderr)
 
-    def _summary_kept(self) -> bool:
+    def _write_summary(self) -> bool:
         file = self._folder / "summary.json"
         try:
             write_text(file, dumps(self._summary, indent=1) + "\n")

@@ -41,7 +41,7 @@ class Stick(NamedTuple):
 
 def driven(config: Config) -> tuple[str, ...]:
     """Return the groups that a person drives."""
-    return groups.wishing(config, Teleop)
+    return groups.taking_setpoints(config, Teleop)
 
 
 class Hand:

@@ -30,7 +30,7 @@ def hosts(config: Config) -> dict[str, Any]:
     clock, arena = WallClock(), config.arena.name
     silent = f"no router of {arena} answers at {config.bus.endpoint}: start a run, or one that stays (bus.router)"
     with answering(silent, arena, config.bus.endpoint, clock) as bus:
-        return {"arena": arena, "units": _asked(bus, clock, arena, config.units, config.daemons)}
+        return {"arena": arena, "units": _answers(bus, clock, arena, config.units, config.daemons)}
 
 
 def hosts_elsewhere(access: JoinedArena) -> dict[str, Any]:
@@ -41,10 +41,10 @@ def hosts_elsewhere(access: JoinedArena) -> dict[str, Any]:
     clock = WallClock()
     with reached(access, clock) as bus:
         linked = sorted(unit for role in bus.roles() if (unit := unit_of_role(role)) is not None)
-        return {"arena": access.arena, "units": _asked(bus, clock, access.arena, dict.fromkeys(linked, ()), linked)}
+        return {"arena": access.arena, "units": _answers(bus, clock, access.arena, dict.fromkeys(linked, ()), linked)}
 
 
-def _asked(
+def _answers(
     bus: ZenohBus, clock: WallClock, arena: str, units: Mapping[str, Sequence[str]], daemons: Sequence[str]
 ) -> list[dict[str, Any]]:
     by_unit: dict[str, list[UnitStatus]] = {unit: [] for unit in units}

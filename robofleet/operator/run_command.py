@@ -22,7 +22,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import utc_now
 from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra, new_file, new_folder, unkept
 from robofleet.hosts.network import network
-from robofleet.nodes.unit.keeping import FileKeeping
+from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.operator import viewer_address as viewers
 from robofleet.operator.config_commands import ConfigFile, Overrides
 from robofleet.operator.ending import Ending
@@ -218,7 +218,7 @@ def _refuse_forgetful(tree: Config) -> None:
     here = tuple(robot for robot in tree.ids if tree.unit_of[robot] not in tree.daemons)
     if tree.drivers.started_by != "systemd":
         try:
-            FileKeeping(tree.arena.name).try_place(here)
+            FileStateStore(tree.arena.name).try_place(here)
         except OSError as error:
             raise unkept(error) from error
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from robofleet.core.files import replaced
 from robofleet.recording.gauge import Gauge
-from robofleet.recording.measures import Series, exposure_to_tick_ms, exposure_to_wheel_ms, told_at_ticks
+from robofleet.recording.measures import Series, exposure_to_tick_ms, exposure_to_wheel_ms, status_at_ticks
 from robofleet.recording.run import Array, GroupColumns
 
 CSV = "metrics.csv"
@@ -30,7 +30,7 @@ class Column(NamedTuple):
     csv: str = ""  # its name in metrics.csv where that is another one
 
 
-def _told(name: str, meaning: str, *, running: bool = False, whole: bool = False, csv: str = "") -> Column:
+def _recorded(name: str, meaning: str, *, running: bool = False, whole: bool = False, csv: str = "") -> Column:
     """Return a column of the controller's record of a tick."""
     return Column(name, meaning, lambda s: s.run.items[csv or name], running, whole, csv)
 
@@ -56,32 +56,32 @@ def _reference(name: str, axis: int) -> Column:
 
 
 def _wheel(side: str) -> Callable[[Series], Array]:
-    return lambda s: told_at_ticks(s.run, lambda status: status[side])
+    return lambda s: status_at_ticks(s.run, lambda status: status[side])
 
 
 COLUMNS = (
-    _told("x_m", "centre in the world, as the filter estimates it at the tick [m]"),
-    _told("y_m", "centre in the world, as the filter estimates it at the tick [m]"),
-    _told("psi_rad", "heading in the world, counter-clockwise positive, as the filter estimates it [rad]"),
+    _recorded("x_m", "centre in the world, as the filter estimates it at the tick [m]"),
+    _recorded("y_m", "centre in the world, as the filter estimates it at the tick [m]"),
+    _recorded("psi_rad", "heading in the world, counter-clockwise positive, as the filter estimates it [rad]"),
     _true("true_x_m", 0, "true centre in the world; of simulated robots only [m]"),
     _true("true_y_m", 1, "true centre in the world; of simulated robots only [m]"),
     _true("true_psi_rad", 2, "true heading in the world; of simulated robots only [rad]"),
-    _told("point_x_m", "point p when the command acts, as predicted [m]"),
-    _told("point_y_m", "point p when the command acts, as predicted [m]"),
+    _recorded("point_x_m", "point p when the command acts, as predicted [m]"),
+    _recorded("point_y_m", "point p when the command acts, as predicted [m]"),
     _reference("reference_x_m", 0),
     _reference("reference_y_m", 1),
-    _told("u_x_m_s", "velocity of the point p that is asked for, as wheels and barrier let it [m/s]", running=True),
-    _told("u_y_m_s", "velocity of the point p that is asked for, as wheels and barrier let it [m/s]", running=True),
-    _told("left_commanded_rad_s", "left wheel as commanded [rad/s]", csv="left_rad_s"),
-    _told("right_commanded_rad_s", "right wheel as commanded [rad/s]", csv="right_rad_s"),
+    _recorded("u_x_m_s", "velocity of the point p that is asked for, as wheels and barrier let it [m/s]", running=True),
+    _recorded("u_y_m_s", "velocity of the point p that is asked for, as wheels and barrier let it [m/s]", running=True),
+    _recorded("left_commanded_rad_s", "left wheel as commanded [rad/s]", csv="left_rad_s"),
+    _recorded("right_commanded_rad_s", "right wheel as commanded [rad/s]", csv="right_rad_s"),
     Column("pose_error_mm", "distance of the filter's centre from the true one [mm]", lambda s: s.pose_mm),
     Column("heading_error_deg", "the filter's heading minus the true one [deg]", lambda s: s.heading_deg),
-    _told("saturated", "1: the wheels could not do all of the input", whole=True),
-    _told("measured", "1: an image was used for this robot in this tick", whole=True),
-    _told("lost", "1: no image for too long, the robot stands still", whole=True),
-    _told("filtered", "1: the barrier changed the command; 2: it found no answer, the robot stands", whole=True),
-    _told("blocked", "1: the barrier has held the robot for so long that it will not get on by itself", whole=True),
-    _told("failed", "not 0: its group's behaviour failed by this event, and it stands", whole=True),
+    _recorded("saturated", "1: the wheels could not do all of the input", whole=True),
+    _recorded("measured", "1: an image was used for this robot in this tick", whole=True),
+    _recorded("lost", "1: no image for too long, the robot stands still", whole=True),
+    _recorded("filtered", "1: the barrier changed the command; 2: it found no answer, the robot stands", whole=True),
+    _recorded("blocked", "1: the barrier has held the robot for so long that it will not get on by itself", whole=True),
+    _recorded("failed", "not 0: its group's behaviour failed by this event, and it stands", whole=True),
     Column("left_measured_rad_s", "left wheel as the robot measured it last [rad/s]", _wheel("left_rad_s")),
     Column("right_measured_rad_s", "right wheel as the robot measured it last [rad/s]", _wheel("right_rad_s")),
     Column(
@@ -92,7 +92,7 @@ COLUMNS = (
     Column(
         "exposure_to_wheel_ms",
         "from mid-exposure to the wheels, of the newest command that reached them [ms]",
-        lambda s: told_at_ticks(s.run, exposure_to_wheel_ms),
+        lambda s: status_at_ticks(s.run, exposure_to_wheel_ms),
     ),
 )
 

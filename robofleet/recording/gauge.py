@@ -90,11 +90,11 @@ class Gauge:
         ]
         measured: list[Measure] = self._tried_to(lambda: self._measures(past), [])
         found: dict[str, Curve] = {}
-        for measure, live, is_told in (
+        for measure, live, is_figure in (
             *((m, live, True) for m, live in figures),
             *((m, True, False) for m in measured),
         ):
-            curve = _curve(measure, robots, live=live, is_figure=is_told)
+            curve = _curve(measure, robots, live=live, is_figure=is_figure)
             found.setdefault(curve.key, curve)
         return tuple(found.values())
 

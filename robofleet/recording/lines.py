@@ -69,7 +69,7 @@ def news_line(news: TrackerNews, camera: str = "") -> Line:
     return Line(level, "tracker", describe(news.event, news.tag, news.value, camera))
 
 
-def said_line(group: str, words: str) -> Line:
+def note_line(group: str, words: str) -> Line:
     """Return what the script of a group said."""
     return Line(Level.INFO, group, words)
 

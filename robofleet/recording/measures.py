@@ -24,7 +24,7 @@ def pose_errors(run: Run, truth: Array) -> tuple[Array, Array]:
     return off, np.angle(np.exp(1j * (run.items["psi_rad"] - truth[..., 2])))
 
 
-def told_at_ticks(run: Run, measure: Callable[[NDArray[Any]], Array]) -> Array:
+def status_at_ticks(run: Run, measure: Callable[[NDArray[Any]], Array]) -> Array:
     """Return a figure (K, N) of the newest status of each robot that came before a tick; NaN where there is none."""
     values = np.full((len(run.ticks), len(run.statuses)), np.nan)
     for robot, newest in enumerate(run.newest_statuses):

@@ -127,7 +127,7 @@ def report(
 
     $ robofleet report runs/20260102T030405Z-platoon --figures paper/figures --junit bounds.xml
     """
-    with _keeping_garbage(), _readable():
+    with _without_garbage_collection(), _readable():
         _refuse_misplaced(other, out, figures, junit)
         try:
             with _importing(behaviours) as imports:
@@ -242,7 +242,7 @@ def _left_out(folder: Path | None, name: str, effect: str) -> str:
 
 
 @contextmanager
-def _keeping_garbage() -> Iterator[None]:
+def _without_garbage_collection() -> Iterator[None]:
     """Collect no garbage: it takes a fifth of the time to find that there is hardly any."""
     gc.disable()
     try:

@@ -43,7 +43,7 @@ def write(summary: Summary, lost: list[str], file: Path) -> None:
     suite.set("tests", str(len(cases)))
     for attribute, verdict in _COUNTED.items():
         suite.set(attribute, str(sum(case.verdict == verdict for case in cases)))
-    SubElement(suite, "system-out").text = _text("\n".join(_said(summary)))
+    SubElement(suite, "system-out").text = _text("\n".join(_output_lines(summary)))
     SubElement(suite, "system-err").text = _text("\n".join(lost))
     indent(suites)
     write_text(file, '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(suites, encoding="unicode") + "\n")
@@ -98,7 +98,7 @@ def _add(suite: Element, name: str, case: _Case) -> None:
             verdict.set("type", case.kind)
 
 
-def _said(summary: Summary) -> Iterator[str]:
+def _output_lines(summary: Summary) -> Iterator[str]:
     yield f"{summary['config']}: {summary['outcome']}" + (f": {summary['cause']}" if summary["cause"] else "")
     for bound in summary["bounds"]:
         verdict = "met" if bound["pass"] else "not met" if is_judged(summary, bound) else "not judged"

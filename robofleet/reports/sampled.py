@@ -16,7 +16,7 @@ from robofleet.reports.metrics import reduced
 
 _MOST_BYTES = 24 << 20  # of ticks: a quarter to half an hour of four robots
 _SPARSE = 64  # of so many statuses one tells what time it was
-_KEPT = BUSY, NOTE, SENSORS  # topics of which every message is kept
+_WHOLE_TOPICS = BUSY, NOTE, SENSORS  # topics of which every message is kept
 
 
 class _Ticks(NamedTuple):
@@ -67,7 +67,7 @@ class Sampled(Run):
             if first <= at < until and not (self.states and state.repeats(self.states[-1][1])):
                 self.states.append((at, state))
         for full in run.recording.messages:
-            if (about := named(full)) is not None and about[0] in _KEPT:
+            if (about := named(full)) is not None and about[0] in _WHOLE_TOPICS:
                 self._messages += [(full, payload) for payload in run.recording.between(full, first, until)]
 
     def _add_ticks(self, run: Run) -> None:

@@ -14,7 +14,7 @@ from robofleet.safety.supervisor import Event, Phase
 
 _WHY_WITHIN_NS = 1_000_000_000  # a gate that closes by itself does so before the supervisor knows why
 _SOON = 3  # statuses: a gate may close before the news that the run ended is here
-_ASKED = range(Event.START_REQUESTED, Event.DRIVER_SILENT)
+_REQUESTED = range(Event.START_REQUESTED, Event.DRIVER_SILENT)
 _BY_OPERATOR = (Event.HOLD_REQUESTED, Event.ESTOP_REQUESTED, Event.STOPPED_AT_GATE)
 _GOING_ON = (Phase.ARMED, Phase.RUNNING)
 _TOGETHER_S = 0.5  # gates that the operator closes so soon after another one belong to one stop
@@ -82,7 +82,7 @@ def _why(run: Run, row: int, k: int) -> _Why | None:
     if any(driven_out(state, row) for _, state in run.states[max(0, before - 1) : before + 1]):
         return _Why("a person no longer drives it out of the held run", by_operator=True)
     for at, state in run.states[max(0, before) :]:
-        if at > soon and (at > places[last] or state.cause in _ASKED):
+        if at > soon and (at > places[last] or state.cause in _REQUESTED):
             break  # what somebody asks for closes no gate beforehand
         if state.phase == Phase.IDLE:
             return None

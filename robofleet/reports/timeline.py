@@ -98,7 +98,7 @@ def moments(run: Run) -> Iterator[Moment]:
     yield from _news(run)
     yield from _overruns(run)
     yield from _barrier(run)
-    yield from _said(run)
+    yield from _notes(run)
 
 
 def _news(run: Run) -> Iterator[Moment]:
@@ -129,7 +129,7 @@ def _barrier(run: Run) -> Iterator[Moment]:
             yield Moment(first_ns, last_ns, robot.id, f"the barrier changed its command for {took:.2f} s")
 
 
-def _said(run: Run) -> Iterator[Moment]:
+def _notes(run: Run) -> Iterator[Moment]:
     """Yield what scripts said; a note has no stamp of its own: it knows the newest tick."""
     stamps: dict[int, int] = {}
     for group in run.groups:

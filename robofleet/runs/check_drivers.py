@@ -17,7 +17,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S, WallClock
 from robofleet.core.plugins import PluginError, load
 from robofleet.nodes.unit import driver_settings
-from robofleet.nodes.unit.attached import in_words
+from robofleet.nodes.unit.reconnecting_driver import in_words
 from robofleet.runs.children import ended_by
 from robofleet.vehicles.interface import SimulatedDriver, is_concurrent
 

@@ -21,7 +21,7 @@ from robofleet.core.refusal import RefusedError, unkept
 from robofleet.hosts.link_log import FewLines, say_linked, say_refused
 from robofleet.hosts.network import Keys, network
 from robofleet.nodes.node import Lifeline, Node, ahead_of_others, realtime_priority, run
-from robofleet.nodes.unit.keeping import FileKeeping
+from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.runs.table import RECORDER, ROUTER, TRACKER, Edges, Row
 from robofleet.tracking.sources import CameraError
 from robofleet.vehicles.interface import DriverError
@@ -64,7 +64,7 @@ def main(
         with closing(_joined(config, roles, clock)) as bus:
             edges = Edges(
                 config.trackers.get(name, config), bus, clock, waker, entropy(config.run.seed, roles[0]),
-                FileKeeping(config.arena.name), lambda progress: held.say(progress.encode()), robots, real_time=True,
+                FileStateStore(config.arena.name), lambda progress: held.say(progress.encode()), robots, real_time=True,
                 folder=folder, last_word=lambda: held.last_word, take_over=take_over,
             )  # fmt: skip
             node = _put_together(row, _injected(edges, roles[0]) if config.faults and row.injectable else edges)
@@ -168,7 +168,7 @@ def _put_together(row: Row, edges: Edges) -> Node:
     """Return the process; RefusedError or SystemExit with a line where a disk, a robot or a camera is not there."""
     assert row.make is not None
     try:
-        FileKeeping(edges.config.arena.name).prove(edges.robots)
+        FileStateStore(edges.config.arena.name).prove(edges.robots)
     except OSError as error:
         raise unkept(error) from error
     try:

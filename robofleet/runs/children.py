@@ -49,7 +49,7 @@ class Child:
     log: Path
     ready: bool = False
     progress: Progress | None = None  # of what it compiles before it is ready
-    unheard: str = ""  # the beginning of a line
+    partial_line: str = ""  # the beginning of a line
     killed: bool = False  # by a fault that was asked for
 
     @property
@@ -59,7 +59,7 @@ class Child:
 
     def hear(self, word: bytes) -> None:
         """Take what it said before it is ready, or that it is."""
-        *lines, self.unheard = (self.unheard + word.decode()).split("\n")
+        *lines, self.partial_line = (self.partial_line + word.decode()).split("\n")
         for line in lines:
             if (progress := decoded(line)) is None:
                 self.ready = True

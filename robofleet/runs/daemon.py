@@ -27,7 +27,7 @@ from robofleet.nodes.node import Lifeline, Waker, ahead_of_others, realtime_prio
 from robofleet.nodes.unit import driver_settings
 from robofleet.nodes.unit.driver import LOOP_NS, DriverProcess
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
-from robofleet.nodes.unit.keeping import FileKeeping
+from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.vehicles.interface import DriverError
 
 _IDLE_NS = S // 10
@@ -122,12 +122,12 @@ class Daemon:
                 raise HandedError(f"{name}: {self._file} on this robot does not allow {refusal}")
 
     def _made(self, config: Config, bus: ZenohBus) -> DriverProcess:
-        keeping = FileKeeping(config.arena.name)
-        keeping.prove(config.units[self._robot.unit])
+        state_store = FileStateStore(config.arena.name)
+        state_store.prove(config.units[self._robot.unit])
         drivers = ConfiguredDrivers(config, self._clock.now_ns)
         boot_id, phase_ns = 1 + secrets.randbelow((1 << 63) - 1), secrets.randbelow(LOOP_NS)
         unit, clock, wake = self._robot.unit, self._clock, self._wake
-        return DriverProcess(config, unit, bus, clock, wake, boot_id, phase_ns, keeping, drivers)
+        return DriverProcess(config, unit, bus, clock, wake, boot_id, phase_ns, state_store, drivers)
 
 
 def _joined(robot: RobotFile, clock: Clock, own: Credentials, session: str) -> ZenohBus:

@@ -50,7 +50,7 @@ _PHASES = {
 }
 _EMERGENCY = "emergency stop"
 _TWICE = 2
-_ASKED_BY_KEY = {"a": b"arm", "s": b"start", "h": b"hold", "r": b"resume"}
+_REQUESTS_BY_KEY = {"a": b"arm", "s": b"start", "h": b"hold", "r": b"resume"}
 
 Outcome = tuple[str, str | None]
 
@@ -183,7 +183,7 @@ class Launcher:
         self._console.emergency = self._stop_now
         held.callback(setattr, self._console, "emergency", lambda: None)
         try:
-            self._stream = bus.stream(*self._heard(), capacity=_STREAM)
+            self._stream = bus.stream(*self._streamed_keys(), capacity=_STREAM)
             held.callback(self._silence.close)
             self._silence.heard(self._clock.now_ns())
             try:
@@ -193,7 +193,7 @@ class Launcher:
         except EmergencyError as why:
             return self._emergency(str(why))
 
-    def _heard(self) -> list[str]:
+    def _streamed_keys(self) -> list[str]:
         """Return the keys of what is shown and judged during a run: the recorder hears the rest."""
         common = [key(self._arena, topic) for topic in (TICK, STATE, BUSY)]
         seen = [key(self._arena, topic, camera) for camera in self._config.camera_names for topic in (POSES, NEWS)]
@@ -391,8 +391,8 @@ class Launcher:
 
     def _ask_by_key(self, keys: str) -> None:
         for pressed in keys:
-            if pressed in _ASKED_BY_KEY:
-                payload = _ASKED_BY_KEY[pressed]
+            if pressed in _REQUESTS_BY_KEY:
+                payload = _REQUESTS_BY_KEY[pressed]
                 self._answer = self._bus.ask(on(payload), "supervisor", payload)
         if self._answer is not None and (answer := self._answer.take()) is not None:
             self._console.note, self._answer = answer.decode(errors="replace"), None

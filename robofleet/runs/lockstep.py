@@ -20,7 +20,7 @@ from robofleet.core.clock import Clock, S, SimulatedClock, stopwatch_ns
 from robofleet.core.compiling import on_stderr
 from robofleet.nodes.node import Node
 from robofleet.nodes.unit.gated_robot import Probe
-from robofleet.nodes.unit.keeping import MemoryKeeping
+from robofleet.nodes.unit.state_store import MemoryStateStore
 from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import RunLog
 from robofleet.recording.run import Recording, Watch
@@ -51,7 +51,7 @@ class Lockstep:
         self.clock = SimulatedClock()
         self.clock.advance_to(S)  # 0 means "never" in many fields
         self.bus = MemoryBus(config.arena.name, self.clock, round(config.lockstep.bus_delay_s * S))
-        self.keeping = MemoryKeeping()
+        self.state_store = MemoryStateStore()
         self.recording = Recording(config)
         self._hash = hashlib.blake2b(digest_size=16)
         self._messages: list[tuple[str, bytes]] = []  # by the step that is under way
@@ -83,8 +83,8 @@ class Lockstep:
         bus, clock = self._edges(slot)
         return make(
             table.Edges(
-                process.config(self._config), bus, clock, slot, self._rng(slot, process), self.keeping, self._progress,
-                process.robots, self.faults, probe=self._probe,
+                process.config(self._config), bus, clock, slot, self._rng(slot, process), self.state_store,
+                self._progress, process.robots, self.faults, probe=self._probe,
             )
         )  # fmt: skip
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from robofleet.core.compiling import Say
     from robofleet.nodes.unit.drivers import Drivers
     from robofleet.nodes.unit.gated_robot import Probe
-    from robofleet.nodes.unit.keeping import StateStore
+    from robofleet.nodes.unit.state_store import StateStore
     from robofleet.simulation.faults import Schedule
 
 Starter = Literal["run", "systemd", "daemon", "operator", "service"]
@@ -44,7 +44,7 @@ class Edges:
     clock: "Clock"
     wake: "Wake"
     rng: "np.random.Generator"
-    keeping: "StateStore"  # what a driver remembers after a restart
+    state_store: "StateStore"  # what a driver remembers after a restart
     progress: "Say"  # told how far it is, while kernels are compiled
     robots: tuple[str, ...] = ()  # a driver's
     faults: "Schedule | None" = None  # on purpose; bus and clock are wrapped in theirs already
@@ -225,8 +225,8 @@ def _tracker(edges: Edges) -> Node:
 
 
 def _controller(edges: Edges) -> Node:
+    from robofleet.nodes.behaviour_runner import SHARE, timed_by, untimed  # noqa: PLC0415
     from robofleet.nodes.controller import Controller, compile_kernels  # noqa: PLC0415
-    from robofleet.nodes.deciding import SHARE, timed_by, untimed  # noqa: PLC0415
 
     compile_kernels(edges.config, edges.progress)
     share_ns = SHARE * edges.config.controller.tick_s * S / len(edges.config.groups)
@@ -247,15 +247,15 @@ def _driver(edges: Edges) -> Node:
         from robofleet.nodes.unit.simulated_robots import compile_kernels  # noqa: PLC0415 - it needs numba
 
         compile_kernels(edges.progress)
-    keeping = edges.keeping
+    state_store = edges.state_store
     if edges.faults is not None:
         from robofleet.simulation.faulty_disk import FaultyStore  # noqa: PLC0415
         from robofleet.simulation.faulty_driver import FaultyDrivers  # noqa: PLC0415
 
-        drivers, keeping = FaultyDrivers(drivers, edges.faults), FaultyStore(keeping, edges.faults)
+        drivers, state_store = FaultyDrivers(drivers, edges.faults), FaultyStore(state_store, edges.faults)
     return DriverProcess(
         config, unit, edges.bus, edges.clock, edges.wake, drawn_id(edges.rng, 64), int(edges.rng.integers(LOOP_NS)),
-        keeping, drivers, edges.probe,
+        state_store, drivers, edges.probe,
     )  # fmt: skip
 
 

@@ -95,7 +95,7 @@ class Fleet:
         """
         self._where, self._lockstep, self._out, self._group, self._copy = where, lockstep, out, group, config
         self._changes = [*settings, *([] if seed is None else [f"run.seed={seed}"])]
-        self._asked_for = robots
+        self._requested_robots = robots
         self._link: Link | None = None
         self._program = False  # a person who started it reads what is wrong
         self.summary: Summary = {}
@@ -148,7 +148,7 @@ class Fleet:
             raise FleetError("this fleet is open already")
         link = script_runs.opened(
             self._where, self._changes, self._out, self._group, self._copy, lockstep=self._lockstep,
-            robots=self._asked_for,
+            robots=self._requested_robots,
         )  # fmt: skip
         self._begin(link, script_runs.group_of(link.config, self._group))
         try:
@@ -179,7 +179,7 @@ class Fleet:
         self._setpoint = np.zeros(len(self._team), SCRIPT_WISH.item_dtype)
         self._values = SCRIPT_WISH.floats(self._setpoint)  # of the same memory (N, 3)
         self._kind = WishKind.STAND
-        self._wished = False
+        self._commanded = False
         self._strange = 0  # ticks in which another script's wishes were done
         self._read(link.tick)
         self.folder: Path | None = link.folder
@@ -318,9 +318,9 @@ class Fleet:
                 t = (self._run_tick - first) * self._tick_s
                 if seconds is not None and t >= seconds - _ROUNDING:
                     return
-                self._wished = False
+                self._commanded = False
                 yield t
-                if not self._wished:
+                if not self._commanded:
                     self._send()
         finally:
             self._stand()
@@ -337,7 +337,7 @@ class Fleet:
             ValueError: The shape is another one, or a value is not finite.
             FleetError: The fleet is not open, or the run has ended.
         """
-        self._wish(WishKind.BODY, self._checked(v_omega, "drive: v [m/s], omega [rad/s]"))
+        self._command(WishKind.BODY, self._checked(v_omega, "drive: v [m/s], omega [rad/s]"))
 
     def move(self, velocities: ArrayLike) -> None:
         """Ask for velocities of the points ahead.
@@ -349,7 +349,7 @@ class Fleet:
             ValueError: The shape is another one, or a value is not finite.
             FleetError: The fleet is not open, or the run has ended.
         """
-        self._wish(WishKind.POINT, self._checked(velocities, "move: velocities of the points ahead [m/s]"))
+        self._command(WishKind.POINT, self._checked(velocities, "move: velocities of the points ahead [m/s]"))
 
     def go_to(self, poses: Mapping[str, Goal], *, within_s: float = 300.0) -> None:
         """Let robots go to poses round each other; return when they are there.
@@ -533,7 +533,7 @@ class Fleet:
                 )
         return goals
 
-    def _wish(self, kind: WishKind, values: Array) -> None:
+    def _command(self, kind: WishKind, values: Array) -> None:
         if self._kind is not kind:
             self._setpoint["told"], self._kind = 1, kind
             self._values[:, 2] = 0.0
@@ -541,7 +541,7 @@ class Fleet:
         self._send()
 
     def _send(self) -> None:
-        self._wished = True
+        self._commanded = True
         self._running.wish(self._encoded(self._kind))
 
     def _encoded(self, kind: WishKind) -> bytes:

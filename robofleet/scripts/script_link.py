@@ -63,7 +63,7 @@ def scripted(config: Config) -> Config:
     """
     run: dict[str, Any] = {"duration_s": _LONG_S, "end": "where_they_stand"}
     update: dict[str, Any] = {}
-    if not groups.wishing(config, Script):
+    if not groups.taking_setpoints(config, Script):
         settings = groups.load_kind(BEHAVIOUR).Settings().model_dump(mode="json")
         robots = tuple(robot.id for robot in config.members)
         update["groups"] = (Group(name=BEHAVIOUR, behaviour=BEHAVIOUR, robots=robots, settings=settings),)

@@ -37,8 +37,8 @@ _WORD_WITHIN_S = 5.0  # of a run that is there: a tick, the supervisor's word
 _READY_WITHIN_S = 300.0  # of all processes of a run that begins: they may compile kernels
 _OVER_WITHIN_S = 5.0  # after the script's last wish
 _ENDED_WITHIN_S = 120.0  # of a launcher: on a busy machine it writes the report for long
-_SAID_S = 0.1  # for which a script says good-bye: one word may be lost on a radio
-_HEARD_WITHIN_S = 0.3  # of a parting wish
+_GOODBYE_S = 0.1  # for which a script says good-bye: one word may be lost on a radio
+_PARTING_WITHIN_S = 0.3  # of a parting wish
 _OVER = Phase.IDLE, Phase.FAULT, Phase.ESTOP
 
 
@@ -128,7 +128,7 @@ class LiveLink:
 
     def done(self, parting: bytes) -> dict[str, Any] | None:
         """Leave; the robots stand, and the run goes on."""
-        self._part(parting, lambda: False, _SAID_S)
+        self._part(parting, lambda: False, _GOODBYE_S)
         self._bus.close()
         return None
 
@@ -138,7 +138,7 @@ class LiveLink:
         self._bus.close()
         return None
 
-    def _part(self, parting: bytes, answered: Callable[[], bool], within_s: float = _HEARD_WITHIN_S) -> bool:
+    def _part(self, parting: bytes, answered: Callable[[], bool], within_s: float = _PARTING_WITHIN_S) -> bool:
         """Say the last wish again and again, tick by tick, until it is heard; returns whether it was."""
         end_ns = self._clock.now_ns() + round(within_s * S)
         while not answered() and self._clock.now_ns() < end_ns:

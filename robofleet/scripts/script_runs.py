@@ -47,7 +47,7 @@ def _as_driven(config: Config, robots: int | None) -> Config:
 
 def group_of(config: Config, wanted: str | None) -> str:
     """Return which group the script drives; FleetError where that is not clear."""
-    takers = groups.wishing(config, Script)
+    takers = groups.taking_setpoints(config, Script)
     if wanted is None and len(takers) == 1:
         return takers[0]
     if wanted not in takers:

@@ -20,7 +20,7 @@ class _StateStore(Protocol[State]):
 
 
 class FaultyStore(Generic[State]):
-    """A keeping whose disk can be full, so that it takes nothing at all: what is there can only be made invalid."""
+    """A state store whose disk can be full, so that it takes nothing at all: what is there can only be made invalid."""
 
     def __init__(self, store: _StateStore[State], schedule: Schedule) -> None:
         self.load, self.lose, self._store, self._schedule = store.load, store.lose, store, schedule

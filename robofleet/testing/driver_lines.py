@@ -17,7 +17,7 @@ from robofleet.config.troubles import LineFault, LinkFault
 from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.driver import DriverProcess
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
-from robofleet.nodes.unit.keeping import MemoryKeeping
+from robofleet.nodes.unit.state_store import MemoryStateStore
 from robofleet.safety.latches import Latch
 from robofleet.testing.driver_bench import LOOP_NS, DriverBench, DriverSubject, Moment
 from robofleet.testing.driver_motion import EVEN_S, OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out, travel
@@ -153,7 +153,7 @@ class BadLines:
             bus = MemoryBus(bench.config.arena.name, bench.clock, 0)
             bus.listen(STATUS, "r1", lambda at_ns, payload: payloads.append((at_ns, payload)))
             process = DriverProcess(
-                bench.config, "r1", bus, bench.clock, lambda _: None, 77, 0, MemoryKeeping(),
+                bench.config, "r1", bus, bench.clock, lambda _: None, 77, 0, MemoryStateStore(),
                 ConfiguredDrivers(bench.config, bench.clock.now_ns),
             )  # fmt: skip
             try:

@@ -22,8 +22,8 @@ from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES, Asked
 from robofleet.gateways.place import Served
 from robofleet.gateways.viewers.foxglove.server import Server, services, written
-from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Viewers
+from robofleet.gateways.viewers.retained import RetainedMessages
 from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, Address, completed
 from robofleet.recording.scenes.drawn import Channel

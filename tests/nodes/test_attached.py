@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from robofleet.core.clock import MS, S, WallClock
-from robofleet.nodes.unit.attached import ReconnectingDriver
+from robofleet.nodes.unit.reconnecting_driver import ReconnectingDriver
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, DriverError, DriverReading, RobotFault, WheelSpeeds
 from tests.runs.realrun import wait

@@ -13,7 +13,7 @@ from robofleet.cli import app
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS
-from robofleet.nodes.deciding import BehaviourRunner, timed_by
+from robofleet.nodes.behaviour_runner import BehaviourRunner, timed_by
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
 from robofleet.runs.lockstep import Lockstep

@@ -9,7 +9,7 @@ from robofleet.bus import keys
 from robofleet.bus.keys import key
 from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD
 from robofleet.core.clock import MS, S
-from robofleet.nodes.unit.keeping import MemoryKeeping, StoredRobot
+from robofleet.nodes.unit.state_store import MemoryStateStore, StoredRobot
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
@@ -55,9 +55,9 @@ def test_a_fleet_runs_on_over_the_end_of_32_bits(platoon_of: Make, near: int) ->
 
 @pytest.mark.parametrize("near", [*LIMITS, (1 << 64) - 3])
 def test_a_driver_goes_on_and_latches_near_the_end_of_its_numbers(stand: Any, driver_of: Make, near: int) -> None:
-    keeping = MemoryKeeping()
-    keeping.save("r1", StoredRobot(near, Latch.NONE, near))
-    stand.node = driver_of(stand.bench, "r1", "r2", keeping=keeping, seed=5)
+    state_store = MemoryStateStore()
+    state_store.save("r1", StoredRobot(near, Latch.NONE, near))
+    stand.node = driver_of(stand.bench, "r1", "r2", state_store=state_store, seed=5)
     stand._seq = near
     stand.node._seq = near
     stand.run(S // 5)

@@ -19,7 +19,7 @@ from robofleet.bus.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.core.clock import MS, S
 from robofleet.core.log_lines import Unfailing
 from robofleet.nodes.unit.gated_robot import Complaints
-from robofleet.nodes.unit.keeping import FileKeeping, MemoryKeeping, StoredRobot
+from robofleet.nodes.unit.state_store import FileStateStore, MemoryStateStore, StoredRobot
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WheelSpeeds
@@ -30,7 +30,7 @@ OTHER = 55
 THIS = bytes([VERSION])  # of the wire
 
 
-class Disk(MemoryKeeping):
+class Disk(MemoryStateStore):
     """A memory that may be full, and that knows when it was written to; to lose what is there takes no room."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ def disk() -> Disk:
 
 @pytest.fixture
 def stand(stand: Any, driver_of: Make, disk: Disk) -> Any:
-    stand.restart = lambda seed: setattr(stand, "node", driver_of(stand.bench, "r1", "r2", keeping=disk, seed=seed))
+    stand.restart = lambda seed: setattr(stand, "node", driver_of(stand.bench, "r1", "r2", state_store=disk, seed=seed))
     stand.restart(1)
     return stand
 
@@ -185,13 +185,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_what_is_kept_is_found_again(folder: Path) -> None:
-    keeping = FileKeeping("lab")
-    assert keeping.load("r1") == StoredRobot()
+    state_store = FileStateStore("lab")
+    assert state_store.load("r1") == StoredRobot()
     for kept in (StoredRobot(3, Latch.WIRED_STOP, 2), StoredRobot(4, Latch.NONE, 2)):
-        keeping.save("r1", kept)
-        assert FileKeeping("lab").load("r1") == kept
-    assert FileKeeping("lab").load("r2") == StoredRobot()
-    assert FileKeeping("elsewhere").load("r1") == StoredRobot()
+        state_store.save("r1", kept)
+        assert FileStateStore("lab").load("r1") == kept
+    assert FileStateStore("lab").load("r2") == StoredRobot()
+    assert FileStateStore("elsewhere").load("r1") == StoredRobot()
     assert [file.name for file in folder.iterdir()] == ["r1.json"]
 
 
@@ -233,19 +233,19 @@ def test_a_damaged_memory_latches_and_says_which_file(
 ) -> None:
     folder.mkdir(parents=True)
     (folder / "r1.json").write_bytes(text if isinstance(text, bytes) else text.encode())
-    assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
+    assert FileStateStore("lab").load("r1").latch is Latch.MEMORY_LOST
     assert f"r1: {folder / 'r1.json'}: cannot be read" in capsys.readouterr().err
 
 
 def test_a_memory_that_is_no_file_latches(folder: Path) -> None:
     (folder / "r1.json").mkdir(parents=True)
-    assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
+    assert FileStateStore("lab").load("r1").latch is Latch.MEMORY_LOST
 
 
 def test_a_damaged_memory_is_cleared_by_a_reset_and_is_whole_again(folder: Path, stand: Any, driver_of: Make) -> None:
     folder.mkdir(parents=True)
     (folder / "r1.json").write_text("rubbish")
-    stand.node = driver_of(stand.bench, "r1", "r2", keeping=FileKeeping("lab"), seed=7)
+    stand.node = driver_of(stand.bench, "r1", "r2", state_store=FileStateStore("lab"), seed=7)
     stand.run(S // 5)
     assert stand.newest("r1").latch == Latch.MEMORY_LOST
     assert stand.made["r1"].target == STOP
@@ -257,8 +257,8 @@ def test_a_damaged_memory_is_cleared_by_a_reset_and_is_whole_again(folder: Path,
 
 def test_a_write_that_was_torn_loses_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At every byte, of the first write over each slot and of later ones."""
-    keeping, before = FileKeeping("lab"), StoredRobot(3, Latch.NONE, 2)
-    keeping.save("r1", before)
+    state_store, before = FileStateStore("lab"), StoredRobot(3, Latch.NONE, 2)
+    state_store.save("r1", before)
     write = os.pwrite
     for number in range(3):
         after = StoredRobot(4 + number, Latch.EMERGENCY_STOP, 3 + number)
@@ -269,75 +269,75 @@ def test_a_write_that_was_torn_loses_nothing(folder: Path, monkeypatch: pytest.M
 
             monkeypatch.setattr(os, "pwrite", torn)
             with pytest.raises(OSError, match="No space left"):
-                keeping.save("r1", after)
-            assert FileKeeping("lab").load("r1") in (before, after)
-            assert size or FileKeeping("lab").load("r1") == before
+                state_store.save("r1", after)
+            assert FileStateStore("lab").load("r1") in (before, after)
+            assert size or FileStateStore("lab").load("r1") == before
         monkeypatch.setattr(os, "pwrite", write)
-        keeping.save("r1", after)
-        assert FileKeeping("lab").load("r1") == after
+        state_store.save("r1", after)
+        assert FileStateStore("lab").load("r1") == after
         before = after
 
 
 def test_a_memory_is_replaced_whole_or_not_at_all(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    keeping = FileKeeping("lab")
-    keeping.save("r1", StoredRobot(3, Latch.NONE, 2))
+    state_store = FileStateStore("lab")
+    state_store.save("r1", StoredRobot(3, Latch.NONE, 2))
 
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space left"):
-        keeping.save("r1", StoredRobot(4, Latch.NONE, 2))
-    assert keeping.load("r1") == StoredRobot(3, Latch.NONE, 2)
+        state_store.save("r1", StoredRobot(4, Latch.NONE, 2))
+    assert state_store.load("r1") == StoredRobot(3, Latch.NONE, 2)
 
 
 def test_either_half_alone_tells_what_is_kept(folder: Path) -> None:
-    keeping, kept = FileKeeping("lab"), StoredRobot(3, Latch.EMERGENCY_STOP, 2)
-    keeping.save("r1", StoredRobot())
-    keeping.save("r1", kept)
+    state_store, kept = FileStateStore("lab"), StoredRobot(3, Latch.EMERGENCY_STOP, 2)
+    state_store.save("r1", StoredRobot())
+    state_store.save("r1", kept)
     file = folder / "r1.json"
     content = file.read_bytes()
     assert json.loads(content)["latch"] == json.loads(content)["spare"]["latch"] == Latch.EMERGENCY_STOP
     for damaged in (b"\0" * 4096 + content[4096:], content[:4096] + b"\0" * 4096):
         file.write_bytes(damaged)
-        assert FileKeeping("lab").load("r1") == kept
+        assert FileStateStore("lab").load("r1") == kept
 
 
 def test_the_newest_half_counts_however_often_it_is_written(folder: Path) -> None:
-    keeping = FileKeeping("lab")
+    state_store = FileStateStore("lab")
     for epoch in range(20):
-        keeping.save("r1", StoredRobot(epoch, Latch.NONE, 2 * epoch))
-        assert FileKeeping("lab").load("r1") == StoredRobot(epoch, Latch.NONE, 2 * epoch)
+        state_store.save("r1", StoredRobot(epoch, Latch.NONE, 2 * epoch))
+        assert FileStateStore("lab").load("r1") == StoredRobot(epoch, Latch.NONE, 2 * epoch)
     assert (folder / "r1.json").stat().st_size == 8192
 
 
 @pytest.mark.parametrize("most", [(1 << 31) - 1, 1 << 31, (1 << 32) - 1, 1 << 32, (1 << 63) - 1])
 def test_large_numbers_are_kept(folder: Path, most: int) -> None:
-    FileKeeping("lab").save("r1", StoredRobot(most, Latch.RUNAWAY, most))
-    assert FileKeeping("lab").load("r1") == StoredRobot(most, Latch.RUNAWAY, most)
+    FileStateStore("lab").save("r1", StoredRobot(most, Latch.RUNAWAY, most))
+    assert FileStateStore("lab").load("r1") == StoredRobot(most, Latch.RUNAWAY, most)
 
 
 def test_what_is_lost_latches_until_it_is_saved_again(folder: Path) -> None:
-    keeping = FileKeeping("lab")
-    keeping.save("r1", StoredRobot(3, Latch.NONE, 2))
-    keeping.lose("r1")
-    assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
-    keeping.save("r1", StoredRobot(4, Latch.EMERGENCY_STOP, 3))
-    assert FileKeeping("lab").load("r1") == StoredRobot(4, Latch.EMERGENCY_STOP, 3)
+    state_store = FileStateStore("lab")
+    state_store.save("r1", StoredRobot(3, Latch.NONE, 2))
+    state_store.lose("r1")
+    assert FileStateStore("lab").load("r1").latch is Latch.MEMORY_LOST
+    state_store.save("r1", StoredRobot(4, Latch.EMERGENCY_STOP, 3))
+    assert FileStateStore("lab").load("r1") == StoredRobot(4, Latch.EMERGENCY_STOP, 3)
 
 
 def test_a_place_that_cannot_be_written_is_named(folder: Path) -> None:
     folder.parent.mkdir()
     folder.write_text("no folder")
     with pytest.raises(OSError, match="Not a directory") as refused:
-        FileKeeping("lab").prove(("r1",))
+        FileStateStore("lab").prove(("r1",))
     assert refused.value.filename == str(folder / "r1.json")
 
 
 def test_proving_makes_room_and_changes_nothing(folder: Path) -> None:
-    FileKeeping("lab").save("r1", StoredRobot(7, Latch.WIRED_STOP, 3))
-    FileKeeping("lab").prove(("r1", "r2"))
-    assert [FileKeeping("lab").load(robot) for robot in ("r1", "r2")] == [
+    FileStateStore("lab").save("r1", StoredRobot(7, Latch.WIRED_STOP, 3))
+    FileStateStore("lab").prove(("r1", "r2"))
+    assert [FileStateStore("lab").load(robot) for robot in ("r1", "r2")] == [
         StoredRobot(7, Latch.WIRED_STOP, 3),
         StoredRobot(),
     ]
@@ -366,19 +366,19 @@ def fill(disk: Path) -> None:
 
 
 def test_a_disk_that_is_really_full_takes_a_latch(small_disk: Path) -> None:
-    keeping = FileKeeping("lab")
-    keeping.prove(("r1",))
+    state_store = FileStateStore("lab")
+    state_store.prove(("r1",))
     fill(small_disk)
     with pytest.raises(OSError, match="No space left"):
         (small_disk / "more").write_text("x")
     for number in range(1, 6):
-        keeping.save("r1", StoredRobot(3, Latch.EMERGENCY_STOP, number))
-        assert FileKeeping("lab").load("r1") == StoredRobot(3, Latch.EMERGENCY_STOP, number)
+        state_store.save("r1", StoredRobot(3, Latch.EMERGENCY_STOP, number))
+        assert FileStateStore("lab").load("r1") == StoredRobot(3, Latch.EMERGENCY_STOP, number)
     with pytest.raises(OSError, match="No space left") as refused:
-        keeping.prove(("r1", "r2"))
+        state_store.prove(("r1", "r2"))
     assert "r2.json" in str(refused.value.filename)
-    keeping.lose("r1")
-    assert FileKeeping("lab").load("r1").latch is Latch.MEMORY_LOST
+    state_store.lose("r1")
+    assert FileStateStore("lab").load("r1").latch is Latch.MEMORY_LOST
 
 
 def test_a_latch_that_cannot_be_kept_is_not_forgotten_by_a_restart(stand: Any, disk: Disk) -> None:

@@ -48,7 +48,7 @@ def test_a_robot_that_cannot_be_given_a_gate_is_closed_too(
             raise MemoryError(robot)
 
     with pytest.raises(MemoryError, match="r1"):
-        driver_of(bench_of(platoon_of(*recorded(0))), "r1", keeping=Nowhere())
+        driver_of(bench_of(platoon_of(*recorded(0))), "r1", state_store=Nowhere())
     assert fake_driver.instances["r1"].closed == 1
 
 

@@ -10,7 +10,7 @@ from robofleet.bus.keys import WISH
 from robofleet.bus.messages import SCRIPT_WISH, RobotWish, ScriptWish
 from robofleet.config.load import load_config
 from robofleet.core.clock import SimulatedClock
-from robofleet.nodes.wishes import SetpointInbox
+from robofleet.nodes.setpoints import SetpointInbox
 from robofleet.safety.supervisor import Phase
 
 CONFIG = load_config(Path(__file__).parents[2] / "configs" / "script.yaml")

@@ -39,7 +39,7 @@ def answered(lockstep: Lockstep, what: bytes) -> bytes:
 
 def latches(lockstep: Lockstep) -> set[int]:
     """Return what is kept of the robots' latches."""
-    return {lockstep.keeping.load(robot).latch for robot in ROBOTS}
+    return {lockstep.state_store.load(robot).latch for robot in ROBOTS}
 
 
 @pytest.fixture

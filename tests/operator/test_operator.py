@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from robofleet.bus.keys import TICK, key
 from robofleet.cli import app
 from robofleet.core.clock import S
-from robofleet.nodes.unit.keeping import FileKeeping, StoredRobot
+from robofleet.nodes.unit.state_store import FileStateStore, StoredRobot
 from robofleet.recording.reading import read
 from robofleet.runs.replay import replay
 from robofleet.safety.latches import Latch
@@ -32,7 +32,7 @@ def test_a_run_is_reset_armed_started_held_and_resumed_and_stops_also_when_its_s
 ) -> None:
     """By keys, and from another terminal."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    FileKeeping("platoon").save("r1", StoredRobot(4, Latch.EMERGENCY_STOP, 7))
+    FileStateStore("platoon").save("r1", StoredRobot(4, Latch.EMERGENCY_STOP, 7))
     run = real_run(*of_robots("r1", "r2"), "--set", "run.start=operator", "--reset", terminal=True)
     before = mode(run)
     run.wait_for(lambda: "waiting: everything is there" in run.said)
@@ -122,7 +122,7 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     real_run: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    FileKeeping("platoon").save("r1", StoredRobot(4, Latch.EMERGENCY_STOP, 7))
+    FileStateStore("platoon").save("r1", StoredRobot(4, Latch.EMERGENCY_STOP, 7))
     refused = real_run(*ALONE)
     assert refused.ended() == 1
     assert "fault: start was refused: r1: the gate is latched: " in refused.said

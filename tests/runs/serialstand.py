@@ -29,8 +29,8 @@ from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.serial_line import SerialLine
-from robofleet.vehicles.body import SimulatedBody
 from robofleet.vehicles.interface import WheelSpeeds
+from robofleet.vehicles.plant import Plant
 from tests.bus.alone import ENABLE as ENABLE_LAYOUT
 from tests.bus.alone import LEASE_ANSWER, ROBOT_STATUS, WHEEL_COMMAND, Enable, RobotStatus, WheelCommand
 from tests.endpoints import own_endpoint
@@ -50,10 +50,10 @@ class FarEnd(threading.Thread):
 
     def __init__(self, config: Config, driver: str, port: Path) -> None:
         super().__init__(daemon=True)
-        simulation = slices.simulation(config, config.robots[0], None)
-        self._period_ns = round(simulation.imperfections.loop_period * S)
-        self._body = SimulatedBody(simulation, CLOCK.now_ns())
-        self._hardware = Hardware(simulation.drive, simulation.imperfections, self._body.plant)
+        s = slices.simulation(config, config.robots[0], None)
+        self._period_ns = round(s.imperfections.loop_period * S)
+        self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=CLOCK.now_ns())
+        self._hardware = Hardware(s.drive, s.imperfections, self._plant)
         self._firmware = load("robofleet.twins", driver)(self._hardware)
         self._motion = MOTION[driver]
         self._line = SerialLine(port)
@@ -77,8 +77,8 @@ class FarEnd(threading.Thread):
             if now_ns >= loop_ns:
                 loop_ns = now_ns + self._period_ns
                 answer += self._firmware.loop(now_ns)
-                self._body.command(self._hardware.command)
-                self._body.advance(now_ns)
+                self._plant.write(self._hardware.command)
+                self._plant.advance(now_ns)
             self._line.write(answer)
         self._line.unplug()
 

@@ -11,7 +11,7 @@ import pytest
 CONFIGS = Path(__file__).parents[2] / "configs"
 PROCESS = (
     "robofleet.cli", "robofleet.bus.zenoh_bus", "robofleet.runs.check_drivers", "robofleet.runs.child",
-    "robofleet.nodes.unit.driver", "robofleet.nodes.unit.drivers", "robofleet.nodes.unit.keeping",
+    "robofleet.nodes.unit.driver", "robofleet.nodes.unit.drivers", "robofleet.nodes.unit.state_store",
     "robofleet.simulation.faulty_bus", "robofleet.simulation.faulty_disk", "robofleet.simulation.faulty_driver",
 )  # fmt: skip
 

@@ -47,6 +47,13 @@ def test_who_was_held_up_on_its_way_catches_up_by_20_ms_at_most(step: Step) -> N
     assert gate.give().output.left == pytest.approx(3.75)
 
 
+def test_a_wheel_that_has_arrived_does_not_keep_the_other_one_from_catching_up(step: Step) -> None:
+    gate = opened(step, WheelSpeeds(0.0, 1.0))
+    gate.command(wheels=WheelSpeeds(0.0, 12.0))
+    gate.now += 20 * MS
+    assert gate.give().output == (0.0, pytest.approx(1.0 + 3.0))
+
+
 def driving(step: Step) -> Gate:
     """Return a gate at its command, both nonces of now."""
     return opened(step, FAST)

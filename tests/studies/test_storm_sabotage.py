@@ -12,7 +12,7 @@ from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault
 from robofleet.core.clock import MS, S
 from robofleet.nodes.unit import drivers
-from robofleet.nodes.unit.keeping import MemoryKeeping
+from robofleet.nodes.unit.state_store import MemoryStateStore
 from robofleet.operator.estop import EmergencyStop
 from robofleet.safety import gate, monitor, runaway, supervisor
 from robofleet.safety.gate import GateState, Inputs
@@ -127,11 +127,11 @@ def _lease_for_everybody(patch: Patch) -> None:
 
 
 def _nothing_kept(patch: Patch) -> None:
-    patch.setattr(MemoryKeeping, "save", lambda *_: None)
+    patch.setattr(MemoryStateStore, "save", lambda *_: None)
 
 
 def _nothing_lost(patch: Patch) -> None:
-    patch.setattr(MemoryKeeping, "lose", lambda *_: None)
+    patch.setattr(MemoryStateStore, "lose", lambda *_: None)
 
 
 def _held_up_and_goes_on(patch: Patch) -> None:

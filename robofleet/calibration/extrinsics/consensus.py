@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _FALSE_ALARM = 0.01  # probability that a mark of a survey without faults is accused
-_ENOUGH = 7  # so many that agree accuse one mark, not two
+_ENOUGH_MARKS = 7  # so many that agree accuse one mark, not two
 _TIE = 0.01  # another choice of marks that fits by so much chance is as good
 _MOST_FOURS = 500
 _SEED = 1  # for the fours of a large survey: same input, same result
@@ -179,7 +179,7 @@ def _trimmed(part: float) -> float:
 def _refuse_ties(lens: Lens, marks: Marks, agreement: Agreement, survey_m: float | None) -> None:
     """Raise CalibrationError if another mark may as well be the one that was surveyed wrongly."""
     placement, inside = agreement.placement, agreement.inside
-    if np.count_nonzero(inside) >= _ENOUGH:
+    if np.count_nonzero(inside) >= _ENOUGH_MARKS:
         return
     for wrong, other in itertools.product(np.flatnonzero(~inside), np.flatnonzero(inside)):
         swapped = inside.copy()

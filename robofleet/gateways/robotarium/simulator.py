@@ -62,7 +62,7 @@ class Simulator:
         if self._drawing is not None:
             self._run.pictures.append(self._drawing)
         self._measured = self._run.poses
-        self._wished = np.zeros((2, n))
+        self._commanded = np.zeros((2, n))
         self._called_step_already, self._checked_poses_already = True, False
         self._errors: dict[str, Any] = {}
         self._steps = 0
@@ -81,7 +81,7 @@ class Simulator:
         """Drive until the next tick."""
         assert not self._called_step_already, "call get_poses() before step()"
         self._called_step_already, self._checked_poses_already = True, False
-        self._judge(self._measured, self._wheels(self._wished))
+        self._judge(self._measured, self._wheels(self._commanded))
         self._steps += 1
         self._run.step(self._let_through())
         self._measured[:] = self._run.poses  # version 1 shows them in the array that the script has
@@ -93,7 +93,7 @@ class Simulator:
 
     def _let_through(self) -> Array:
         """Return the velocities that the version lets the robots have."""
-        return self._wished
+        return self._commanded
 
     def _judge(self, poses: Array, wheels: Array) -> None:
         """Count what the original calls errors."""
@@ -114,10 +114,10 @@ class Simulator:
         return np.vstack([v - turn, v + turn]) / WHEEL_RADIUS
 
     def _take(self, ids: ArrayLike, velocities: Any) -> None:
-        wished = np.asarray(velocities, np.float64)
-        most = self.number_of_robots
-        assert wished.ndim == 2 and wished.shape[1] <= most, f"velocities is {wished.shape}, must be (2, 1 to {most})"
-        self._wished[:, np.asarray(ids, np.intp).ravel()] = wished
+        commanded, most = np.asarray(velocities, np.float64), self.number_of_robots
+        shape = commanded.shape
+        assert len(shape) == 2 and shape[1] <= most, f"velocities is {shape}, must be (2, 1 to {most})"
+        self._commanded[:, np.asarray(ids, np.intp).ravel()] = commanded
 
 
 def outside(poses: Array) -> NDArray[np.bool_]:

@@ -39,7 +39,7 @@ class Robotarium(Simulator):
         self.figure: Any = [] if drawing is None else drawing.figure
         self.axes: Any = [] if drawing is None else drawing.axes
         self.chassis_patches: list[Any] = [] if drawing is None else drawing.robots
-        self.poses, self.velocities = self._measured, self._wished
+        self.poses, self.velocities = self._measured, self._commanded
 
     def set_velocities(self, ids: ArrayLike, velocities: Any) -> None:
         """Set v [m/s], omega [rad/s] (2, N) of robots, each within the limit of its own."""

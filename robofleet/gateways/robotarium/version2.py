@@ -93,7 +93,7 @@ class Robotarium(Simulator):
         n = self.number_of_robots
         if not self._ranging:
             return np.full((self.DISTANCE_SENSORS_ORIENTATION.shape[1], n), np.nan)
-        seen = self._told("distances", self.DISTANCE_SENSORS_ORIENTATION.shape[1])
+        seen = self._sensed("distances", self.DISTANCE_SENSORS_ORIENTATION.shape[1])
         return np.where(np.isnan(seen), -1.0, seen)
 
     def get_distance_endpoints(self) -> Array:
@@ -106,19 +106,19 @@ class Robotarium(Simulator):
 
     def get_accelerations(self) -> Array:
         """Return accelerations along x, y, z (3, N) [m/s^2]; at rest z is -9.8."""
-        return np.asarray(self._told("accelerometer", 3) * [[1.0], [1.0], [-1.0]])
+        return np.asarray(self._sensed("accelerometer", 3) * [[1.0], [1.0], [-1.0]])
 
     def get_gyros(self) -> Array:
         """Return turning about x, y, z (3, N) [rad/s]."""
-        return self._told("gyro", 3)
+        return self._sensed("gyro", 3)
 
     def get_magnetic_fields(self) -> Array:
         """Return the magnetic field along x, y, z (3, N) [uT]."""
-        return self._told("magnetometer", 3) * _MICRO
+        return self._sensed("magnetometer", 3) * _MICRO
 
     def get_orientations(self) -> Array:
         """Return headings (N,) [deg; 0 to 360]."""
-        return np.asarray(np.mod(np.degrees(self._told("heading", 1)[0]), 360.0))
+        return np.asarray(np.mod(np.degrees(self._sensed("heading", 1)[0]), 360.0))
 
     def get_encoders(self) -> NDArray[np.int32]:
         """Return the counts of the left and the right wheel (2, N) since the beginning."""
@@ -143,9 +143,9 @@ class Robotarium(Simulator):
 
     @property
     def _velocities(self) -> Array:
-        return self._wished
+        return self._commanded
 
-    def _told(self, which: str, count: int) -> Array:
+    def _sensed(self, which: str, count: int) -> Array:
         """Return what sensors of a kind say (count, N), NaN where a robot has none."""
         filled = np.full((count, self.number_of_robots), np.nan)
         for robot, reading in enumerate(self._run.sensors):
@@ -162,10 +162,10 @@ class Robotarium(Simulator):
         return np.array(draw(count, spacing=_SPACING, width=_WIDTH, height=_HEIGHT), np.float64)
 
     def _let_through(self) -> Array:
-        left, right = np.clip(self._wheels(self._wished), -self.MAX_WHEEL_VELOCITY, self.MAX_WHEEL_VELOCITY)
-        self._wished[0] = self.WHEEL_RADIUS * (left + right) / 2
-        self._wished[1] = self.WHEEL_RADIUS * (right - left) / self.BASE_LENGTH
-        return self._wished
+        left, right = np.clip(self._wheels(self._commanded), -self.MAX_WHEEL_VELOCITY, self.MAX_WHEEL_VELOCITY)
+        self._commanded[0] = self.WHEEL_RADIUS * (left + right) / 2
+        self._commanded[1] = self.WHEEL_RADIUS * (right - left) / self.BASE_LENGTH
+        return self._commanded
 
     def _judge(self, poses: Array, wheels: Array) -> None:
         self._count(_OUTSIDE, int(outside(poses).any()))

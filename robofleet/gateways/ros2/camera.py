@@ -41,14 +41,14 @@ class Camera:
         self._info = camera_info(view.camera.model, self._frame)
         self._observer = observer
         observer.declare([(PICTURE, self._name)])
-        self._asked_ns: int | None = None
+        self._requested_ns: int | None = None
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
         """Ask for pictures while somebody looks, and say what came."""
         looked_at = any(map(wanted, (self._image, self._compressed, self._lens)))
-        if looked_at and (self._asked_ns is None or now_ns - self._asked_ns >= _AGAIN_NS):
+        if looked_at and (self._requested_ns is None or now_ns - self._requested_ns >= _AGAIN_NS):
             self._bus.ask(SAFE_REQUEST, self._tracker, REQUESTED)
-            self._asked_ns = now_ns
+            self._requested_ns = now_ns
         if looked_at and (source := (PICTURE, self._name)) in updated:
             picture = self._observer[source]
             self._say(self._graph.stamp(self._robots.exposed_ns(self._name, picture.exposure_ns)), picture.jpeg)

@@ -65,7 +65,7 @@ class Gateway:
         self._markers = graph.publisher(topics.MARKERS)
         self._markers.publish(markers(config, names, graph.frames))
         self._floor = Floor(graph, config, names)
-        self._say_places(graph, config, names)
+        self._publish_fixed_frames(graph, config, names)
         if not has_transforms():
             node.get_logger().warning(
                 f"no /tf, so RViz and Nav2 see no robots: this Python has no {TRANSFORMS_PACKAGE}, and PyPI has none: "
@@ -81,7 +81,7 @@ class Gateway:
         for part in self._parts:
             part.step(now_ns, updated)
 
-    def _say_places(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
+    def _publish_fixed_frames(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
         """Say where everything is that does not move."""
         self._fixed = Transforms(graph, topics.FIXED)
         stamp = graph.stamp(graph.clock.now_ns())

@@ -72,7 +72,7 @@ def serve(config: Config, access: ArenaAccess, namespace: str) -> None:
         held.callback(gateway.velocities.stand)
         serve_requests(made, asking)
         made.create_timer(_LOOK_S, gateway.step)
-        if groups.wishing(config, Ros2) and (why := joined_otherwise(config, access, SCRIPT)):
+        if groups.taking_setpoints(config, Ros2) and (why := joined_otherwise(config, access, SCRIPT)):
             print(why, file=sys.stderr)
         print(f"ROS 2 hears the run of {config.arena.name}: Ctrl-C ends this, and not the run", file=sys.stderr)
         while not interrupted.count and not served.is_over(clock.now_ns()):

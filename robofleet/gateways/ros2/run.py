@@ -41,7 +41,7 @@ class Run:
         self._state = graph.publisher(topics.STATE)
         self._diagnostics = graph.publisher(topics.DIAGNOSTICS)
         self._phase = ""
-        self._said_ns = 0
+        self._published_ns = 0
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
         """Say what is new."""
@@ -52,8 +52,8 @@ class Run:
             if phase != self._phase:
                 self._phase = phase
                 self._state.publish(String(data=phase))
-        if now_ns - self._said_ns >= _EVERY_NS:
-            self._said_ns = now_ns
+        if now_ns - self._published_ns >= _EVERY_NS:
+            self._published_ns = now_ns
             message = DiagnosticArray(status=[self._of_run(), self._of_controller(now_ns), *self._of_robots(now_ns)])
             message.header.stamp = self._graph.stamp(now_ns)
             self._diagnostics.publish(message)

@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Clock
 
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
-from robofleet.gateways.asking import Asked
+from robofleet.gateways.asking import Outcome
 from robofleet.gateways.place import Served
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.gateway import Gateway, serve_requests
@@ -65,7 +65,7 @@ class _Passing:
         clock = self._run.clock
         served = Served(lambda: False, clock.now_ns())
         self._gateway = Gateway(made, link.config, self._run.bus, clock, lambda: 0, served)
-        serve_requests(made, self._asked)
+        serve_requests(made, self._answered)
         self._ticking = made.create_publisher(Clock, topics.CLOCK.name, profile(topics.CLOCK.quality))
         self._pace = _Pace(speed, clock.now_ns())
 
@@ -83,8 +83,8 @@ class _Passing:
             while (rest_s := left_s(now_ns)) > 0.0:
                 spin(timeout_sec=rest_s)
 
-    def _asked(self, what: str) -> "Future[Asked]":
-        answer: Future[Asked] = Future()
+    def _answered(self, what: str) -> "Future[Outcome]":
+        answer: Future[Outcome] = Future()
         try:
             self._link.ask(_WORDS.get(what, what).encode())
             answer.set_result((True, "ok"))

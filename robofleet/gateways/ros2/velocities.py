@@ -80,7 +80,7 @@ class Velocities:
     def __init__(
         self, graph: Graph, config: Config, names: dict[str, str], bus: Bus, ticks: TickFollower
     ) -> None:  # fmt: skip
-        titles, come = groups.wishing(config, Ros2), graph.node.create_guard_condition(self._say)
+        titles, come = groups.taking_setpoints(config, Ros2), graph.node.create_guard_condition(self._say)
         self._groups = [
             _Group(graph, [names[robot] for robot in group.robots], bus, group.title, ticks, come.trigger)
             for group in config.groups

@@ -19,8 +19,8 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock
 from robofleet.nodes.unit.drivers import Drivers, UnitMessage, behind_gates
 from robofleet.nodes.unit.gated_robot import Probe
-from robofleet.nodes.unit.keeping import StateStore
-from robofleet.nodes.unit.telling import ByCable, ByRadio, StatusScheduling
+from robofleet.nodes.unit.state_store import StateStore
+from robofleet.nodes.unit.status_scheduling import ByCable, ByRadio, StatusScheduling
 from robofleet.safety.gate import LeaseAction
 
 LOOP_NS = 10 * MS
@@ -39,7 +39,7 @@ class DriverProcess:
         wake: Wake,
         boot_id: int,
         phase_ns: int,
-        keeping: StateStore,
+        state_store: StateStore,
         drivers: Drivers,
         probe: Probe | None = None,
     ) -> None:
@@ -51,7 +51,7 @@ class DriverProcess:
         self._clock, self._build = clock, slices.build(config)
         self._newest_ns = clock.now_ns()
         self._sensing_ns = slices.sensing_period_ns(config, unit)
-        self._robots = behind_gates(drivers, config, config.units[unit], boot_id, keeping, probe, self._now)
+        self._robots = behind_gates(drivers, config, config.units[unit], boot_id, state_store, probe, self._now)
         try:
             self._join(unit, bus, wake)
         except BaseException:

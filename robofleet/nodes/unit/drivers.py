@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 from numpy.typing import NDArray
 
 from robofleet.bus.messages import LeaseAnswer
-from robofleet.bus.sensors import SensorsSaid
+from robofleet.bus.sensors import SensorMessage
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.plugins import load
 from robofleet.nodes.unit import driver_settings
-from robofleet.nodes.unit.attached import ReconnectingDriver
 from robofleet.nodes.unit.gated_robot import GatedRobots, Probe
-from robofleet.nodes.unit.keeping import StateStore
+from robofleet.nodes.unit.reconnecting_driver import ReconnectingDriver
+from robofleet.nodes.unit.state_store import StateStore
 from robofleet.safety.gate import LeaseAction
 from robofleet.vehicles.interface import Driver, DriverContext, DriverError, SimulatedDriver, is_concurrent
 
@@ -73,7 +73,7 @@ class Robots(Protocol):
     def truths(self) -> NDArray[Any] | None:
         """Return the part of a truth of each that is simulated; None where all exist."""
 
-    def sensors(self) -> SensorsSaid:
+    def sensors(self) -> SensorMessage:
         """Return what is said of the sensors of each that tells of them; asked where somebody wants to know."""
 
     def say(self) -> None:
@@ -135,7 +135,7 @@ def in_arrays(config: Config, robots: Sequence[str]) -> bool:
 
 
 def behind_gates(
-    drivers: Drivers, config: Config, robots: Sequence[str], boot_id: int, keeping: StateStore, probe: Probe | None,
+    drivers: Drivers, config: Config, robots: Sequence[str], boot_id: int, state_store: StateStore, probe: Probe | None,
     now_ns: Callable[[], int],
 ) -> Robots:  # fmt: skip
     """Return a unit's robots, which have answered and stand, behind their gates; DriverError where one does not."""
@@ -143,7 +143,7 @@ def behind_gates(
     if (bodies := drivers.bodies(contexts)) is not None:
         from robofleet.nodes.unit.simulated_robots import SimulatedRobots  # noqa: PLC0415 - it needs numba
 
-        return SimulatedRobots(contexts, bodies, boot_id, keeping, probe, now_ns())
+        return SimulatedRobots(contexts, bodies, boot_id, state_store, probe, now_ns())
     opened: list[Driver] = []
     try:
         for context in contexts:
@@ -151,7 +151,7 @@ def behind_gates(
                 opened.append(drivers.driver(context))
             except DriverError as error:
                 raise DriverError(f"{driver_settings.place(config, config.robot(context.robot))}: {error}") from error
-        return GatedRobots(contexts, opened, boot_id, keeping, probe, now_ns)
+        return GatedRobots(contexts, opened, boot_id, state_store, probe, now_ns)
     except BaseException:
         for driver in opened:
             driver.close()

@@ -26,10 +26,10 @@ from robofleet.bus.messages import (
     UnitEnable,
     WheelCommand,
 )
-from robofleet.bus.sensors import SensorsSaid
+from robofleet.bus.sensors import SensorMessage
 from robofleet.nodes.unit import link
-from robofleet.nodes.unit.attached import in_words, sound
-from robofleet.nodes.unit.keeping import RobotState, StateStore
+from robofleet.nodes.unit.reconnecting_driver import in_words, sound
+from robofleet.nodes.unit.state_store import RobotState, StateStore
 from robofleet.safety.gate import GateState, Inputs, LeaseAction
 from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, SimulatedDriver, WheelSpeeds
@@ -84,13 +84,13 @@ class GatedRobots(LinkedRobots):
     """The robots of a unit, each behind its gate; ``now_ns`` is asked again for each: the one before may block."""
 
     def __init__(
-        self, contexts: Sequence[DriverContext], drivers: Sequence[Driver], boot_id: int, keeping: StateStore,
+        self, contexts: Sequence[DriverContext], drivers: Sequence[Driver], boot_id: int, state_store: StateStore,
         probe: Probe | None, now_ns: Callable[[], int],
     ) -> None:  # fmt: skip
         super().__init__()
         self._now_ns = now_ns
         self._robots = [
-            GatedRobot(context, driver, boot_id, keeping, probe, self._complaints)
+            GatedRobot(context, driver, boot_id, state_store, probe, self._complaints)
             for context, driver in zip(contexts, drivers, strict=True)
         ]
         self._simulated = [index for index, driver in enumerate(drivers) if isinstance(driver, SimulatedDriver)]
@@ -167,7 +167,7 @@ class GatedRobots(LinkedRobots):
         truths = [self._robots[index].truth(index) for index in self._simulated]
         return np.array(truths, UNIT_TRUTH.item_dtype) if truths else None
 
-    def sensors(self) -> SensorsSaid:
+    def sensors(self) -> SensorMessage:
         """Return what is said of the sensors of each that tells of them, and answers."""
         readings = ((index, robot.sensors) for index, robot in enumerate(self._robots))
         return sensors.said((index, reading) for index, reading in readings if reading is not None)
@@ -189,12 +189,12 @@ class GatedRobot:
     """One robot: what arrives passes the gate, what passes moves the wheels, what is measured is published."""
 
     def __init__(
-        self, context: DriverContext, driver: Driver, boot_id: int, keeping: StateStore, probe: Probe | None,
+        self, context: DriverContext, driver: Driver, boot_id: int, state_store: StateStore, probe: Probe | None,
         complaints: Complaints,
     ) -> None:  # fmt: skip
         self._robot, self._driver, self._drive = context.robot, driver, context.drive
         self._probe, self._complaints = probe, complaints
-        self._memory = RobotState(context.robot, keeping, self._complain)
+        self._memory = RobotState(context.robot, state_store, self._complain)
         self.gate = GateState(boot_id=boot_id, **self._memory.kept._asdict())
         self._link = link.new_link(self.gate, context.now_ns())
         self._sensors: SensorReading | None = None

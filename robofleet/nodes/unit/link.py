@@ -11,7 +11,7 @@ from typing import Any
 
 from robofleet.bus.messages import Enable, LeaseAnswer, UnitCommand, UnitEnable, WheelCommand
 from robofleet.core.clock import MS, S
-from robofleet.nodes.unit.keeping import RobotState, kept
+from robofleet.nodes.unit.state_store import RobotState, kept
 from robofleet.safety import gate, runaway
 from robofleet.safety.gate import GateState, Inputs, LeaseAction
 from robofleet.safety.latches import GateStatus, Latch

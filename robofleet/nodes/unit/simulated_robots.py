@@ -3,7 +3,6 @@
 The rules are those of ``link.py`` and ``safety/gate.py``, compiled; the bodies are those of ``simulation/bodies.py``.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import astuple
 from functools import partial
@@ -13,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.bus.messages import UNIT_COMMAND, UNIT_ENABLE, UNIT_SENSORS, UNIT_STATUS, UNIT_TRUTH, LeaseAnswer
-from robofleet.bus.sensors import SensorsSaid
+from robofleet.bus.sensors import SensorMessage
 from robofleet.core.compiling import Say, told
 from robofleet.core.kernels import kernel, kernel_of_plain
 from robofleet.core.rows import record_of, row_type
 from robofleet.nodes.unit import link
 from robofleet.nodes.unit.gated_robot import LinkedRobots, Probe
-from robofleet.nodes.unit.keeping import RobotState, StateStore
 from robofleet.nodes.unit.link import Link
+from robofleet.nodes.unit.state_store import RobotState, StateStore
 from robofleet.safety.gate import DRIVE, GATE, INPUT, NEVER_NS, GateState, Inputs, LeaseAction
 from robofleet.safety.latches import GateStatus
 from robofleet.simulation import bodies as simulated
@@ -35,20 +34,21 @@ _NOTHING = np.array([astuple(Inputs())], INPUT)
 _put_command, _put_permission = kernel_of_plain(link.put_command), kernel_of_plain(link.put_permission)
 _look_at, _pass_to_gate = kernel_of_plain(link.look), kernel_of_plain(link.pass_on)
 _settle, _fill_status = kernel_of_plain(link.settle), kernel_of_plain(link.fill_status)
-_advance, _tell = simulated.advance, simulated.tell
-_quantised, _through_wires = simulated.quantised, simulated.through_wires
+_advance, _measured, _write_wheels = simulated.advance, simulated.measured, simulated.write
 
 
 class SimulatedRobots(LinkedRobots):
     """Robots (N,) behind their gates."""
 
     def __init__(
-        self, contexts: Sequence[DriverContext], bodies: Bodies, boot_id: int, keeping: StateStore,
+        self, contexts: Sequence[DriverContext], bodies: Bodies, boot_id: int, state_store: StateStore,
         probe: Probe | None, now_ns: int,
     ) -> None:  # fmt: skip
         super().__init__()
         self._robots, self._bodies, self._probe = [context.robot for context in contexts], bodies, probe
-        self._memories = [RobotState(robot, keeping, partial(self._complaints.add, robot)) for robot in self._robots]
+        self._memories = [
+            RobotState(robot, state_store, partial(self._complaints.add, robot)) for robot in self._robots
+        ]
         gates = [GateState(boot_id=boot_id, **memory.kept._asdict()) for memory in self._memories]
         self._gates = np.array([astuple(gate) for gate in gates], GATE)
         self._links = np.array([astuple(link.new_link(gate, now_ns)) for gate in gates], LINK)
@@ -95,7 +95,7 @@ class SimulatedRobots(LinkedRobots):
         """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
         b = self._bodies
         self._left, self.deadline_ns = _pass_on(
-            self._gates, self._inputs, self._links, self._drive_rows, b.bodies, b.plants, b.coming, b.noise,
+            self._gates, self._inputs, self._links, self._drive_rows, b.bodies, b.builds, b.coming, b.noise,
             *(command or _NO_COMMAND), *(enable or _NO_ENABLE), now_ns, b.prepare(), due,
         )  # fmt: skip
         if self._probe is not None:
@@ -145,10 +145,10 @@ class SimulatedRobots(LinkedRobots):
     def truths(self) -> NDArray[Any]:
         """Return every robot's part of a truth."""
         b = self._bodies
-        _fill_truths(b.bodies, b.plants, b.coming, b.noise, self._truths, b.prepare())
+        _fill_truths(b.bodies, b.builds, b.coming, b.noise, self._truths, b.prepare())
         return self._truths
 
-    def sensors(self) -> SensorsSaid:
+    def sensors(self) -> SensorMessage:
         """Return what the sensors say, of each robot whose sensors are read."""
         sensing = self._bodies.sensing
         assert sensing is not None
@@ -172,7 +172,7 @@ def _pass_on(  # type: ignore[no-untyped-def]
     links,
     drives,
     bodies,
-    plants,
+    builds,
     coming,
     noise,
     command,
@@ -185,7 +185,7 @@ def _pass_on(  # type: ignore[no-untyped-def]
 ):
     left, deadline_ns = 0, NEVER_NS
     for k in range(len(gates)):
-        g, l, b, p = gates[k], links[k], bodies[k], plants[k]
+        g, l, b, p = gates[k], links[k], bodies[k], builds[k]
         if due:
             _look(g, l, b, p, coming[k], noise[k], now_ns, world_ns)
         inputs[k] = _NOTHING[0]
@@ -204,13 +204,7 @@ def _pass_on(  # type: ignore[no-untyped-def]
 def _look(g, l, b, p, coming, noise, now_ns, world_ns):  # type: ignore[no-untyped-def]
     """Read a robot, and command it again to stand, as ``GatedRobot.look``."""
     _advance(b, p, coming, noise, world_ns)
-    left, right = _through_wires(p, b.left_angle, b.right_angle)
-    count = p.speed_quantum * p.loop_period
-    l.left_angle, l.right_angle = _quantised(left, count), _quantised(right, count)
-    left, right = _through_wires(p, b.left_speed, b.right_speed)
-    l.left_speed, l.right_speed = _quantised(left, p.speed_quantum), _quantised(right, p.speed_quantum)
-    charge = max(0.0, 1.0 - b.used / p.battery_life)
-    l.battery = charge if math.isnan(b.low_charge) else b.low_charge
+    l.left_angle, l.right_angle, l.left_speed, l.right_speed, l.battery = _measured(b, p)
     l.faults = b.faults
     if _look_at(g, l, now_ns):
         _write(l, b, p, coming, noise, 0.0, 0.0, world_ns)
@@ -218,7 +212,7 @@ def _look(g, l, b, p, coming, noise, now_ns, world_ns):  # type: ignore[no-untyp
 
 @kernel
 def _write(l, b, p, coming, noise, left, right, world_ns):  # type: ignore[no-untyped-def]
-    _tell(b, p, coming, noise, left, right, world_ns)
+    _write_wheels(b, p, coming, noise, left, right, world_ns)
     l.left_written, l.right_written = left, right
 
 
@@ -229,20 +223,20 @@ def _fill_statuses(gates, links, statuses, now_ns, refused):  # type: ignore[no-
 
 
 @kernel
-def _fill_truths(bodies, plants, coming, noise, truths, world_ns):  # type: ignore[no-untyped-def]
+def _fill_truths(bodies, builds, coming, noise, truths, world_ns):  # type: ignore[no-untyped-def]
     for k in range(len(bodies)):
         b, t = bodies[k], truths[k]
-        _advance(b, plants[k], coming[k], noise[k], world_ns)
+        _advance(b, builds[k], coming[k], noise[k], world_ns)
         t.x_m, t.y_m, t.psi_rad, t.v_m_s, t.omega_rad_s = b.x, b.y, b.psi, b.v, b.omega
 
 
-KERNELS = (_pass_on, _look, _fill_statuses, _fill_truths, simulated.advance_all, simulated.tell)
+KERNELS = (_pass_on, _look, _fill_statuses, _fill_truths, simulated.advance_all, simulated.write)
 
 
 def compile_kernels(say: Say) -> None:
     """Compile every kernel, or load it from the cache, by calling it for no robots; ``say`` is told how far it is."""
     gates, inputs, links, drives = (np.ones(1, kind) for kind in (GATE, INPUT, LINK, DRIVE))
-    bodies, plants = np.zeros(1, simulated.BODY), np.ones(1, simulated.PLANT)
+    bodies, plants = np.zeros(1, simulated.BODY), np.ones(1, simulated.BUILD)
     coming, noise = np.zeros((1, 1), simulated.COMING), np.zeros((1, 1))
     body = bodies[0], plants[0], coming[0], noise[0]
     nobody = bodies[:0], plants[:0], coming[:0], noise[:0]
@@ -250,7 +244,7 @@ def compile_kernels(say: Say) -> None:
     with told("robots", KERNELS, say):
         _pass_on(gates[:0], inputs[:0], links[:0], drives[:0], *nobody, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)
         _look(gates[0], links[0], *body, 0, 0)
-        simulated.tell(*body, 0.0, 0.0, 0)
+        simulated.write(*body, 0.0, 0.0, 0)
         _fill_statuses(gates[:0], links[:0], statuses, 0, 0)
         _fill_truths(*nobody, truths, 0)
         simulated.advance_all(*nobody, 0)

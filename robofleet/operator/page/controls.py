@@ -11,8 +11,8 @@ from robofleet.operator.estop import emergency_stop
 from robofleet.operator.page.frames import Frame, answer
 
 ESTOP = "estop"
-ASKED = ("arm", "start", "hold", "resume", "stop", "reset")
-_MOST_ASKED = 8  # requests under way: more are refused
+REQUESTS = ("arm", "start", "hold", "resume", "stop", "reset")
+_MOST_REQUESTS = 8  # requests under way: more are refused
 
 
 class Controls:
@@ -36,11 +36,11 @@ class Controls:
         task.add_done_callback(self._begun.discard)
 
     async def do(self, what: str) -> Frame:
-        """Ask for one of ASKED, or for the emergency stop; returns the answer, at the latest after two seconds."""
+        """Ask for one of REQUESTS, or for the emergency stop; returns the answer, at the latest after two seconds."""
         loop = asyncio.get_running_loop()
         if what == ESTOP:
             return await loop.run_in_executor(self._stopping, self._stop)
-        if self._under_way >= _MOST_ASKED:
+        if self._under_way >= _MOST_REQUESTS:
             return answer(what, False, "too much was asked at once: wait for the answers")
         self._under_way += 1
         try:

@@ -42,7 +42,7 @@ class Ending:
         if self.verdict is None:
             self.verdict = verdict_of(self._folder)
         self._reported = self._reported or (self._folder / REPORT).is_file()
-        self.frame = _frame(self._folder, self.verdict or _heard(state, robots), reported=self._reported)
+        self.frame = _frame(self._folder, self.verdict or _verdict_of_state(state, robots), reported=self._reported)
         return self.frame != before
 
     @property
@@ -61,7 +61,7 @@ class Ending:
         return not self.watched or since_ns > STAYS_MIN * 60 * S
 
 
-def _heard(state: RunState | None, robots: tuple[str, ...]) -> Verdict:
+def _verdict_of_state(state: RunState | None, robots: tuple[str, ...]) -> Verdict:
     """Return what the supervisor said last, while there is no summary."""
     if state is None:
         return Verdict(_UNKNOWN, (), None)

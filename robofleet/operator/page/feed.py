@@ -21,12 +21,12 @@ from robofleet.operator.page import frames
 from robofleet.operator.page.frames import Frame, event
 from robofleet.operator.page.hearing import Hearing
 from robofleet.operator.page.words import phase_name
-from robofleet.recording.lines import Line, busy_line, latch_line, news_line, said_line, state_lines
+from robofleet.recording.lines import Line, busy_line, latch_line, news_line, note_line, state_lines
 from robofleet.recording.notes import Marks
 from robofleet.safety.latches import Latch
 from robofleet.tracking.outlines import TagOutlines
 
-_KEPT = 100  # lines, for who opens the page later
+_MOST_LINES = 100  # lines, for who opens the page later
 
 
 class Diary:
@@ -34,7 +34,7 @@ class Diary:
 
     def __init__(self, robots: tuple[str, ...]) -> None:
         self._robots = robots
-        self._lines: deque[Frame] = deque(maxlen=_KEPT)
+        self._lines: deque[Frame] = deque(maxlen=_MOST_LINES)
         self._state: RunState | None = None
         self._busy = False
         self._latches: list[int] = [Latch.NONE] * len(robots)
@@ -57,7 +57,7 @@ class Diary:
         lines += self._gates(hearing)
         several = len(hearing.cameras) > 1
         lines += [news_line(item, camera if several else "") for camera, item in news]
-        lines += [said_line(group, note.line) for group, note in hearing.notes if note.line is not None]
+        lines += [note_line(group, note.line) for group, note in hearing.notes if note.line is not None]
         for level, name, words in lines:
             line = words if name == "supervisor" else f"{name}: {words}"
             self._lines.append(event(hearing.t_s, level.name.lower(), line))

@@ -16,7 +16,7 @@ from robofleet.operator.page.places import ASKED_WITHIN_S, Connection, Connectio
 _LEFT_WITHIN_S = 1.0  # of our last word: who does not say good-bye is left
 
 
-class Greetings:
+class TlsHandshakes:
     """Makes the server's end of each connection, and closes what is left of them."""
 
     def __init__(self, context: ssl.SSLContext, places: ConnectionLimiter) -> None:
@@ -56,7 +56,7 @@ class TlsHandshake(asyncio.Protocol):
         self._transport = transport
         self._open.add(transport)
         self.host = (get_remote_addr(transport) or ("?",))[0]
-        self._greeting = asyncio.get_running_loop().create_task(self._greet())
+        self._handshake = asyncio.get_running_loop().create_task(self._shake_hands())
         self._places.take(self)
 
     def data_received(self, data: bytes) -> None:
@@ -72,9 +72,9 @@ class TlsHandshake(asyncio.Protocol):
         self._places.complaints.add(f"a connection of {self.host}: {why}")
         self._places.leave(self)
         self._transport.abort()
-        self._greeting.cancel()
+        self._handshake.cancel()
 
-    async def _greet(self) -> None:
+    async def _shake_hands(self) -> None:
         loop = asyncio.get_running_loop()
         try:
             secured = await loop.start_tls(

@@ -28,11 +28,11 @@ from robofleet.core.refusal import RefusedError
 from robofleet.operator.hand import Hands, Stick
 from robofleet.operator.page.access import ROLES, Access, CookieAccess, TokenAccess, permits
 from robofleet.operator.page.certificate import PageKeys
-from robofleet.operator.page.controls import ASKED, ESTOP, Controls
+from robofleet.operator.page.controls import ESTOP, REQUESTS, Controls
 from robofleet.operator.page.ending import Ending
 from robofleet.operator.page.feed import Feed, Page
 from robofleet.operator.page.frames import answer
-from robofleet.operator.page.greeting import Greetings
+from robofleet.operator.page.greeting import TlsHandshakes
 from robofleet.operator.page.guard import Guard, authorities
 from robofleet.operator.page.page_address import LOOPBACK, Addresses
 from robofleet.operator.page.places import Complaints, Connection, ConnectionLimiter
@@ -88,7 +88,7 @@ async def serve(
     complaints = Complaints(clock)
     guard = Guard(application(feed, controls, access), authorities(names, port, scheme), access, complaints)
     places = ConnectionLimiter(complaints)
-    secured = None if keys is None else Greetings(keys.context, places)
+    secured = None if keys is None else TlsHandshakes(keys.context, places)
     server = uvicorn.Server(_settings(guard, secured or partial(Connection, places)))
     ending = Ending(folder, clock, served.over, patient=served.by_hand)
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
@@ -207,7 +207,7 @@ async def _obey(link: WebSocket, page: Page, controls: Controls, role: str, hand
         except (ValueError, RecursionError):
             return False
         match request:
-            case {"do": str(what)} if what == ESTOP or what in ASKED:
+            case {"do": str(what)} if what == ESTOP or what in REQUESTS:
                 if permits(role, what):
                     controls.begin(what, page.tell)
                 else:

@@ -23,7 +23,7 @@ from robofleet.safety.supervisor import Phase
 
 _STOPPED = (Phase.HOLD, Phase.FAULT, Phase.ESTOP)
 
-Said = Sequence[tuple[str, Message]]  # (topic, message)
+TopicMessages = Sequence[tuple[str, Message]]  # (topic, message)
 
 
 def stamp(date_ns: int) -> Timestamp:
@@ -59,22 +59,22 @@ class FleetScene:
         self._looks: dict[int, Look] = {}  # as drawn
         self._references: list[int] = []  # rows; as drawn
 
-    def tick(self, payload: bytes, date_ns: int) -> Said:
+    def tick(self, payload: bytes, date_ns: int) -> TopicMessages:
         """Take the controller's record; it is drawn later."""
         self._ticked = date_ns, payload
         return ()
 
-    def truth(self, unit: str, payload: bytes, date_ns: int) -> Said:
+    def truth(self, unit: str, payload: bytes, date_ns: int) -> TopicMessages:
         """Take the true states of a unit's simulated robots; they are drawn later."""
         self._truths[unit] = date_ns, payload
         return ()
 
-    def image(self, payload: bytes, date_ns: int) -> Said:
+    def image(self, payload: bytes, date_ns: int) -> TopicMessages:
         """Take what an image showed; the bystanders are drawn later."""
         self._image = (date_ns, payload) if self._parked else None
         return ()
 
-    def draw(self, date_ns: int) -> Said:
+    def draw(self, date_ns: int) -> TopicMessages:
         """Return what is new since the last call."""
         messages, frames = self._estimates()
         frames += self._standing()

@@ -25,10 +25,10 @@ from robofleet.bus.messages import BUSY_MACHINE, FLEET_POSES, RUN_STATE, TRACKER
 from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
-from robofleet.recording.lines import Line, busy_line, latch_line, news_line, said_line, state_lines
+from robofleet.recording.lines import Line, busy_line, latch_line, news_line, note_line, state_lines
 from robofleet.recording.notes import noted
 from robofleet.recording.scenes import shapes
-from robofleet.recording.scenes.fleet_scene import FleetScene, Said, pose_topic, stamp
+from robofleet.recording.scenes.fleet_scene import FleetScene, TopicMessages, pose_topic, stamp
 from robofleet.recording.scenes.overlay import Overlay
 
 _PERIOD_NS = S // 10
@@ -72,7 +72,7 @@ class Scene:
             messages = (*messages, *self._draw(at_ns, date_ns))
         return [(topic, message.SerializeToString()) for topic, message in messages] if messages else []
 
-    def _draw(self, at_ns: int, date_ns: int) -> Said:
+    def _draw(self, at_ns: int, date_ns: int) -> TopicMessages:
         first, self._due_ns = not self._due_ns, (at_ns // _PERIOD_NS + 1) * _PERIOD_NS
         return (*(self._unchanging(date_ns) if first else ()), *self._fleet.draw(date_ns))
 
@@ -87,9 +87,9 @@ class Scene:
         for topic, kind in kinds.items():
             yield topic, kind.DESCRIPTOR.full_name, build_file_descriptor_set(kind).SerializeToString()
 
-    def _by_key(self) -> dict[str, Callable[[bytes, int], Said]]:
+    def _by_key(self) -> dict[str, Callable[[bytes, int], TopicMessages]]:
         arena = self._config.arena.name
-        takes: dict[str, Callable[[bytes, int], Said]] = {
+        takes: dict[str, Callable[[bytes, int], TopicMessages]] = {
             key(arena, TICK): self._fleet.tick,
             key(arena, STATE): self._state,
             key(arena, BUSY): self._is_busy,
@@ -109,18 +109,18 @@ class Scene:
             takes[key(arena, NOTE, group.name)] = partial(self._noted, group.name)
         return takes
 
-    def _noted(self, group: str, payload: bytes, date_ns: int) -> Said:
+    def _noted(self, group: str, payload: bytes, date_ns: int) -> TopicMessages:
         note = noted(payload)
         if note is None:
             return ()
         if note.line is not None:
-            return _log([said_line(group, note.line)], date_ns)
+            return _log([note_line(group, note.line)], date_ns)
         if note.mark is None:
             return ()
         robots = [robot.id for robot in self._config.members]
         return (("/arena", shapes.mark(group, note.mark, robots, stamp(date_ns))),)
 
-    def _unchanging(self, date_ns: int) -> Said:
+    def _unchanging(self, date_ns: int) -> TopicMessages:
         at = stamp(date_ns)
         messages: list[tuple[str, Message]] = [
             ("/arena", SceneUpdate(entities=shapes.arena(self._config, self._groups, at)))
@@ -133,14 +133,14 @@ class Scene:
                 messages.append((f"{overlay.topic}/calibration", lens))
         return messages
 
-    def _state(self, payload: bytes, date_ns: int) -> Said:
+    def _state(self, payload: bytes, date_ns: int) -> TopicMessages:
         before, state = self._fleet.state, RUN_STATE.decode(payload)
         if state is None or (before is not None and state.repeats(before)):
             return ()
         self._fleet.state = state
         return _log(state_lines(before, state, self._ids), date_ns)
 
-    def _status(self, rows: list[int], payload: bytes, date_ns: int) -> Said:
+    def _status(self, rows: list[int], payload: bytes, date_ns: int) -> TopicMessages:
         latches, before = UNIT_STATUS.column(payload, "latch"), self._fleet.latches
         if latches is None or len(latches) != len(rows):
             return ()
@@ -153,20 +153,20 @@ class Scene:
             before[row] = latch
         return _log([latch_line(self._ids[row], latch) for row, latch in new], date_ns)
 
-    def _news(self, camera: str, payload: bytes, date_ns: int) -> Said:
+    def _news(self, camera: str, payload: bytes, date_ns: int) -> TopicMessages:
         news = TRACKER_NEWS.decode(payload)
         return () if news is None else _log([news_line(news, camera)], date_ns)
 
-    def _is_busy(self, payload: bytes, date_ns: int) -> Said:
+    def _is_busy(self, payload: bytes, date_ns: int) -> TopicMessages:
         message = None if self._busy else BUSY_MACHINE.decode(payload)
         self._busy = self._busy or message is not None
         return () if message is None else _log([busy_line(message, self._ids)], date_ns)
 
-    def _poses(self, camera: str, payload: bytes, date_ns: int) -> Said:
+    def _poses(self, camera: str, payload: bytes, date_ns: int) -> TopicMessages:
         self._images[camera].append((date_ns, payload))
         return self._fleet.image(payload, date_ns)
 
-    def _picture(self, overlay: Overlay, payload: bytes, date_ns: int) -> Said:
+    def _picture(self, overlay: Overlay, payload: bytes, date_ns: int) -> TopicMessages:
         picture = PICTURE_LAYOUT.decode(payload)
         if picture is None:
             return ()
@@ -187,7 +187,7 @@ class Scene:
         return None
 
 
-def _log(lines: Iterable[Line], date_ns: int) -> Said:
+def _log(lines: Iterable[Line], date_ns: int) -> TopicMessages:
     at = stamp(date_ns)
     return [
         ("/log", Log(timestamp=at, level=Log.Level.ValueType(level), name=name, message=words))

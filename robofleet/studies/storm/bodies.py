@@ -19,7 +19,7 @@ from robofleet.studies.storm.ledger import GateDecision, Outage
 from robofleet.studies.storm.verdict import Violation
 from robofleet.vehicles.interface import STOP
 
-_GRID_NS = 10_000_000  # a robot goes 2 mm in it
+_GRID_STEP_NS = 10_000_000  # a robot goes 2 mm in it
 _REST_RAD_S = 0.02  # of a wheel; friction holds it soon after
 _STANDING_M_S = 1e-3
 _NAMED_WITHIN_NS = 1_200_000_000  # of a wheel that turns by itself: 0.8 s, and its lag up and down
@@ -138,7 +138,7 @@ def at_goals(config: Config, poses: Mapping[str, tuple[float, float, float]]) ->
 def apart(config: Config, sent_ns: list[Array], truths: list[NDArray[Any]], until_ns: float) -> list[Violation]:
     """Find two bodies that touch, and bodies that cross the arena's edge, before an instant."""
     start, end = max(times[0] for times in sent_ns), min(until_ns, *(times[-1] for times in sent_ns))
-    grid = np.arange(start, end, _GRID_NS)
+    grid = np.arange(start, end, _GRID_STEP_NS)
     if not len(grid):
         return []
     x, y = (

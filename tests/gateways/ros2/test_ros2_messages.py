@@ -95,7 +95,7 @@ def driven(config: Config, graph: Paper, seconds: float) -> list[tuple[int, Any]
 
     bus.tap(keep)
     wish, items = (
-        bus.publisher(WISH, groups.wishing(config, groups.kind(config.groups[0]))[0]),
+        bus.publisher(WISH, groups.taking_setpoints(config, groups.kind(config.groups[0]))[0]),
         np.zeros(4, SCRIPT_WISH.item_dtype),
     )
     items["told"][0], SCRIPT_WISH.floats(items)[0, :2] = 1, (0.1, 0.5)

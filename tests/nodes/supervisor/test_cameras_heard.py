@@ -11,7 +11,7 @@ from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, TagPos
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
-from robofleet.nodes.cameras_heard import CamerasHeard
+from robofleet.nodes.camera_reports import CameraReports
 from robofleet.nodes.views import FloorView
 from robofleet.safety import monitor
 from robofleet.safety.supervisor import NOBODY, Event, Happening, Phase
@@ -31,7 +31,7 @@ class Hall:
         self.clock = SimulatedClock()
         self.clock.advance_to(10 * S)
         self.bus = MemoryBus(self.config.arena.name, self.clock, 0)
-        self.cameras = CamerasHeard(self.config, self.bus)
+        self.cameras = CameraReports(self.config, self.bus)
         self.robots = np.zeros(len(self.config.bodies), ROBOT)
         self.view, self.news = FleetView(0, ()), ()
         self.sees = {LEFT: (1, 2), RIGHT: (2, 3)}

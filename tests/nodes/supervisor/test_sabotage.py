@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from robofleet.bus import statuses
-from robofleet.nodes import cameras_heard, fleet_view, supervisor
+from robofleet.nodes import camera_reports, fleet_view, supervisor
 from robofleet.safety import arming
 from tests.nodes import stand as bench_stand
 from tests.nodes.supervisor import test_checks, test_run, test_said, test_sight, test_stops
@@ -81,19 +81,19 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_a_tick_that_was_overtaken_says_nothing"),
     (fleet_view, "record.epoch == self._fleet.controller_epoch and ", "",
      "test_a_restarted_controller_ends_the_run"),
-    (cameras_heard, "elif image.seq <= self.seq:", "elif False:",
+    (camera_reports, "elif image.seq <= self.seq:", "elif False:",
      "test_a_tag_that_the_tracker_predicts_is_not_seen"),
-    (cameras_heard, "exposure_ns - pose.coasted_ns", "exposure_ns",
+    (camera_reports, "exposure_ns - pose.coasted_ns", "exposure_ns",
      "test_a_tag_that_the_tracker_predicts_is_not_seen"),
-    (cameras_heard, "if pose.coasted_ns == 0:", "if True:", "test_a_tag_that_is_only_predicted_gives_no_place"),
-    (cameras_heard, "self.measured_ns += image.exposure_ns - self.exposure_ns", "pass",
+    (camera_reports, "if pose.coasted_ns == 0:", "if True:", "test_a_tag_that_is_only_predicted_gives_no_place"),
+    (camera_reports, "self.measured_ns += image.exposure_ns - self.exposure_ns", "pass",
      "test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost"),
-    (cameras_heard, "if news.event in _TAG_NEWS and row != _UNKNOWN:", "if False:",
+    (camera_reports, "if news.event in _TAG_NEWS and row != _UNKNOWN:", "if False:",
      "test_the_trackers_news_in_the_runs_words"),
 ]  # fmt: skip
 WHERE = {
     fleet_view: [(supervisor, "FleetListener")],
-    cameras_heard: [(fleet_view, "CamerasHeard")],
+    camera_reports: [(fleet_view, "CameraReports")],
     statuses: [(fleet_view, "Statuses")],
     supervisor: [(bench_stand, "Supervisor")],
 }

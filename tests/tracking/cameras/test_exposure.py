@@ -259,9 +259,9 @@ def grays(*patches: tuple[float, float]) -> tuple[np.ndarray, list[TagSighting],
     targets = [Target(k, 0.07, 0.08, 0.0) for k in range(len(patches))]
     renderer = SceneRenderer(eye, (1280, 720), targets, 0.0, np.random.default_rng(1))
     places = [TagSighting(k, 0.3 * k - 0.3, 0.2 * k, 0.4 + k, 0, 0) for k in range(len(patches))]
-    image = renderer.render(np.array([position[1:] for position in places])).astype(float)
-    for (black, white), position in zip(patches, places, strict=True):
-        u, v = np.rint(eye.project(np.array([[position.x, position.y, 0.08]]))[0]).astype(int)
+    image = renderer.render(np.array([(tag.x, tag.y, tag.psi) for tag in places])).astype(float)
+    for (black, white), tag in zip(patches, places, strict=True):
+        u, v = np.rint(eye.project(np.array([[tag.x, tag.y, 0.08]]))[0]).astype(int)
         part = image[v - 25 : v + 26, u - 25 : u + 26]
         low, high = part.min(), np.percentile(part, 95)
         part[:] = np.clip(black + (part - low) / (high - low) * (white - black), 0, 255)

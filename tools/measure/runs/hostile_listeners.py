@@ -24,8 +24,8 @@ from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.gateways.place import Served
-from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.live import Viewers
+from robofleet.gateways.viewers.retained import RetainedMessages
 from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.page.hearing import Hearing
 from robofleet.operator.terminal.live import LiveView
@@ -246,4 +246,4 @@ def listeners(run: Lockstep, config: Config, folder: Path, *, whole: bool) -> li
         found.append(Shown(config, Stream(bus, clock), partial(_rerun, config)))
     if find_spec("rclpy"):
         found.append(Ros(config, bus, clock))
-    return [*found, *(Scripted(run, config, group) for group in groups.wishing(config, Script))]
+    return [*found, *(Scripted(run, config, group) for group in groups.taking_setpoints(config, Script))]

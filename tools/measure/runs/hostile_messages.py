@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.bus.keys import ASKED, RECORDER, TOPICS, Topic, key
+from robofleet.bus.keys import QUERIES, RECORDER, TOPICS, Topic, key
 from robofleet.bus.layouts import VERSION, BlobLayout, Layout
 from robofleet.bus.messages import RECORDER_STATUS, RecorderStatus
 from robofleet.config.load import load_config
@@ -154,7 +154,7 @@ class Attack:
         self._forging = False
         bus.tap(self._keep)
         self._keys = [target for target in targets(config) if target[0] in topics]
-        self._publish = {full: bus.publisher(topic, name) for topic, name, full in self._keys if topic not in ASKED}
+        self._publish = {full: bus.publisher(topic, name) for topic, name, full in self._keys if topic not in QUERIES}
         self._start()
         self._listeners = listeners(self.lockstep, config, folder, whole=whole)
 
@@ -170,7 +170,7 @@ class Attack:
                 if len(payload) > topic.largest:
                     continue  # the bus itself drops it
                 self._forging = True
-                if topic in ASKED:
+                if topic in QUERIES:
                     self.lockstep.bus.ask(topic, name, payload)
                 else:
                     self._publish[full](payload)

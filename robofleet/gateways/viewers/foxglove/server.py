@@ -24,7 +24,7 @@ from robofleet.core.files import read_plain, replaced
 from robofleet.core.refusal import RefusedError
 from robofleet.core.valid_json import dumps
 from robofleet.gateways.asking import SERVICES, Ask
-from robofleet.gateways.viewers.kept import RetainedMessages
+from robofleet.gateways.viewers.retained import RetainedMessages
 from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.operator.viewer_address import Address
 from robofleet.recording.run import Recording

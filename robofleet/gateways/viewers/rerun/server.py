@@ -21,9 +21,9 @@ from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletio
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from robofleet.core.clock import MS, S, WallClock
-from robofleet.gateways.viewers.kept import RetainedMessages
 from robofleet.gateways.viewers.rerun import columns
 from robofleet.gateways.viewers.rerun.shapes import of_annotations, of_entity
+from robofleet.gateways.viewers.retained import RetainedMessages
 from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.operator.viewer_address import Address
 from robofleet.recording.run import Recording

@@ -6,7 +6,7 @@ nonce that it has heard again (``safety.gate``), so a status is worth most short
 
 from typing import TYPE_CHECKING, Protocol
 
-from robofleet.bus.messages import Hurry
+from robofleet.bus.messages import LinkState
 from robofleet.core.clock import MS, S
 from robofleet.nodes.unit.link import BAD_LINK_NS, NO_LINK_NS
 
@@ -19,7 +19,7 @@ _NEVER_NS = (1 << 63) - 1
 class StatusScheduling(Protocol):
     """One way to tell."""
 
-    hurry: Hurry  # what the status says
+    hurry: LinkState  # what the status says
 
     def heard(self, now_ns: int) -> None:
         """Note that a command came."""
@@ -41,7 +41,7 @@ class ByCable:
     next_ns = _NEVER_NS
 
     def __init__(self) -> None:
-        self.hurry = Hurry.NO
+        self.hurry = LinkState.GOOD
         self._loops = 0
 
     def heard(self, now_ns: int) -> None:
@@ -49,9 +49,9 @@ class ByCable:
 
     def due(self, now_ns: int, robots: "Robots", *, loop: bool) -> bool:
         """Return whether it is time."""
-        self.hurry = Hurry.NOW if robots.hurries else Hurry.NO
+        self.hurry = LinkState.BAD if robots.hurries else LinkState.GOOD
         self._loops += loop
-        return loop and (self.hurry is Hurry.NOW or self._loops % 2 == 1)
+        return loop and (self.hurry is LinkState.BAD or self._loops % 2 == 1)
 
     def told(self, now_ns: int) -> None:
         """Nothing depends on it."""
@@ -69,7 +69,7 @@ class ByRadio:
     _WATCHED_NS = 10 * S  # after it was bad: an enable answers every status, so that BAD_LINK_NS is late
 
     def __init__(self) -> None:
-        self.hurry = Hurry.NO
+        self.hurry = LinkState.GOOD
         self.next_ns = _NEVER_NS
         self._told_ns = 0
         self._bad_until_ns = 0
@@ -87,7 +87,7 @@ class ByRadio:
         late = self._was_open and late_ns < now_ns - robots.newest_nonce_ns < NO_LINK_NS
         if late:
             self._bad_until_ns = now_ns + self._WATCHED_NS
-        self.hurry = Hurry.NOW if late else Hurry.WAS_BAD if watched else Hurry.NO
+        self.hurry = LinkState.BAD if late else LinkState.WAS_BAD if watched else LinkState.GOOD
         if self.next_ns - now_ns > S:  # none is planned, or the clock was set back
             self.next_ns = _NEVER_NS
         silent = not 0 <= now_ns - self._told_ns < self._SILENT_NS

@@ -84,7 +84,7 @@ class _Camera:
         return Event.TRACKER_SILENT if now_ns - self.heard_ns > TRACKER_SILENT_NS or stale else None
 
 
-class CamerasHeard:
+class CameraReports:
     """Listens to the trackers. Of several cameras one that gives no poses is named, and costs what no other sees."""
 
     def __init__(self, config: Config, bus: Bus) -> None:

@@ -42,7 +42,7 @@ class StateStore(Protocol):
         """Let what is kept count as lost until the next save: it latches. OSError where even that cannot be."""
 
 
-class MemoryKeeping:
+class MemoryStateStore:
     """Lockstep's: nothing outlives the run."""
 
     def __init__(self) -> None:
@@ -66,7 +66,7 @@ def state_folder() -> Path:
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "robofleet"
 
 
-class FileKeeping:
+class FileStateStore:
     """One file a robot, in the user's state folder, of full size from the start: a full disk has room for a latch.
 
     It is JSON, and its second half says what the first one says, each with a number and a checksum. The spare half is
@@ -212,9 +212,9 @@ def _checked(found: dict[str, int]) -> StoredRobot:
 class RobotState:
     """What one robot's gate must remember: in memory, and where it is kept."""
 
-    def __init__(self, robot: str, keeping: StateStore, complain: Callable[[str], None]) -> None:
-        self._robot, self._keeping, self._complain = robot, keeping, complain
-        self.kept = keeping.load(robot)
+    def __init__(self, robot: str, state_store: StateStore, complain: Callable[[str], None]) -> None:
+        self._robot, self._state_store, self._complain = robot, state_store, complain
+        self.kept = state_store.load(robot)
         self._unsaved: StoredRobot | None = None
         self._lost = False  # what is kept was made to count as lost
 
@@ -227,7 +227,7 @@ class RobotState:
             return
         if memory.latch and not (self.kept.latch or self._lost):
             try:
-                self._keeping.lose(self._robot)
+                self._state_store.lose(self._robot)
                 self._lost = True
             except OSError as error:
                 self._complain(f"after a restart its latch is lost: {error}")
@@ -235,7 +235,7 @@ class RobotState:
     def save(self, memory: StoredRobot) -> bool:
         """Return whether it could be kept."""
         try:
-            self._keeping.save(self._robot, memory)
+            self._state_store.save(self._robot, memory)
         except OSError as error:
             self._unsaved = memory
             self._complain(f"its lease and its latch cannot be written to disk: {error}")
