@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
-from tests.tracking.peers import CANDIDATES, UNTIMED, Setting, Sighting
+from tests.tracking.peers import CANDIDATES, UNTIMED, PeerTag, Setting
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter
 
@@ -93,7 +93,7 @@ class Score:
         self.errors: list[tuple[float, float, float]] = []  # x, y [mm; world], psi [deg]
         self.tags = self.wrong = 0
 
-    def add(self, prints: Sequence[Print], sightings: Sequence[Sighting]) -> None:
+    def add(self, prints: Sequence[Print], sightings: Sequence[PeerTag]) -> None:
         """Compare one image's sightings with the truth, each at its own instant."""
         by_tag = {tag.tag: tag for tag in prints}
         self.tags += len(by_tag)
