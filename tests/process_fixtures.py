@@ -28,8 +28,8 @@ from robofleet.testing import FakeDriver, run_lockstep
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.bus import alone as of_one
 from tests.runs.realrun import RealRun
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[1] / "configs" / "platoon.yaml"
 ONE_BY_ONE = "drivers.robots_per_process=1"
 LAYOUTS: dict[Topic, Any] = {
     keys.COMMAND: of_one.WHEEL_COMMAND,

@@ -36,8 +36,8 @@ from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus, Truth
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.recording import recorded
+from tests.shipped import PLATOON
 
-PLATOON = File(__file__).parents[1] / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
 START_NS = 1000 * S
 

@@ -20,10 +20,10 @@ from robofleet import cli
 from robofleet.core.refusal import LAB_MODULES
 from robofleet.operator import run_command
 from tests.recording.recorded import room_for
+from tests.shipped import PLATOON
 
 pytestmark = pytest.mark.usefixtures("unplotted")
 
-PLATOON = Path(__file__).parent.parent / "configs" / "platoon.yaml"
 TRUTH = ("--lockstep", "--set", "tracker.source=truth")
 SUMMARY_KEYS = {
     "version", "config", "seed", "mode", "outcome", "cause", "duration_s", "ticks", "real_time_factor", "trace_hash",

@@ -14,8 +14,7 @@ from robofleet.core.clock import Clock, WallClock
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
 from robofleet.vehicles.interface import DriverContext
-
-PLATOON = Path(__file__).parents[1] / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 def config_of(*overrides: str, twin: str, vehicle: str = "gternal", faults: str = "") -> Config:

@@ -1,10 +1,13 @@
 """A person's commands: limited, as long as they are fresh; the others follow the way of the robot ahead."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robofleet import testing
 from robofleet.behaviours.interface import Situation, Wish, WishKind
 from robofleet.behaviours.teleop import Teleop
 from robofleet.bus.keys import STATUS, key
@@ -24,14 +27,7 @@ SPEEDS = st.floats(-10.0, 10.0)
 
 
 def situation(poses: np.ndarray, wish: Wish | None = None) -> Situation:
-    return Situation(
-        t=0.0,
-        poses=poses,
-        driving=np.ones(N, np.bool_),
-        disturbance=np.zeros((N, 2)),
-        others=np.empty((0, 3)),
-        wish=wish,
-    )
+    return replace(testing.situation(poses), wish=wish)
 
 
 def wish(v: float, omega: float, age: float = 0.0, own: float = 0.0, kind: WishKind = WishKind.BODY) -> Wish:

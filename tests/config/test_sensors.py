@@ -1,13 +1,11 @@
 """Sensors in a configuration: what is refused, and what a run's units tell."""
 
-from pathlib import Path
-
 import pytest
 
 from robofleet.config import slices
 from robofleet.config.load import ConfigError, load_config
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 VEHICLE = "robots.1.vehicle.sensors"
 REFUSED = [
     (("robots.1.sensors=true", "robots.1.vehicle=create2"), "robots.1.sensors: its vehicle has no sensors: describe"),

@@ -29,8 +29,8 @@ from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, Address, compl
 from robofleet.recording.scenes.drawn import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer
 from tests.gateways.overheard import EPOCH_NS, Overheard
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 DEFAULT = DEFAULTS[FOXGLOVE]
 HERE = Address("127.0.0.1", 0)
 KEY = "the operator's key"

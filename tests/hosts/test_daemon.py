@@ -17,8 +17,8 @@ from robofleet.core.patterns import driver_role
 from robofleet.nodes.handing import packed
 from robofleet.runs.daemon import Daemon
 from tests.endpoints import own_endpoint
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 CLOCK = WallClock()
 ROBOT = RobotFile(arena="platoon", unit="r1", router=("quic/127.0.0.1:7447",))
 

@@ -1,7 +1,6 @@
 """The barrier in the controller's tick: what it leaves alone, what it changes, and that everybody is told."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,8 @@ from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
 from robofleet.vehicles.differential_drive import body_from_wheels
 from tests.robots import stalls
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TRUTH = "tracker.source=truth"
 CLOSER = "robots.2.start={x_m: -1.463, y_m: 0.116, heading_deg: 50.0}"  # 0.16 m behind r2
 

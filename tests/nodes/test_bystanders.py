@@ -21,9 +21,9 @@ from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS
+from tests.shipped import PLATOON
 
 Make = Callable[..., Config]
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TRUTH = "tracker.source=truth"
 GAP_MM = 10.0  # controller.barrier.gap_m
 LOST = "it is a bystander, and the tracker no longer sees it"

@@ -1,7 +1,6 @@
 """The way to the start before a run, and to the park after it: phases of their own, with every check and gate."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +16,8 @@ from robofleet.recording.run import Run
 from robofleet.runs.check import load_checked
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Event, Phase
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 ANYWHERE = [
     "robots.0.start={x_m: 1.2, y_m: -0.5, heading_deg: 20}",
     "robots.1.start={x_m: 0.2, y_m: -0.5, heading_deg: 120}",

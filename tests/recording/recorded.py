@@ -3,15 +3,14 @@
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.recording.log import RunLog
 from robofleet.recording.run import Recording
 from robofleet.runs.lockstep import Lockstep
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 Messages = list[tuple[str, bytes, int]]  # key, payload, instant [ns]
 
 

@@ -11,8 +11,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from robofleet.config.load import load_config
 from robofleet.recording.log import RunLog
 from robofleet.runs.lockstep import Lockstep
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 EPOCH_NS = 1_790_000_000 * 10**9
 DECODED = {
     "/arena": "foxglove.SceneUpdate",

@@ -1,7 +1,6 @@
 """A run is judged by the bounds of its configuration, figure by figure; what was not measured has not met one."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,9 +11,9 @@ from robofleet.recording.run import Recording
 from robofleet.reports.bounds import JUDGED, complaints, failures, judged
 from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
+from tests.shipped import PLATOON
 
 Make = Callable[..., Any]
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 NO_BOUNDS = "run.bounds={}"
 
 

@@ -23,9 +23,9 @@ from robofleet.runs import lockstep
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from tests.recording.recorded import in_order
+from tests.shipped import PLATOON
 
 RECORDINGS = sorted((Path(__file__).parents[1] / "recordings").glob("*.mcap"))
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 PER_SECOND = 6_000  # bytes: 20 MB an hour; all messages of a second are 90,000
 PART = 60_000  # bytes: a second or two of four robots
 BYTES_OF_A_PART = 60_000  # that are kept of it at most, of 400,000 while it is looked at

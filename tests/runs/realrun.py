@@ -19,8 +19,8 @@ from typer.testing import CliRunner, Result
 
 from robofleet.cli import app
 from robofleet.core.clock import MS, S, WallClock
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 GONE_WITHIN_S = 5.0  # a second, and what a busy machine takes
 _STARTED_WITHIN_S = 150  # on a busy machine that has to compile every kernel first
 _ENDED_WITHIN_S = 120  # the same; how long a stop takes is measured, not waited for

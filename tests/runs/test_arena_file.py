@@ -24,8 +24,8 @@ from robofleet.config.tree import Config
 from robofleet.operator import requests as operator
 from robofleet.scripts.fleet import Fleet, FleetError
 from tests.endpoints import short_folder
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 SWIRL = PLATOON.with_name("swirl.yaml")
 ENDPOINT = "bus.endpoint=unixsock-stream//run/lab/bus.sock"
 FLOCK = Struct("hhqqi4x")  # kind, whence, start, length, process

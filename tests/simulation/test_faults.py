@@ -23,8 +23,8 @@ from robofleet.simulation.faulty_bus import FaultyBus
 from robofleet.tracking.events import TrackerEvent
 from tests.bus.alone import ROBOT_STATUS, WHEEL_COMMAND, Alone, WheelCommand
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 WHEN = "at_s: 0.5, duration_s: 1.0"
 BEGIN, END = 0.5, 1.5  # after the start of the run [s]
 

@@ -1,7 +1,6 @@
 """What a configuration draws, and what happens in it while the camera looks: read back by the tracker's detector."""
 
 import math
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,8 +15,8 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.detection import TagDetector
 from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import Target
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 PLACES = np.array([(-0.9, 0.4, 0.3), (0.8, 0.5, 2.0), (-0.6, -0.5, -2.5), (0.7, -0.4, 1.0)])
 SIDE, HEIGHT = 0.07, 0.08
 NEAR = (3e-4, 3e-4, 4e-3)  # of one image: about five standard deviations of the detector's noise [m, m, rad]

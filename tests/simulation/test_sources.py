@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,8 @@ from robofleet.simulation.sources import SimulatedCamera, Trigger, TruthSource, 
 from robofleet.tracking.sources import CameraContext, ScheduledCamera
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.bus.alone import Truth
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
 LEAD_NS = 18 * MS
 SPEED = 0.05  # of a robot, times its row [m/s]

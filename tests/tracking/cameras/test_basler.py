@@ -6,7 +6,6 @@ import math
 import sys
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,8 +22,8 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.tracking.cameras.basler import BaslerCamera, DeviceClock, SoftwareTrigger
 from robofleet.tracking.sources import CameraContext, CameraError, Exposure
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
 EMULATED = "0815-0000"
 

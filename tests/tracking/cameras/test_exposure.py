@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,8 +24,8 @@ from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sources import CameraError, Exposure, ExposureLimits
 from robofleet.tracking.tags.targets import Target, robot_targets
 from robofleet.tracking.tags.tracker import TagSighting
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 AIM = 200.0
 LIMITS = ExposureLimits(Exposure(1e-4, 0.0), Exposure(0.014, 24.0), Exposure(0.0, 0.0), 1.0)
 Sensor = Callable[[Exposure], float]  # grey of white paper
@@ -260,9 +259,9 @@ def grays(*patches: tuple[float, float]) -> tuple[np.ndarray, list[TagSighting],
     targets = [Target(k, 0.07, 0.08, 0.0) for k in range(len(patches))]
     renderer = SceneRenderer(eye, (1280, 720), targets, 0.0, np.random.default_rng(1))
     places = [TagSighting(k, 0.3 * k - 0.3, 0.2 * k, 0.4 + k, 0, 0) for k in range(len(patches))]
-    image = renderer.render(np.array([(position.x, position.y, position.psi) for position in places])).astype(float)
-    for (black, white), position in zip(patches, places, strict=True):
-        u, v = np.rint(eye.project(np.array([[position.x, position.y, 0.08]]))[0]).astype(int)
+    image = renderer.render(np.array([(tag.x, tag.y, tag.psi) for tag in places])).astype(float)
+    for (black, white), tag in zip(patches, places, strict=True):
+        u, v = np.rint(eye.project(np.array([[tag.x, tag.y, 0.08]]))[0]).astype(int)
         part = image[v - 25 : v + 26, u - 25 : u + 26]
         low, high = part.min(), np.percentile(part, 95)
         part[:] = np.clip(black + (part - low) / (high - low) * (white - black), 0, 255)

@@ -17,8 +17,8 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, SimulatedClock, WallClock
 from robofleet.tracking.cameras.files import FileCamera, ImageFileError, images
 from robofleet.tracking.sources import CameraContext, CameraError, ScheduledCamera
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 SIZE = (64, 48)  # width, height
 STAMPS_NS = [1_714_000_000_123_456_789 + k * 33_333_333 for k in range(8)]
 

@@ -17,8 +17,8 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock, stopwatch_ns
 from robofleet.tracking.cameras.v4l2 import EXPOSURE_ABSOLUTE, GAIN, Range, V4L2Camera, control_range, device_identity
 from robofleet.tracking.sources import CameraContext, CameraError, Exposure, Frame
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 EXPOSURE_S, READOUT_S = 0.006, 0.009
 DEVICE = "/dev/video-of-a-test"
 

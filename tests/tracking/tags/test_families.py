@@ -1,7 +1,5 @@
 """Tags of every family that a laboratory may take."""
 
-from pathlib import Path
-
 import numpy as np
 import pyapriltags
 import pytest
@@ -13,6 +11,7 @@ from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagTracker
+from tests.shipped import PLATOON
 from tests.tracking.library import drawn
 from tests.tracking.peers import OURS, Setting, apriltag
 from tests.tracking.tags.test_tracker import (
@@ -31,8 +30,6 @@ from tests.tracking.tags.test_tracker import (
 from tools.measure.tracking.acquisition import SCENES, evaluate
 from tools.measure.tracking.certainty import Scene as Certainty
 from tools.measure.tracking.certainty import certainty
-
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 
 
 def targets(family: str) -> list[Target]:
