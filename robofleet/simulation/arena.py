@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.bus.messages import UNIT_TRUTH
+from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
-
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
 
 NOBODY = -1  # as a row: a robot of which nothing is kept
 _BEYOND = 1e9  # any arena [m], any heading [rad]: such a truth is none
