@@ -93,7 +93,7 @@ def poses_at(stamps: Instants, samples: Array, count: Instants, instants_ns: Ins
 
 @kernel
 def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
-    """See ``TruthHistory.told_at``."""
+    """See ``TruthHistory.reported_at``."""
     poses, capacity = np.full((len(stamps), 3), np.nan), stamps.shape[1]
     for n in range(len(stamps)):
         if count[n] > 0 and instant_ns - stamps[n, (count[n] - 1) % capacity] <= _BEYOND_NS:
