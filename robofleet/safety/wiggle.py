@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.safety.rolled import Leg, Pose, Wheels, gain_fault, mean_of, rolled, wiring_fault
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import FleetView, RobotView
-
-Array = NDArray[np.float64]
 
 
 class Stroke(NamedTuple):
