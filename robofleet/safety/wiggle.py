@@ -288,9 +288,7 @@ def _next(state: Wiggle, view: FleetView) -> Wiggle:
     first, last = (LEFT, RIGHT) if state.on_the_spot else (FORTH, BACK)
     strokes = tuple(first if this == forth else last if this == back else STAND for forth, back in state.rounds)
     tried = {row: _start(state, row, view.robots[row]) for row, stroke in enumerate(strokes) if stroke}
-    return replace(
-        state, round=this, strokes=strokes, tried=tried, since_ns=view.now_ns, rest_tick=None if tried else view.tick
-    )
+    return replace(state, round=this, strokes=strokes, tried=tried, since_ns=view.now_ns, rest_tick=None)
 
 
 def _start(state: Wiggle, row: int, robot: RobotView) -> Start:
