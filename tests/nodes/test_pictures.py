@@ -67,7 +67,7 @@ def tags_in(picture: Any) -> dict[int, np.ndarray]:
 
 @pytest.mark.parametrize("rate_hz", [4])
 def test_pictures_come_at_their_rate(stand_of: Make, rate_hz: int) -> None:
-    pictures = stand_of(f"camera.picture_rate_hz={rate_hz}").run(3 * S)
+    pictures = stand_of(f"camera.picture_rate_hz={rate_hz}").pictures(3 * S)
     assert len(pictures) in (3 * rate_hz, 3 * rate_hz + 1)
     assert [picture.seq for picture in pictures] == list(range(1, len(pictures) + 1))
     apart_ns = np.diff([picture.exposure_ns for picture in pictures][1:])
@@ -128,8 +128,8 @@ def test_the_poses_of_its_image_go_before_a_picture(stand_of: Make) -> None:
 @pytest.mark.slow
 def test_pictures_change_nothing_of_the_poses(stand_of: Make) -> None:
     without, with_pictures = (stand_of(f"camera.picture_rate_hz={rate}") for rate in (0, 30))
-    assert without.run(S) == []
-    assert len(with_pictures.run(S)) > 20
+    assert without.pictures(S) == []
+    assert len(with_pictures.pictures(S)) > 20
 
     def told(stand: Stand) -> list[Any]:
         return [frame._replace(build=0) for frame in stand.bench.heard(POSES, CAMERA)]

@@ -43,7 +43,7 @@ def test_whoever_asks_again_is_told_that_it_was_done(stand: Stand) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wishes", "last", "way_out"),
+    ("setpoints", "last", "way_out"),
     [
         ([], "hold", "start it"),
         ([], "resume", "start it"),
