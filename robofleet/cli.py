@@ -27,7 +27,7 @@ from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, how_to_
 from robofleet.operator import usage
 from robofleet.operator.terminal.plain_terminal import silence_libraries, speak_its_language
 
-_COLLECT_AFTER = 50_000  # objects: loading libraries makes hundreds of thousands, and hardly any garbage
+_COLLECT_AFTER_OBJECTS = 50_000  # loading libraries makes hundreds of thousands, and hardly any garbage
 _RUNNING = "A running arena, from any terminal"
 _AFTERWARDS = "A run afterwards, from the file that it left"
 _PROCESSES = "One process of a run, by itself"
@@ -171,7 +171,7 @@ def main(*before: str) -> None:
 
     ``before``: words that stand before those of the command line.
     """
-    gc.set_threshold(_COLLECT_AFTER)
+    gc.set_threshold(_COLLECT_AFTER_OBJECTS)
     if sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a driver's or a camera's library that crashes is named, with its line
     speak_its_language()

@@ -11,12 +11,11 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import Behaviour, Decision, Figure, Situation, Team
+from robofleet.core.arrays import Array
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels, feasible_ratio
 
-Array = NDArray[np.float64]
 Pose = tuple[float, float, float]
 
 _SPIN, _STRAIGHT = 0.4, 0.5  # of what the wheels can do

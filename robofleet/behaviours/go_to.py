@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.behaviours.interface import (
-    Array,
     Behaviour,
     Bound,
     Decision,
@@ -34,6 +33,7 @@ from robofleet.control.flow import integrator_gain
 from robofleet.control.following import PATIENCE_S, Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
+from robofleet.core.arrays import Array, Indices
 from robofleet.core.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.safety.supervisor import Event
@@ -408,7 +408,7 @@ class GoTo(Behaviour):
         }
 
 
-def _shared_out(ways: Array) -> planning.Indices:
+def _shared_out(ways: Array) -> Indices:
     """Return which goal each robot has, by its ways (N, N) [m] to them: one without a way only where all must be."""
     some = ways[np.isfinite(ways)]
     return planning.assign(np.where(np.isfinite(ways), ways, 1.0 + 2.0 * some.max(initial=0.0)))

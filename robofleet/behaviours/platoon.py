@@ -33,12 +33,11 @@ from robofleet.behaviours.interface import (
 from robofleet.behaviours.limits import inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.platoon import INPUTS, REFERENCES, Column, PlatoonLaw, PlatoonSettings
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Model, within
 from robofleet.safety import starts
 from robofleet.safety.distances import apart, from_edge
 from robofleet.safety.starts import MOST_THROUGH, Ways, judge
-
-Array = NDArray[np.float64]
 
 _PATH_POINTS = 400  # of the line that is drawn
 _START_POINTS = 100  # of a side, for judging a start

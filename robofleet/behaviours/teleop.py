@@ -15,18 +15,8 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import (
-    Array,
-    Behaviour,
-    Bound,
-    Decision,
-    Figure,
-    Flags,
-    Past,
-    Situation,
-    Team,
-    WishKind,
-)
+from robofleet.behaviours.interface import Behaviour, Bound, Decision, Figure, Past, Situation, Team, WishKind
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.settings import Model, within
 from robofleet.safety.distances import apart
 

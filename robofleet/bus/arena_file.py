@@ -29,7 +29,7 @@ from robofleet.core.patterns import ENDPOINT_PATTERN, NAME_PATTERN, PRIVATE
 if TYPE_CHECKING:  # who looks for a run needs no configuration, and is in a hurry
     from robofleet.config.tree import Config
 
-_LARGEST = 65536  # [bytes]
+_LARGEST_FILE_BYTES = 65536
 _LONGEST_LINE = 4096  # of a path
 _TRIES = 10
 _MOST_FILES = 256  # of one other user, that are opened
@@ -296,7 +296,7 @@ def _running(file: Path) -> ArenaFile | None:
             return None
         before = None
         for _ in range(_TRIES):
-            text = os.pread(descriptor, _LARGEST, 0)
+            text = os.pread(descriptor, _LARGEST_FILE_BYTES, 0)
             if text != before and (run := _checked(text, name[1], uid)) is not None:
                 return run
             before = text

@@ -13,7 +13,7 @@ from robofleet.core.clock import Clock
 
 M = TypeVar("M")
 
-_REQUESTS = 16  # that wait to be served
+_WAITING_REQUESTS = 16  # of them wait to be served, at most
 _SESSIONS = 8  # of one sender, by its role and name, whose messages are kept
 
 Publish = Callable[[bytes], None]
@@ -283,7 +283,7 @@ class _MemoryServer:
 
     def __init__(self, clock: Clock, wake: Wake | None) -> None:
         self._clock, self._wake = clock, wake
-        self._requests: deque[tuple[int, _MemoryRequest]] = deque(maxlen=_REQUESTS)
+        self._requests: deque[tuple[int, _MemoryRequest]] = deque(maxlen=_WAITING_REQUESTS)
 
     def put(self, arrival_ns: int, request: "_MemoryRequest") -> None:
         self._requests.append((arrival_ns, request))

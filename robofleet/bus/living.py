@@ -15,7 +15,7 @@ import zenoh
 from robofleet.bus.keys import ALIVE, key
 from robofleet.core.errors import RobofleetError
 
-_MOST = 16  # tokens of one role; two are enough to believe nobody
+_MOST_TOKENS = 16  # of one role; two are enough to believe nobody
 
 
 class RoleTakenError(RobofleetError):
@@ -43,7 +43,7 @@ def others(session: zenoh.Session, arena: str, role: str) -> list[Token]:
     """Return the other sessions that have a role."""
     replies = session.liveliness().get(key(arena, ALIVE, f"{role}/*/*"))
     tokens = [_token(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
-    return [token for token in tokens if token.zid != str(session.info.zid())][:_MOST]
+    return [token for token in tokens if token.zid != str(session.info.zid())][:_MOST_TOKENS]
 
 
 def roles(session: zenoh.Session, arena: str) -> set[str]:
@@ -79,7 +79,7 @@ class Living:
         token = _token(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.DELETE:
             self._tokens = self._tokens - {token}
-        elif len(self._tokens) < _MOST:
+        elif len(self._tokens) < _MOST_TOKENS:
             self._tokens = self._tokens | {token}
 
 

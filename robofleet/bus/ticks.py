@@ -6,7 +6,7 @@ from robofleet.bus.bus import Bus, Wake
 from robofleet.bus.keys import TICK
 from robofleet.bus.messages import TICK_RECORD
 
-_WINDOW = 64  # ticks; the least delayed one of them tells
+_WINDOW_TICKS = 64  # the least delayed one of them tells
 
 
 class TickFollower:
@@ -20,7 +20,7 @@ class TickFollower:
         self._period_ns = period_ns
         self._ticks = bus.newest(TICK, wake=wake)
         self._run_tick = -1
-        self._origins: deque[int] = deque(maxlen=_WINDOW)
+        self._origins: deque[int] = deque(maxlen=_WINDOW_TICKS)
         self.newest = 0  # number of the newest tick known; 0: none yet
         self.began_ns = 0  # when the newest run began, on the same clock; 0: none has
         self.newest_stamp_ns = 0  # its instant on the CONTROLLER's clock: a simulated trigger line, on one host

@@ -19,13 +19,10 @@ from numpy.typing import NDArray
 from robofleet.control import planning, precedence
 from robofleet.control.flow import point_update
 from robofleet.control.precedence import Plan
+from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.int64]
 
 _body_from_point = kernel(differential_drive.body_from_point)
 

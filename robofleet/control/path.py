@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
-
-Array = NDArray[np.float64]
 
 _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
 _CLEARLY_NEARER = 0.999  # of a squared distance: beyond any rounding

@@ -26,11 +26,9 @@ from numpy.typing import NDArray
 
 from robofleet.control import solid_ways
 from robofleet.control.solid_ways import SolidWays
+from robofleet.core.arrays import Array, Indices
 from robofleet.core.kernels import kernel
 from robofleet.vehicles.solids import Solid
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _REACH_CELLS = 1.5  # from a start or to a goal
 _SLOPE = solid_ways.SLOPE  # by which rho grows with the distance from a start or goal

@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from robofleet.control import planning, solid_ways
 from robofleet.control.planning import Problem
 from robofleet.control.solid_ways import SolidWays
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _rho, _clear_way = planning.rho, solid_ways.clear_way
 _EPSILON = 1e-9

@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Indices
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import solids
 from robofleet.vehicles.solids import Outlines, Solid
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 SLOPE = 0.5  # by which what is kept grows with the distance from a start or goal
 _EPSILON = 1e-9

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.control.path import Path
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
 _STANDING_M_S = 1e-3  # a slower reference has no direction

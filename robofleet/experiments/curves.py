@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
-
-Array = NDArray[np.float64]
 
 _SAMPLE_SPACING_M = 0.05  # the cubics are then exact to 1e-8 m
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)

@@ -9,8 +9,9 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, INK, QUIET, STYLE
-from robofleet.experiments.results import Array, Curve, Figure, Panel
+from robofleet.experiments.results import Curve, Figure, Panel
 
 _LINES = {"solid": "-", "dashed": (0, (4, 3)), "dots": "none"}
 _WIDTH, _HEIGHT = 5.0, 2.9  # of a panel [inch]

@@ -7,7 +7,6 @@ import math
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.behaviours.platoon import Platoon
@@ -16,10 +15,10 @@ from robofleet.config.tree import Config
 from robofleet.control import wheels
 from robofleet.control.path import Path
 from robofleet.control.platoon import INPUTS, PlatoonLaw, PlatoonSettings
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Model, Positive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-Array = NDArray[np.float64]
 Integrator = Literal["exact", "euler"]
 INTEGRATORS: tuple[Integrator, Integrator] = ("exact", "euler")
 _CIRCLE_SIDES = 16

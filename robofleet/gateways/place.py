@@ -58,7 +58,7 @@ def is_over(config: "Config", access: ArenaAccess) -> bool:
     return access.credentials is not None or all((run.arena, run.folder) != mine for run in running(config.arena.name))
 
 
-_SILENT_NS = 3 * S  # of the supervisor: then it is asked whether there is a run
+_SUPERVISOR_SILENT_NS = 3 * S  # then it is asked whether there is a run
 
 
 class Served:
@@ -76,4 +76,4 @@ class Served:
 
     def is_over(self, now_ns: int) -> bool:
         """Return whether another run has begun, or this one has ended."""
-        return self._newest != self._epoch or (now_ns - self._heard_ns > _SILENT_NS and self._ended())
+        return self._newest != self._epoch or (now_ns - self._heard_ns > _SUPERVISOR_SILENT_NS and self._ended())

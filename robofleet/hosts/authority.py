@@ -42,10 +42,10 @@ from robofleet.hosts.bundle import APassport, make_private, write_private
 AUTHORITY_DAYS, DAYS = 3650, 90
 _KEY = "authority.key"
 _HERE = "localhost", "127.0.0.1", "::1"
-_EARLIER = timedelta(minutes=10)  # clocks of two computers differ
+_CLOCK_TOLERANCE = timedelta(minutes=10)  # between two computers' clocks
 _HOST_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*")
 _SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
-_LISTENS = {ROUTER: [_SERVER], PAGE: [_SERVER, _CLIENT]}  # all others are clients, and nobody's server
+_SERVER_USAGES = {ROUTER: [_SERVER], PAGE: [_SERVER, _CLIENT]}  # all others are clients, and nobody's server
 # What an authority signs for, whatever else it is told to: networks and names that nobody has on the Internet.
 _NETWORKS = (
     "127.0.0.0/8", "10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "169.254.0.0/16", "100.64.0.0/10",
@@ -128,7 +128,7 @@ class Authority:
         known = self._register.entries.get(name)
         if known is not None and not known.revoked:
             raise KeysError(f"{name} has a certificate: `robofleet keys renew {self.arena} {name}`, or revoke it first")
-        if kind in _LISTENS and not addresses:
+        if kind in _SERVER_USAGES and not addresses:
             raise KeysError(f"{name}: others reach it by its address: add `--address 192.168.1.10`")
         check_name(name)
         for address in addresses:
@@ -143,7 +143,7 @@ class Authority:
         if entry.revoked:
             raise KeysError(f"{name} is revoked: `robofleet keys add {self.arena} {name}` lets it in again")
         before = entry.newest
-        lasted = round((before.not_after - before.not_before - _EARLIER) / timedelta(days=1))
+        lasted = round((before.not_after - before.not_before - _CLOCK_TOLERANCE) / timedelta(days=1))
         return self._issued(name, entry.kind, entry.generation, before.addresses, days or max(1, lasted))
 
     def revoke(self, name: str) -> None:
@@ -190,22 +190,22 @@ class Authority:
             )
         ends = min(now + timedelta(days=days), last)
         builder = (
-            _builder(_name(common_name), self._certificate.subject, key, now - _EARLIER, ends, serial)
+            _builder(_name(common_name), self._certificate.subject, key, now - _CLOCK_TOLERANCE, ends, serial)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(signs=False), critical=True)
-            .add_extension(x509.ExtendedKeyUsage(_LISTENS.get(kind, [_CLIENT])), critical=False)
+            .add_extension(x509.ExtendedKeyUsage(_SERVER_USAGES.get(kind, [_CLIENT])), critical=False)
             .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
             .add_extension(
                 x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False
             )
         )  # fmt: skip
-        if kind in _LISTENS:  # who is called has an address, and nobody else
+        if kind in _SERVER_USAGES:  # who is called has an address, and nobody else
             called = [_general_name(address) for address in (*_HERE, *addresses)]
             builder = builder.add_extension(x509.SubjectAlternativeName(called), critical=False)
         signed = builder.sign(self._key, hashes.SHA256())
         passport = Passport(
             arena=self.arena, name=name, kind=kind, common_name=common_name, serial=f"{serial:x}",
-            not_before=now - _EARLIER, not_after=ends, addresses=addresses,
+            not_before=now - _CLOCK_TOLERANCE, not_after=ends, addresses=addresses,
         )  # fmt: skip
         made = Credentials.at(self.folder, name)
         write_private(made.key, _private(key))

@@ -19,7 +19,7 @@ from robofleet.core.patterns import NETWORK_PATTERN
 from robofleet.core.valid_json import dumps
 
 FORMAT: Final = 1
-_LARGEST = 65536  # [bytes]
+_LARGEST_BUNDLE_BYTES = 65536
 _CHECK_SS_SIGNATURE = ssl.VerifyFlags(0x4000)  # OpenSSL's X509_V_FLAG: of the authority too, which signs itself
 _PEM = Annotated[str, Field(pattern=r"^-----BEGIN ", max_length=16384)]
 
@@ -67,7 +67,7 @@ def write(file: Path, bundle: Bundle) -> None:
 def read(file: Path) -> Bundle:
     """Read a bundle that is valid now; KeysError where it cannot be used."""
     try:
-        text = read_named(file, _LARGEST)
+        text = read_named(file, _LARGEST_BUNDLE_BYTES)
     except OSError as error:
         raise KeysError(f"{file}: {error.strerror}: name the file that `robofleet keys bundle` made") from error
     try:

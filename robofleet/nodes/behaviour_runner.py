@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Judge = Callable[[int, Callable[[], Decision]], tuple[Decision, bool]]
 
-_RAISED = Exception, SystemExit  # whatever a behaviour raises is its own failure
+_BEHAVIOUR_ERRORS = Exception, SystemExit  # whatever a behaviour raises is its own failure
 _BEYOND = 1e6  # [m/s, rad/s] no robot is asked for so much
-SHARE = 0.5  # of a tick, for all groups together; the rest is the filter's, the barrier's and the bus's
+SHARE_OF_TICK = 0.5  # for all groups together; the rest is the filter's, the barrier's and the bus's
 
 
 def timed_by(stopwatch_ns: Callable[[], int], share_ns: float) -> Judge:
@@ -173,7 +173,7 @@ class BehaviourRunner:
             velocities = np.asarray(decision.velocities, dtype=np.float64)
             if decision.of not in ("point", "body"):
                 raise ValueError(f"of={decision.of!r}: must be 'point' or 'body'")
-        except _RAISED:
+        except _BEHAVIOUR_ERRORS:
             self._raised(k)
             return None
         if velocities.shape != (own.stop - own.start, 2):
@@ -198,7 +198,7 @@ class BehaviourRunner:
                 for part, own in zip(self._figures, self._rows, strict=True):
                     part[:, :2] = decision.references[own]
             self._arrived[k] = bool(self._crew[k][0].arrived)
-        except _RAISED:
+        except _BEHAVIOUR_ERRORS:
             self._raised(k)
 
     def _keep_figures(self, k: int, decision: Decision) -> None:
@@ -215,7 +215,7 @@ class BehaviourRunner:
         if k not in self._stopped:
             try:
                 hook(*arguments)
-            except _RAISED:
+            except _BEHAVIOUR_ERRORS:
                 self._raised(k)
 
     def _raised(self, k: int) -> None:

@@ -19,10 +19,10 @@ from robofleet.tracking.events import TrackerEvent
 if TYPE_CHECKING:
     from robofleet.nodes.views import FloorView
 
-_STREAM = 64  # news between two looks
-_MISSED = 3  # images without a tag: fewer may be one bad image after some that were lost on their way
-_TAGS = 1 << 16  # so many numbers can a message name
-_UNKNOWN = -1  # as a row: nobody's tag
+_NEWS_CAPACITY = 64  # between two looks
+_MISSED_IMAGES = 3  # without a tag: fewer may be one bad image after some that were lost on their way
+_TAG_NUMBERS = 1 << 16  # that a message can name
+_UNKNOWN_ROW = -1  # of a tag that is nobody's
 _NEVER_SEEN = -1  # as a time since
 _DRIVEN_M = 0.05  # by a robot that is not seen any more, before it stands
 
@@ -53,7 +53,7 @@ class _Camera:
 
     def __init__(self, config: Config, bus: Bus, name: str, robots: int) -> None:
         self.poses = Inbox(bus.newest(POSES, name), FLEET_POSES.view)
-        self.news = bus.stream(key(config.arena.name, NEWS, name), capacity=_STREAM)
+        self.news = bus.stream(key(config.arena.name, NEWS, name), capacity=_NEWS_CAPACITY)
         self.heard_ns = NEVER
         self.epoch = self.seq = self.build = self.tick = 0
         self.exposure_ns = 0  # of the newest image
@@ -91,7 +91,7 @@ class CameraReports:
         robots = config.bodies
         self._build = slices.build(config)
         self._cameras = [_Camera(config, bus, name, len(robots)) for name in config.camera_names]
-        self._tags = np.full(_TAGS, _UNKNOWN)  # the row of each tag
+        self._tags = np.full(_TAG_NUMBERS, _UNKNOWN_ROW)  # the row of each tag
         self._tags[[robot.tag for robot in robots]] = range(len(robots))
         self._looks = 0  # in which an image had come: the number of its images
         self._last = np.zeros(len(robots), np.int64)  # the camera that measured each robot last
@@ -192,7 +192,7 @@ class CameraReports:
 
     def _told(self, number: int, camera: _Camera, news: TrackerNews) -> tuple[Happening, ...]:
         row = int(self._tags[news.tag])
-        if news.event in _TAG_NEWS and row != _UNKNOWN:
+        if news.event in _TAG_NEWS and row != _UNKNOWN_ROW:
             return (Happening(_TAG_NEWS[TrackerEvent(news.event)], row, news.value),)
         if news.event in _NEWS:
             trouble, ends = _NEWS[TrackerEvent(news.event)]
@@ -220,16 +220,16 @@ def _take_image(  # type: ignore[no-untyped-def]
     missed += 1
     for pose in poses:
         k = tags[pose.tag]
-        if k != _UNKNOWN:
+        if k != _UNKNOWN_ROW:
             measured_ns[k] = exposure_ns - pose.coasted_ns
-            missed[k] = _MISSED if pose.coasted_ns else 0  # a tracker that predicts knows how long
+            missed[k] = _MISSED_IMAGES if pose.coasted_ns else 0  # a tracker that predicts knows how long
             if pose.coasted_ns == 0:
                 r = robots[k]
                 r.seen_ns, r.image, r.x, r.y, r.psi = now_ns, image, pose.x_m, pose.y_m, pose.psi_rad
                 unseen_ns[k], last[k] = 0, number
     for k in range(len(robots)):
         if unseen_ns[k] != _NEVER_SEEN:
-            unseen_ns[k] = exposure_ns - measured_ns[k] if missed[k] >= _MISSED else 0
+            unseen_ns[k] = exposure_ns - measured_ns[k] if missed[k] >= _MISSED_IMAGES else 0
 
 
 KERNELS = (_take_image,)
@@ -239,4 +239,4 @@ def compile_kernels(robots: NDArray[Any]) -> None:
     """Compile, or load from the cache."""
     none = np.zeros(0, np.int64)
     poses = np.ndarray((0,), FLEET_POSES.item_dtype, b"0")
-    _take_image(robots, poses, np.full(1, _UNKNOWN), none, none, none, 0, np.uint64(0), 0, none, 0)
+    _take_image(robots, poses, np.full(1, _UNKNOWN_ROW), none, none, none, 0, np.uint64(0), 0, none, 0)

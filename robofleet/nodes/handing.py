@@ -17,7 +17,7 @@ from robofleet.core.clock import S
 from robofleet.core.errors import RobofleetError
 
 _AGAIN_NS, _SILENT_NS = S // 2, S
-_LARGEST = 16 << 20  # [bytes] of an unpacked configuration
+_LARGEST_CONFIG_BYTES = 16 << 20  # unpacked
 
 
 class HandedError(RobofleetError):
@@ -35,7 +35,7 @@ def unpacked(message: Handed) -> Config:
     ours = version("robofleet")
     try:
         unpacking = zlib.decompressobj()
-        fields: Any = json.loads(unpacking.decompress(message.packed, _LARGEST))
+        fields: Any = json.loads(unpacking.decompress(message.packed, _LARGEST_CONFIG_BYTES))
         theirs, plain = str(fields["version"]), json.dumps(fields["config"])
     except (zlib.error, ValueError, TypeError, KeyError) as error:
         raise HandedError("the configuration came damaged") from error

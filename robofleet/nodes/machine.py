@@ -9,11 +9,11 @@ from robofleet.safety import busy
 from robofleet.safety.busy import CONTROLLER, DRIVERS, TRACKER
 from robofleet.safety.view import Machine, Turns
 
-_TICK_NS = 10_000_000  # of the kernel's own accounts: 100 a second on every architecture that Python runs on
-_LARGEST = 4096  # [bytes] of what is read
-_LONGEST_COMMAND = 1 << 16  # [bytes] a driver's names all its robots
-_SEARCH_NS = S  # for processes that are not known: one that was started again, or runs elsewhere
-_STEAL = 8  # column of the first line of /proc/stat: time that another virtual machine had
+_KERNEL_TICK_NS = 10_000_000  # of the kernel's own accounts: 100 a second on every architecture that Python runs on
+_LARGEST_READ_BYTES = 4096
+_LONGEST_COMMAND_BYTES = 1 << 16  # a driver's names all its robots
+_SEARCH_PERIOD_NS = S  # for processes that are not known: one that was started again, or runs elsewhere
+_STEAL_COLUMN = 8  # of the first line of /proc/stat: time that another virtual machine had
 
 
 class MachineProbe:
@@ -39,12 +39,14 @@ class MachineProbe:
         load = _read(self._load).split()
         if len(load) < 4:
             return None
-        pressure, stolen = _read(self._pressure), _read(self._stat).split()[: _STEAL + 1]
+        pressure, stolen = _read(self._pressure), _read(self._stat).split()[: _STEAL_COLUMN + 1]
         if pressure.startswith(b"some "):
             contended_ns = 1000 * int(pressure.split(b"\n")[0].rpartition(b"total=")[2])
         else:
             contended_ns = self._crowded(now_ns, int(load[3].split(b"/")[0]))
-        contended_ns += _TICK_NS * int(stolen[_STEAL]) // self._cores if len(stolen) > _STEAL else 0
+        contended_ns += (
+            _KERNEL_TICK_NS * int(stolen[_STEAL_COLUMN]) // self._cores if len(stolen) > _STEAL_COLUMN else 0
+        )
         turns = () if self._siblings is None else self._siblings(now_ns)
         return Machine(contended_ns, float(load[0]), self._cores, turns)
 
@@ -86,7 +88,7 @@ class Siblings:
             for row in rows:
                 found[row] = turns
         missing = any(turns is None for turns in found[CONTROLLER:])
-        if missing and (self._searched_ns is None or now_ns - self._searched_ns >= _SEARCH_NS):
+        if missing and (self._searched_ns is None or now_ns - self._searched_ns >= _SEARCH_PERIOD_NS):
             self._searched_ns = now_ns
             self._search()
         return tuple(found)
@@ -105,7 +107,7 @@ class Siblings:
     def _rows_of(self, pid: int) -> list[int]:
         """Return which rows a process is; none where it is another one, or one of several trackers."""
         file = _opened(f"/proc/{pid}/cmdline")
-        words = _read(file, _LONGEST_COMMAND).decode(errors="replace").split("\0")
+        words = _read(file, _LONGEST_COMMAND_BYTES).decode(errors="replace").split("\0")
         if file is not None:
             os.close(file)
         command = words[words.index("robofleet") + 1 :] if "robofleet" in words else []
@@ -173,7 +175,7 @@ def _turns(account: int | None) -> Turns | None:
     return Turns(*map(int, counted)) if len(counted) == 2 and counted[1] != b"0" else None
 
 
-def _read(file: int | None, most: int = _LARGEST) -> bytes:
+def _read(file: int | None, most: int = _LARGEST_READ_BYTES) -> bytes:
     try:
         return b"" if file is None else os.pread(file, most, 0)
     except OSError:

@@ -15,8 +15,8 @@ from robofleet.core.patterns import TRACKER, tracker_role
 from robofleet.tracking.pictures import jpeg
 
 REQUESTED = b"pictures"
-_LOOKED_AT_NS = S // 5  # between two pictures, after a request
-_LOOKING_NS = 2 * S  # a request holds for so long: who looks asks again
+_PICTURE_PERIOD_NS = S // 5  # after a request
+_REQUEST_HOLDS_NS = 2 * S  # who looks asks again
 
 
 class _Shot(NamedTuple):
@@ -58,14 +58,14 @@ class Pictures:
             elif self._refusal:
                 request.reply(self._refusal.encode())
             else:
-                self._requested_until_ns = now_ns + _LOOKING_NS
+                self._requested_until_ns = now_ns + _REQUEST_HOLDS_NS
                 request.reply(b"ok")
 
     def offer(self, image: NDArray[np.uint8] | None, exposure_ns: int, now_ns: int) -> None:
         """Take an image, if it is time for one; it is left as it is until ``publish``, or until the next one."""
         if image is None or self._period_ns is None:
             return
-        period_ns = min(self._period_ns, _LOOKED_AT_NS) if now_ns < self._requested_until_ns else self._period_ns
+        period_ns = min(self._period_ns, _PICTURE_PERIOD_NS) if now_ns < self._requested_until_ns else self._period_ns
         # Counted in whole periods, the mean rate is kept although images come when they like.
         if self.waits or self._newest_ns is None or exposure_ns // period_ns != self._newest_ns // period_ns:
             self._shot = _Shot(image, exposure_ns)

@@ -13,7 +13,7 @@ from robofleet.core.clock import MS
 from robofleet.recording.channels import keys
 from robofleet.recording.log import RunLog
 
-_QUEUE = 65536  # messages: half a minute of a fleet of four, three seconds of a hundred robots
+_QUEUE_MESSAGES = 65536  # half a minute of a fleet of four, three seconds of a hundred robots
 _PERIOD_NS = 40 * MS  # with the log's own flush a quarter of a second
 _REPORT_NS = 250 * MS
 
@@ -25,7 +25,7 @@ class Recorder:
         self, config: Config, bus: Bus, rng: np.random.Generator, log: RunLog, ending: Callable[[], bytes]
     ) -> None:
         self._log, self._ending = log, ending
-        self._stream = bus.stream(*keys(config), capacity=_QUEUE)
+        self._stream = bus.stream(*keys(config), capacity=_QUEUE_MESSAGES)
         self._publish = bus.publisher(RECORDER)
         self._epoch = slices.drawn_id(rng, 32)
         self._seq = self._missed = 0

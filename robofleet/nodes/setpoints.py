@@ -22,8 +22,8 @@ from robofleet.config.tree import Config
 from robofleet.safety.supervisor import Phase
 
 _BEYOND = 1e6  # [m/s, rad/s, m]: nobody wishes that
-_GONE_S = 0.5  # after its newest message a session that sends no more has left its lease to another one
-_PARTED = frozenset({WishKind.DONE, WishKind.FAILED})  # by these a session ends; a person's hand also by STAND
+_LEASE_EXPIRES_S = 0.5  # after its newest message a session that sends no more has left its lease to another one
+_PARTING_KINDS = frozenset({WishKind.DONE, WishKind.FAILED})  # by these a session ends; a person's hand also by STAND
 _KINDS, _NOTHING = frozenset(WishKind), frozenset[WishKind]()
 
 
@@ -65,7 +65,7 @@ class _OfGroup:
         self._setpoints, self._robots, self._tick_s = setpoints, robots, tick_s
         held = frozenset({WishKind.RESCUE, WishKind.STAND}) if by_hand else _NOTHING
         self._kinds = {Phase.RUNNING: _KINDS - {WishKind.RESCUE}, Phase.HOLD: held}
-        self._parting = _PARTED | {WishKind.STAND} if by_hand else _PARTED
+        self._parting = _PARTING_KINDS | {WishKind.STAND} if by_hand else _PARTING_KINDS
         self._phase = Phase.IDLE
         self._lease: _Lease | None = None
         self._newest: Wish | None = None  # of the session that has the lease; its age is that of this tick
@@ -115,4 +115,4 @@ class _OfGroup:
             return True
         if session == lease.session:
             return seq > lease.seq
-        return lease.parted or (tick - lease.echo_tick) * self._tick_s > _GONE_S
+        return lease.parted or (tick - lease.echo_tick) * self._tick_s > _LEASE_EXPIRES_S

@@ -12,8 +12,8 @@ from robofleet.tracking.camera import CameraGeometry
 
 Array = NDArray[np.float64]
 
-_SURVEY = slice(1, 2)  # among the inputs of a place: after the camera's own file, before the images
-_SAMPLES = 60  # along each side of the arena
+_SURVEY_INPUTS = slice(1, 2)  # among the inputs of a camera's pose: after the camera's own file, before the images
+_SAMPLES_A_SIDE = 60  # of the arena
 
 
 class FloorView:
@@ -56,7 +56,7 @@ def complaints(config: Config) -> Iterator[Complaint]:
 
 def _of_floor(config: Config) -> Array:
     """Return points (N, 2) all over the arena."""
-    x, y = (np.linspace(-side / 2, side / 2, _SAMPLES) for side in config.arena.size_m)
+    x, y = (np.linspace(-side / 2, side / 2, _SAMPLES_A_SIDE) for side in config.arena.size_m)
     return np.stack([*map(np.ravel, np.meshgrid(x, y))], axis=1)
 
 
@@ -68,6 +68,6 @@ def _surveys(config: Config, camera: CameraSettings) -> set[str]:
     """Return the hash of the survey that a camera was placed by; ``floor tags`` where it sees some of
     ``tracker.floor_tags``."""
     arena, tags = camera.model.arena, config.tracker.floor_tags
-    surveys = set() if arena is None else set(list(arena.inputs.values())[_SURVEY])
+    surveys = set() if arena is None else set(list(arena.inputs.values())[_SURVEY_INPUTS])
     at = np.array([(tag.x_m, tag.y_m, tag.height_m) for tag in tags])
     return surveys | ({"floor tags"} if tags and _sees(camera, at).any() else set())

@@ -15,19 +15,19 @@ from robofleet.operator.terminal.plain_terminal import speak_its_language
 
 REQUESTS = "arm", "start", "hold", "resume", "park", "reset"  # which the supervisor serves
 _THEN = {"park": "every robot drives to its place to park; the run ends there"}
-_WORDS = 2  # a command, and an arena
-_COLLECT_AFTER = 50_000  # objects: loading libraries makes many, and hardly any garbage
+_MOST_WORDS = 2  # a command, and an arena
+_COLLECT_AFTER_OBJECTS = 50_000  # loading libraries makes many, and hardly any garbage
 
 
 def run(words: Sequence[str]) -> int | None:
     """Do what a plain command line says, and return the exit code; None where Typer must read it."""
-    if not 1 <= len(words) <= _WORDS or words[0] not in _COMMANDS or words[-1].startswith("-"):
+    if not 1 <= len(words) <= _MOST_WORDS or words[0] not in _COMMANDS or words[-1].startswith("-"):
         return None
-    gc.set_threshold(_COLLECT_AFTER)
+    gc.set_threshold(_COLLECT_AFTER_OBJECTS)
     speak_its_language()
     never_raise()
     try:
-        return _COMMANDS[words[0]](words[1] if len(words) == _WORDS else None)
+        return _COMMANDS[words[0]](words[1] if len(words) == _MOST_WORDS else None)
     except KeyboardInterrupt:
         print(file=sys.stderr)
         return 1

@@ -23,7 +23,7 @@ SUPERVISOR = "supervisor"
 
 _WITHIN_NS = 200 * MS  # then who has not answered is named
 _SUPERVISOR_WITHIN_NS = 1000 * MS  # the same, where the supervisor answers for the robots
-_AGAIN_NS = 40 * MS
+_REPEAT_NS = 40 * MS
 _POLL_NS = MS
 _NICE = -15  # before the router, which has -10: a flood keeps that one busy
 _LAST_SEQ = (1 << 64) - 1  # a gate takes it whatever the supervisor has said with the same nonce
@@ -57,7 +57,7 @@ class EmergencyStop:
         """
         self._bus, self._started_ns = bus, now_ns
         self._answer: Answer | None = bus.ask(SAFE_REQUEST, SUPERVISOR, ESTOP)
-        self._again_ns = now_ns + _AGAIN_NS
+        self._again_ns = now_ns + _REPEAT_NS
         self._end_ns = now_ns + (_SUPERVISOR_WITHIN_NS if units is None else _WITHIN_NS)
         self._awaited = (SUPERVISOR,) if units is None else tuple(chain.from_iterable(units.values()))
         self._gates = [((STATUS, unit), robots, bus.publisher(ENABLE, unit)) for unit, robots in (units or {}).items()]
@@ -69,7 +69,7 @@ class EmergencyStop:
         if self._answer is not None and self._answer.take() is not None:
             self._answer = None  # it need not be asked again
         if self._answer is not None and now_ns >= self._again_ns:
-            self._answer, self._again_ns = self._bus.ask(SAFE_REQUEST, SUPERVISOR, ESTOP), now_ns + _AGAIN_NS
+            self._answer, self._again_ns = self._bus.ask(SAFE_REQUEST, SUPERVISOR, ESTOP), now_ns + _REPEAT_NS
         for robot in self._latched(now_ns):
             self._after_ms.setdefault(robot, (now_ns - self._started_ns) / MS)
         silent = tuple(robot for robot in self._awaited if robot not in self._after_ms)

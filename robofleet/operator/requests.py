@@ -34,10 +34,10 @@ _CONNECT_WITHIN_S = 1.0
 _CONNECT_ELSEWHERE_WITHIN_S = 3.0
 _LISTEN_NS = 300 * MS
 _POLL_NS = 2 * MS
-_AT_ONCE = 128  # stops; each of a bus that does not answer takes a second
+_CONCURRENT_STOPS = 128  # each of a bus that does not answer takes a second
 _OWN_FIRST_S = 0.3  # then others' runs are looked for, whatever the own ones do
 _SILENT = "the robots get no permission to move: end the run with Ctrl-C in its terminal, and see its supervisor's log"
-_BETWEEN_NS = 100 * MS  # two signals at once are one
+_BETWEEN_SIGNALS_NS = 100 * MS  # two signals at once are one
 
 
 class NoArenaError(BadInputError):
@@ -99,7 +99,7 @@ def stop_all(arena: str | None) -> list[tuple[bool, str]]:
     if (elsewhere := joined_arena(arena)) is not None:
         return [stop(elsewhere)]
     search = Search(arena)
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
+    with ThreadPoolExecutor(_CONCURRENT_STOPS) as pool:
         answers = [pool.submit(stop, run) for run in search.own()]
         wait(answers, _OWN_FIRST_S)
         if os.geteuid() == 0:
@@ -156,7 +156,7 @@ def stop(arena: Arena) -> tuple[bool, str]:
         if isinstance(arena, JoinedArena):
             return False, f"{error}: no robot has acknowledged: go and look"
         _signalled(arena)
-        clock.sleep_until(clock.now_ns() + _BETWEEN_NS)
+        clock.sleep_until(clock.now_ns() + _BETWEEN_SIGNALS_NS)
         _signalled(arena)
         return False, (
             f"the bus of {arena.arena} does not answer: the launcher was told to end every process; "

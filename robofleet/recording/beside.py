@@ -13,8 +13,8 @@ from typing import Any
 from robofleet.config.tree import Config
 from robofleet.recording.log import RunLog
 
-_AT_ONCE = 200  # messages: a second of a small fleet
-_IGNORED = signal.SIGINT, signal.SIGHUP  # the terminal's signals are the run's to answer
+_BATCH_MESSAGES = 200  # a second of a small fleet
+_IGNORED_SIGNALS = signal.SIGINT, signal.SIGHUP  # the terminal's signals are the run's to answer
 
 
 class LogBeside:
@@ -46,7 +46,7 @@ class LogBeside:
         messages = list(batch)
         self._batches.append((at_ns, messages))
         self._waiting += len(messages)
-        if self._waiting >= _AT_ONCE:
+        if self._waiting >= _BATCH_MESSAGES:
             self._send(self._batches)
 
     def end(self, ending: bytes) -> None:
@@ -78,7 +78,7 @@ class LogBeside:
 
 def _write(log: RunLog, incoming: Connection, theirs: Connection) -> None:
     """Write what the run says until it ends, or is killed."""
-    for number in _IGNORED:
+    for number in _IGNORED_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     gc.freeze()  # what the run had is not looked at again
     theirs.close()

@@ -13,15 +13,16 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from robofleet.behaviours import described
-from robofleet.behaviours.interface import Array, Behaviour, Measure, Past, Team, scale, with_unit
+from robofleet.behaviours.interface import Behaviour, Measure, Past, Team, scale, with_unit
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.valid_json import dumps
 
 Figures = dict[str, Any]
 T = TypeVar("T")
 
-_TRIED = 2  # ticks of the past by which a behaviour is asked what it measures
+_TRIED_TICKS = 2  # of the past by which a behaviour is asked what it measures
 
 
 class Curve(NamedTuple):
@@ -174,13 +175,13 @@ def _only_described(group: described.Group, team: Team) -> Behaviour:
 
 def _tried(robots: int, group: described.Group) -> Past:
     """Return a past of robots that stand in a row."""
-    t, row = np.arange(_TRIED) / 30, 1.0 + np.arange(robots)
-    poses = np.tile(np.stack([0.1 * row, 0.02 * row, 0.1 * row], axis=-1), (_TRIED, 1, 1))
-    every = np.ones(_TRIED, dtype=np.bool_)
+    t, row = np.arange(_TRIED_TICKS) / 30, 1.0 + np.arange(robots)
+    poses = np.tile(np.stack([0.1 * row, 0.02 * row, 0.1 * row], axis=-1), (_TRIED_TICKS, 1, 1))
+    every = np.ones(_TRIED_TICKS, dtype=np.bool_)
     return Past(
         t=t, poses=poses, points=poses[..., :2].copy(), known=np.ones(robots, dtype=np.bool_), settled=every,
         spaced=every, references=poses[..., :2].copy(),
-        figures={figure.name: np.zeros((_TRIED, robots)) for figure in group.figures},
+        figures={figure.name: np.zeros((_TRIED_TICKS, robots)) for figure in group.figures},
     )  # fmt: skip
 
 

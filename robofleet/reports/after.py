@@ -18,7 +18,7 @@ from robofleet.reports.sampled import look, looks
 Summary = dict[str, Any]
 
 SUMMARY = "summary.json"
-_LARGEST = 1 << 24  # [bytes] of a summary
+_LARGEST_SUMMARY_BYTES = 1 << 24
 
 
 class SummaryFile(BaseModel):
@@ -91,7 +91,7 @@ def _began(recording: Recording, run: Run) -> str | None:
 
 def _told(file: Path) -> SummaryFile:
     try:
-        return SummaryFile.model_validate_json(read_plain(file, _LARGEST))
+        return SummaryFile.model_validate_json(read_plain(file, _LARGEST_SUMMARY_BYTES))
     except (OSError, ValidationError):
         return SummaryFile()  # the run was killed before it could say how it ended
 

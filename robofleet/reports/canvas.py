@@ -21,8 +21,8 @@ WIDTH = 7.6  # of a plot [inch]
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.68, 0.14, 0.1, 0.42  # margins [inch]: equal, so that times stand below each other
 _TITLE = 0.3  # above axes that stand side by side [inch]
 _LABEL = 0.52  # from the axis to its label [inch]
-_COLUMNS = 700  # of pixels that a line is thinned to
-_MANY = 10_000  # points of a plot
+_PIXEL_COLUMNS = 700  # that a line is thinned to
+_MANY_POINTS = 10_000  # of a plot
 
 _PHASES = {
     Phase.IDLE: "#efefef",
@@ -115,10 +115,10 @@ def lines(axes: Axes, t: Array, values: Array, span: tuple[float, float], colour
     """Draw the columns of values (K, N) over time; of so many points that a page would be heavy, as pixels."""
     points = 0
     for column, colour in zip(values.T, colours, strict=True):
-        x, y = line(t, column, span, _COLUMNS)
+        x, y = line(t, column, span, _PIXEL_COLUMNS)
         points += len(x)
         axes.plot(x, y, color=colour, lw=0.9)
-    if points > _MANY:
+    if points > _MANY_POINTS:
         for drawn in axes.get_lines():
             drawn.set_rasterized(True)
 

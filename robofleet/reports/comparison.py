@@ -21,9 +21,9 @@ from robofleet.reports.pages import Marked, Page
 
 Summary = dict[str, Any]
 
-_SAME = 0.01  # a difference of a figure that is no difference, relative to the larger one
+_SAME_WITHIN = 0.01  # a relative difference of a figure that is no difference
 _AS_BEFORE = "the same"
-_SHOWN = 60  # keys
+_SHOWN_KEYS = 60
 _COLOURS = COLOURS[:2]
 _MEANS_JUDGED = [figure.key for figure in JUDGED_FIGURES if figure.statistic != "per_robot_mean"]  # by a bound
 
@@ -120,7 +120,7 @@ def _found(name: str, key: str, what: str) -> Callable[[Summary], float | None]:
 
 def _verdict(before: float, other: float, *, more: bool) -> Marked:
     """Say whether the other one is better; ``more`` is, or less."""
-    if abs(other - before) <= _SAME * max(abs(before), abs(other)):
+    if abs(other - before) <= _SAME_WITHIN * max(abs(before), abs(other)):
         return Marked(_AS_BEFORE, None)
     better = (other > before) == more
     by = f" by {100 * abs(other - before) / abs(before):.0f} %" if before else ""
@@ -134,10 +134,11 @@ def _keys(page: Page, first: Side, second: Side) -> None:
     page.section("Configuration", "" if differing else "Both runs have the same configuration, key by key.")
     if differing:
         page.table(
-            ("key", first.name, second.name), [(key, first_keys.get(key), other.get(key)) for key in differing[:_SHOWN]]
+            ("key", first.name, second.name),
+            [(key, first_keys.get(key), other.get(key)) for key in differing[:_SHOWN_KEYS]],
         )
-    if len(differing) > _SHOWN:
-        page.note(f"And {len(differing) - _SHOWN} more keys.")
+    if len(differing) > _SHOWN_KEYS:
+        page.note(f"And {len(differing) - _SHOWN_KEYS} more keys.")
 
 
 def _flat(tree: Any, path: str = "") -> dict[str, Any]:

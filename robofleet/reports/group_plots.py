@@ -14,7 +14,7 @@ from robofleet.recording.run import Array, GroupColumns
 from robofleet.reports.canvas import Legend, Plot, RunView, few, level, lines, logarithmic, settling, strips, zoomed
 from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
 
-_WIDE = 30.0  # times its median: a figure that is so much larger at times has a logarithmic axis
+_WIDE_RATIO = 30.0  # to its median: a figure that is so much larger at times has a logarithmic axis
 _ESTIMATED = "estimated_"  # a figure that is so called is for the run itself: the report has the measure
 _BOUNDS = {  # by the curves' keys: which bound stands in the plot, and what it is of
     with_unit(figure.name, "mm"): (figure.bound, figure.level) for figure in JUDGED_FIGURES
@@ -47,7 +47,7 @@ def wide(values: Array, counted: Array) -> float | None:
     settled = counted[np.isfinite(counted)]
     if not settled.size or known.min() < 0.0 or (middle := float(np.median(settled))) <= 0.0:
         return None
-    return float(10.0 ** np.floor(np.log10(middle / 10.0))) if known.max() > _WIDE * middle else None
+    return float(10.0 ** np.floor(np.log10(middle / 10.0))) if known.max() > _WIDE_RATIO * middle else None
 
 
 def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:

@@ -15,12 +15,12 @@ from robofleet.recording.run import Array
 from robofleet.reports.canvas import ALARM, WIDTH, RunView, phase_colour, sheet
 from robofleet.reports.timeline import CONTROLLER, FAULTS, TRACKER, Entry
 
-_AROUND_M = 0.1  # the arena
-_TRAIL_M = 0.006  # a trail has no points that are closer
-_NAME = 0.3  # of the axis that a fault's name takes
-_ROW = 0.24  # height of a row [inch]
-_GREY = "#d6d6d6"  # of an obstacle
-_FEW = 12  # faults, and robots that have a row whatever happened to them
+_MARGIN_M = 0.1  # around the arena
+_TRAIL_STEP_M = 0.006  # a trail has no points that are closer
+_NAME_SHARE = 0.3  # of the axis that a fault's name takes
+_ROW_INCH = 0.24
+_OBSTACLE_GREY = "#d6d6d6"
+_MOST_ROWS = 12  # of faults, and of robots that have a row whatever happened to them
 
 
 def paths(view: RunView) -> Figure:
@@ -47,7 +47,7 @@ def paths(view: RunView) -> Figure:
 def floor(view: RunView) -> tuple[Figure, Axes]:
     """Draw the arena with its obstacles, and what the groups' behaviours have on its floor."""
     width, height = view.config.arena.size_m
-    x, y = width / 2 + _AROUND_M, height / 2 + _AROUND_M
+    x, y = width / 2 + _MARGIN_M, height / 2 + _MARGIN_M
     figure = Figure(figsize=(WIDTH, WIDTH * y / x))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal")
@@ -57,7 +57,7 @@ def floor(view: RunView) -> tuple[Figure, Axes]:
     for group in view.series.run.groups:
         for shape in (*group.shapes, *notes.marks(view.recording, group.name)):
             _shape(axes, shape, dict(zip(view.series.robots, view.colours, strict=True)))
-    below = -height / 2 - _AROUND_M / 2
+    below = -height / 2 - _MARGIN_M / 2
     axes.plot([-width / 2, -width / 2 + 0.5], [below] * 2, color=QUIET, lw=2)
     axes.text(-width / 2 + 0.54, below, "0.5 m", va="center", color=INK, fontsize=8)
     return figure, axes
@@ -65,7 +65,9 @@ def floor(view: RunView) -> tuple[Figure, Axes]:
 
 def _solids(axes: Axes, view: RunView) -> None:
     for solid in obstacles.every(view.config.arena):
-        axes.add_patch(Polygon(solid.outline, fc="none" if solid.floor else _GREY, ec=QUIET, lw=1.0, zorder=1.5))
+        axes.add_patch(
+            Polygon(solid.outline, fc="none" if solid.floor else _OBSTACLE_GREY, ec=QUIET, lw=1.0, zorder=1.5)
+        )
         if not solid.floor:
             name = axes.annotate(
                 solid.name, solid.outline.mean(axis=0), color=INK, ha="center", va="center", fontsize=7
@@ -112,17 +114,17 @@ def trail(points: Array) -> Array:
     if not len(points):
         return np.full((1, 2), np.nan)
     walked = np.cumsum(np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T))
-    _, kept = np.unique((walked / _TRAIL_M).astype(np.int64), return_index=True)
+    _, kept = np.unique((walked / _TRAIL_STEP_M).astype(np.int64), return_index=True)
     return points[[*kept, -1]]
 
 
 def happened(view: RunView) -> Figure:
     """Draw the phases, and a row for every fault that was injected and for everybody to whom something happened."""
     timeline, robots = view.timeline, view.series.robots
-    faults = [entry for entry in timeline.entries if entry.who == FAULTS][:_FEW]
+    faults = [entry for entry in timeline.entries if entry.who == FAULTS][:_MOST_ROWS]
     concerned = {entry.who for entry in timeline.entries}
-    rows = [name for name in (CONTROLLER, TRACKER, *robots) if name in concerned or name in robots[:_FEW]]
-    figure, (axes,) = sheet(_ROW * (len(faults) + len(rows) + 1) + 0.6)
+    rows = [name for name in (CONTROLLER, TRACKER, *robots) if name in concerned or name in robots[:_MOST_ROWS]]
+    figure, (axes,) = sheet(_ROW_INCH * (len(faults) + len(rows) + 1) + 0.6)
     labels = ["phase", *["fault"] * len(faults), *rows]
     axes.set(xlim=(timeline.shown_s, max(timeline.end_s, timeline.shown_s + 0.1)), ylim=(len(labels) - 0.5, -0.5))
     axes.set(xlabel="time since the start, s", yticks=range(len(labels)), yticklabels=labels)
@@ -145,7 +147,7 @@ def _fault(axes: Axes, entry: Entry, row: int) -> None:
     before, behind = entry.t_s - low, high - entry.until_s
     axes.broken_barh([(entry.t_s, entry.until_s - entry.t_s)], (row - 0.26, 0.52), color=ALARM, alpha=0.45)
     at, side, shift = (entry.t_s, "right", -4) if before > behind else (entry.until_s, "left", 4)
-    if max(before, behind) < _NAME * (high - low):
+    if max(before, behind) < _NAME_SHARE * (high - low):
         at, side, shift = entry.t_s, "left", 4
     axes.annotate(
         entry.what, (at, row), (shift, 0), textcoords="offset points", ha=side, va="center", fontsize=8, color=INK

@@ -37,8 +37,8 @@ Summary = dict[str, Any]
 PAGE = "report.html"
 _ENDS = {"fault": "Ended by a fault", "stopped": "Stopped"}
 _WHO = {True: "the operator", False: "-"}
-_OWN_TILES = 6  # of a group
-_SHOWN = 80  # entries of a table; a run that is worse shows its first ones
+_TILES_A_GROUP = 6
+_SHOWN_ENTRIES = 80  # of a table; a run that is worse shows its first ones
 
 
 _METADATA: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same every time
@@ -194,7 +194,7 @@ def _own_tiles(summary: Summary) -> Iterator[Tile]:
     for name, group in summary["groups"].items():
         suffix = f" of {name}" if len(summary["groups"]) > 1 else ""
         shown = [own for own in own_figures(group) if own.mean is not None and own.key not in JUDGED_KEYS]
-        for own in shown[:_OWN_TILES]:
+        for own in shown[:_TILES_A_GROUP]:
             words = f"{own.label}, mean{suffix}" if own.each else f"{own.label}{suffix}"
             yield Tile(words, _short(own.mean or 0), own.unit, Marked("no bound", None))
 
@@ -246,16 +246,16 @@ def _stops(page: Page, summary: Summary) -> None:
         page.section("Stops", "Times after the stop: from the newest word heard to a target, and to an output of zero.")
         rows = [
             (f"{s['t_s']:.2f}", s["robot"], s["cause"], s["target_ms"], s["output_ms"], _WHO[s["by_operator"]])
-            for s in summary["stops"][:_SHOWN]
+            for s in summary["stops"][:_SHOWN_ENTRIES]
         ]
         page.table(("t, s", "robot", "cause", "target zero after, ms", "output zero after, ms", "asked for by"), rows)
 
 
 def _entries(page: Page, timeline: Timeline) -> None:
     page.section("Events", "Everything that happened, in order; before the start at times below 0.")
-    rows = [(f"{entry.t_s:.2f}", entry.who, entry.what) for entry in timeline.entries[:_SHOWN]]
+    rows = [(f"{entry.t_s:.2f}", entry.who, entry.what) for entry in timeline.entries[:_SHOWN_ENTRIES]]
     page.table(("t, s", "who", "what"), rows)
-    if (more := len(timeline.entries) - _SHOWN) > 0:
+    if (more := len(timeline.entries) - _SHOWN_ENTRIES) > 0:
         page.note(f"And {more} more.")
 
 

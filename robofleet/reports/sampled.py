@@ -14,8 +14,8 @@ from robofleet.recording.reduced import Reduced, joined
 from robofleet.recording.run import Array, Own, Run
 from robofleet.reports.metrics import reduced
 
-_MOST_BYTES = 24 << 20  # of ticks: a quarter to half an hour of four robots
-_SPARSE = 64  # of so many statuses one tells what time it was
+_MOST_TICK_BYTES = 24 << 20  # a quarter to half an hour of four robots
+_STATUS_STEP = 64  # of so many statuses one tells what time it was
 _WHOLE_TOPICS = BUSY, NOTE, SENSORS  # topics of which every message is kept
 
 
@@ -60,7 +60,7 @@ class Sampled(Run):
         if len(run.all_ticks):
             self._ends = [*self._ends[:1], run.all_ticks[[0, -1]]]
         stamps, places = run.instants
-        self._instants.append((stamps[::_SPARSE].copy(), places[::_SPARSE].copy()))
+        self._instants.append((stamps[::_STATUS_STEP].copy(), places[::_STATUS_STEP].copy()))
         self._news.append((run.news, run.news_of))
         first, until = run.own.first, run.own.until
         for at, state in run.states:
@@ -78,7 +78,7 @@ class Sampled(Run):
         if len(rows):
             self._newest = ticks.at(slice(-1, None))
         self._kept.append(ticks.every(self.every))
-        while sum(kept.ticks.nbytes for kept in self._kept) > _MOST_BYTES:
+        while sum(kept.ticks.nbytes for kept in self._kept) > _MOST_TICK_BYTES:
             self.every *= 2
             self._kept = [kept.every(self.every) for kept in self._kept]
 

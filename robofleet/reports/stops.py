@@ -13,7 +13,7 @@ from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 
 _WHY_WITHIN_NS = 1_000_000_000  # a gate that closes by itself does so before the supervisor knows why
-_SOON = 3  # statuses: a gate may close before the news that the run ended is here
+_SOON_STATUSES = 3  # a gate may close before the news that the run ended is here
 _REQUESTED = range(Event.START_REQUESTED, Event.DRIVER_SILENT)
 _BY_OPERATOR = (Event.HOLD_REQUESTED, Event.ESTOP_REQUESTED, Event.STOPPED_AT_GATE)
 _GOING_ON = (Phase.ARMED, Phase.RUNNING)
@@ -77,7 +77,7 @@ def _why(run: Run, row: int, k: int) -> _Why | None:
     """Return the cause of the run or of this robot for which a gate closed; None where the run had ended."""
     status, places = run.statuses[row], run.status_places[row]
     last = int(np.searchsorted(status["stamp_ns"], int(status["stamp_ns"][k]) + _WHY_WITHIN_NS)) - 1
-    soon = places[min(k + _SOON, last)]
+    soon = places[min(k + _SOON_STATUSES, last)]
     before = bisect_right(run.states, places[k], key=lambda change: change[0]) - 1
     if any(driven_out(state, row) for _, state in run.states[max(0, before - 1) : before + 1]):
         return _Why("a person no longer drives it out of the held run", by_operator=True)

@@ -44,18 +44,18 @@ class Fitting:
         for column in table.columns:
             if not column.no_wrap:
                 column.max_width = column.min_width
-        return Measurement.get(console, options.update(width=_ANY, max_width=_ANY), table).maximum
+        return Measurement.get(console, options.update(width=_ANY_COLUMNS, max_width=_ANY_COLUMNS), table).maximum
 
 
-_ANY = 10_000  # columns: a table that is measured has the room that it wants
+_ANY_COLUMNS = 10_000  # a table that is measured has the room that it wants
 
 
 Summary = dict[str, Any]
 
-_SHOWN = 4  # stops
+_SHOWN_STOPS = 4
 _PAPER, _EACH = "the paper", "each robot"
-_WHAT = 16  # columns, at least, for what was proved
-_NARROW = 5  # columns of a robot's figure, at least
+_PROOF_WIDTH = 16  # columns, at least, for what was proved
+_FIGURE_WIDTH = 5  # columns of a robot's figure, at least
 _ENDS = {"fault": "ended by a fault", "stopped": "stopped"}
 
 
@@ -84,7 +84,7 @@ def summary_table(summary: Summary, config: Config) -> Group:
 def _summary_table(summary: Summary, rows: Sequence[_Row], columns: Sequence[str]) -> Table:
     ended = _ENDS.get(summary["outcome"], summary["outcome"])
     columns_of = [summary["robots"], *(row.each for row in rows if not isinstance(row.each, str))]
-    width = max(_NARROW, *(len(cell) for cells in columns_of for cell in cells))
+    width = max(_FIGURE_WIDTH, *(len(cell) for cells in columns_of for cell in cells))
     title = f"{summary['config']}: {ended} after {summary['duration_s']:.1f} s"
     table = Table(title=Text(title, "bold"), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     heads = {
@@ -181,9 +181,9 @@ def _stops(stops: Sequence[dict[str, Any]]) -> Iterator[str]:
     own = [stop for stop in stops if not stop["by_operator"]]
     if own:
         yield f"stops of a robot by itself: {len(own)}"
-        yield from (f"    {_stop(stop)}" for stop in own[:_SHOWN])
-        if len(own) > _SHOWN:
-            yield f"    and {len(own) - _SHOWN} more: the report has them all"
+        yield from (f"    {_stop(stop)}" for stop in own[:_SHOWN_STOPS])
+        if len(own) > _SHOWN_STOPS:
+            yield f"    and {len(own) - _SHOWN_STOPS} more: the report has them all"
     yield from (f"the operator stopped {line}" for line in together(stops))
 
 
@@ -201,7 +201,7 @@ def proofs_table(title: str, rows: Sequence[tuple[str, ...]]) -> Fitting:
         kept = [column for column in columns if column not in left_out]
         for column in kept:
             table.add_column(column, justify="right" if column else "left", no_wrap=bool(column))
-        table.columns[0].min_width = min(_WHAT, max(len(row[0]) for row in rows))
+        table.columns[0].min_width = min(_PROOF_WIDTH, max(len(row[0]) for row in rows))
         for row in rows:
             table.add_row(*(Text(cell) for name, cell in zip(columns, row, strict=True) if name in kept))
         return table

@@ -21,7 +21,7 @@ _RECORDED_WITHIN_S = 6.0  # the recorder writes what is left, and its file's ind
 _POLL_S = 0.05
 _LAST_LINES = 5
 _EMPTY_HANDED = "recorder", "supervisor", "controller", "tracker"  # before they are ready
-_LONGEST_WORD = 256  # of a child that is ready [bytes]
+_LONGEST_LINE_BYTES = 256  # of a child that is ready
 _CRASHES = {signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT}  # the log says where
 _CHILD_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
 
@@ -142,7 +142,7 @@ class Children:
                 raise RunError(f"{names}: not ready after {_READY_WITHIN_S:.0f} s: see {waiting[0].log}")
             readable, _, _ = select.select([child.lifeline for child in waiting], [], [], _POLL_S)
             for child in waiting:
-                if child.lifeline in readable and (word := child.lifeline.recv(_LONGEST_WORD)):
+                if child.lifeline in readable and (word := child.lifeline.recv(_LONGEST_LINE_BYTES)):
                     child.hear(word)
                     if child.progress is not None:
                         deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)

@@ -16,7 +16,7 @@ from robofleet.runs.children import Child
 
 STAYS = "stays"  # what it says after the end of the run, where somebody looks
 _LEAVE_WITHIN_S = 1.2
-_LONGEST_WORD = 1024  # [bytes]
+_LONGEST_LINE_BYTES = 1024
 
 
 class PageWanted(NamedTuple):
@@ -65,7 +65,7 @@ class Companion:
             while (left_s := (end_ns - clock.now_ns()) / S) > 0 and not self._hearing.is_alive():
                 readable, _, _ = select.select([child.lifeline], [], [], left_s)
                 with suppress(OSError):
-                    word = child.lifeline.recv(_LONGEST_WORD) if readable else b""
+                    word = child.lifeline.recv(_LONGEST_LINE_BYTES) if readable else b""
                 if not word or STAYS.encode() in word:
                     break
         if STAYS.encode() in word:
@@ -79,7 +79,7 @@ class Companion:
 
     def _hear(self) -> None:
         with suppress(OSError):
-            word = self._child.lifeline.recv(_LONGEST_WORD).decode(errors="replace").strip()
+            word = self._child.lifeline.recv(_LONGEST_LINE_BYTES).decode(errors="replace").strip()
             if word and not self._over:
                 self._found(word)
 

@@ -39,7 +39,7 @@ _POLL_NS = 50 * MS
 _LOAD_WITHIN_NS = S // 2
 _ANSWER_WITHIN_NS = 15 * S  # to a start: nothing moves before, and a busy machine is slow to tell who is there
 _ATTENDED_NS = 200 * MS
-_STREAM = 65536  # messages; half a minute of a fleet of four
+_STREAM_MESSAGES = 65536  # half a minute of a fleet of four
 _AT_REST_RAD_S = 0.01
 _PHASES = {
     Phase.ARMED: "arming",
@@ -183,7 +183,7 @@ class Launcher:
         self._console.emergency = self._stop_now
         held.callback(setattr, self._console, "emergency", lambda: None)
         try:
-            self._stream = bus.stream(*self._streamed_keys(), capacity=_STREAM)
+            self._stream = bus.stream(*self._streamed_keys(), capacity=_STREAM_MESSAGES)
             held.callback(self._silence.close)
             self._silence.heard(self._clock.now_ns())
             try:

@@ -35,10 +35,10 @@ Array = NDArray[np.float64]
 Name = tuple[int, int]  # of a message: its sender's epoch, and its number
 NO_NAME = (0, 0)
 
-_ELSEWHERE = 1e-9  # other versions, or another processor: sums may be in another order
-_SHOWN = 5  # differences
+_OTHER_MACHINE_TOLERANCE = 1e-9  # other versions, or another processor: sums may be in another order
+_SHOWN_DIFFERENCES = 5
 _ALWAYS = 2  # of what a tick takes: its head names the state and the first camera's image; its numbers name the rest
-_BEFORE = {TELEOP: (WISH,)}  # on which topics older recordings have the messages of a topic
+_EARLIER_TOPICS = {TELEOP: (WISH,)}  # on which older recordings have the messages of a topic
 _HEAD = ("run_tick", "phase", "exposure_ns")  # the rest of a record's head is whose it is, and what the time was
 _WHEELS = [RobotTick._fields.index(name) for name in ("left_rad_s", "right_rad_s")]
 
@@ -87,7 +87,7 @@ class Verdict:
 
     def lines(self) -> list[str]:
         """Return what an operator should read: the first differences, what was not compared; at last, the result."""
-        found = [*map(str, self.differences[:_SHOWN]), *map(str, self.holes)]
+        found = [*map(str, self.differences[:_SHOWN_DIFFERENCES]), *map(str, self.holes)]
         exactly = f"within {self.tolerance:g}" if self.tolerance else "bit for bit"
         many = len(self.differences)
         result = f"{many} difference{'s' * (many > 1)}" if many else f"equal, {exactly}"
@@ -97,7 +97,11 @@ class Verdict:
 def tolerance(recording: Recording) -> float:
     """Return how far a figure may be off: not at all where the same versions on the same processor recorded it."""
     made_by = recording.provenance
-    return 0.0 if made_by and made_by.same_machine(Provenance.here(recording.config, made_by.mode)) else _ELSEWHERE
+    return (
+        0.0
+        if made_by and made_by.same_machine(Provenance.here(recording.config, made_by.mode))
+        else _OTHER_MACHINE_TOLERANCE
+    )
 
 
 def replay(recording: Recording, within: float) -> Verdict:
@@ -151,7 +155,7 @@ class _Takings:
     def __init__(self, recording: Recording, topic: Topic, name: str, layout: ListLayout[Any]) -> None:
         self.topic, self.name = topic, name
         self._messages: dict[Name, bytes] = {}
-        for recorded in (topic, *_BEFORE.get(topic, ())):
+        for recorded in (topic, *_EARLIER_TOPICS.get(topic, ())):
             for payload in recording.messages.get(key(recording.config.arena.name, recorded, name), ()):
                 if (head := layout.decode_head(payload)) is not None:
                     self._messages.setdefault((head.epoch, head.seq), payload)

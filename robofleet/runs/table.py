@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from robofleet.simulation.faults import Schedule
 
 Starter = Literal["run", "systemd", "daemon", "operator", "service"]
-_PLENTY = 1 << 40  # [bytes] of a disk that does not fill up
+_PLENTY_BYTES = 1 << 40  # of a disk that does not fill up
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def _supervisor(edges: Edges) -> Node:
 
 def _room(folder: Path | None) -> Callable[[], int]:
     if folder is None:
-        return lambda: _PLENTY
+        return lambda: _PLENTY_BYTES
     try:
         held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)  # this very folder, whatever it is called later
     except OSError as error:
@@ -225,11 +225,11 @@ def _tracker(edges: Edges) -> Node:
 
 
 def _controller(edges: Edges) -> Node:
-    from robofleet.nodes.behaviour_runner import SHARE, timed_by, untimed  # noqa: PLC0415
+    from robofleet.nodes.behaviour_runner import SHARE_OF_TICK, timed_by, untimed  # noqa: PLC0415
     from robofleet.nodes.controller import Controller, compile_kernels  # noqa: PLC0415
 
     compile_kernels(edges.config, edges.progress)
-    share_ns = SHARE * edges.config.controller.tick_s * S / len(edges.config.groups)
+    share_ns = SHARE_OF_TICK * edges.config.controller.tick_s * S / len(edges.config.groups)
     judge = timed_by(stopwatch_ns, share_ns) if edges.real_time else untimed
     return Controller(edges.config, edges.bus, edges.clock, edges.rng, take_over=edges.take_over, judge=judge)
 

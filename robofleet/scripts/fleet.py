@@ -45,9 +45,9 @@ Goal = Sequence[float]  # x, y [m], and the heading [deg]
 
 _BEYOND = 1e6  # [m/s, rad/s]: as the controller refuses it
 _INTEGER_BITS = 64  # of a figure that is kept: others' JSON readers have no more
-_DEEPEST = 8  # lists in lists of such a figure
-_LONGEST_NOTE = 100_000  # [bytes]
-_OTHERS_S = 1.0  # for which another script's wishes are done and not ours
+_DEEPEST_LIST = 8  # lists in lists of such a figure
+_LONGEST_NOTE_BYTES = 100_000
+_OTHER_SCRIPT_S = 1.0  # for which another script's setpoints are done and not ours
 _EPOCH_BITS = 30  # a figure of the group tells it, and no figure is beyond 1e9
 _ROUNDING = 1e-9
 _COLUMNS = len(RobotTick._fields)
@@ -481,7 +481,7 @@ class Fleet:
         followed = self._number(self._followed)  # NaN: nobody
         other = followed > 0 and followed != self._epoch and self._kind is not WishKind.STAND
         self._strange = self._strange + 1 if other else 0
-        if self._strange * self._tick_s > _OTHERS_S:
+        if self._strange * self._tick_s > _OTHER_SCRIPT_S:
             raise FleetError("another script drives these robots: end that one first")
 
     @property
@@ -556,8 +556,8 @@ class Fleet:
 
     def _note(self, kind: NoteKind, what: Any) -> None:
         link, text = self._running, dumps(what).encode()
-        if len(text) > _LONGEST_NOTE:
-            raise ValueError(f"{kind.name.lower()}: it has {len(text)} bytes, must be at most {_LONGEST_NOTE}")
+        if len(text) > _LONGEST_NOTE_BYTES:
+            raise ValueError(f"{kind.name.lower()}: it has {len(text)} bytes, must be at most {_LONGEST_NOTE_BYTES}")
         self._notes += 1
         link.note(NOTE.encode(Note(self._epoch, self._notes, self._tick, kind, text)))
 
@@ -567,8 +567,8 @@ def _plain(name: str, value: Any, deep: int = 0) -> Any:
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        if deep == _DEEPEST:
-            raise ValueError(f"keep: {name} has lists in lists in more than {_DEEPEST} levels")
+        if deep == _DEEPEST_LIST:
+            raise ValueError(f"keep: {name} has lists in lists in more than {_DEEPEST_LIST} levels")
         return [_plain(name, entry, deep + 1) for entry in value]
     if isinstance(value, int) and value.bit_length() > _INTEGER_BITS:
         raise ValueError(f"keep: {name} is an integer of {value.bit_length()} bits, must have at most {_INTEGER_BITS}")

@@ -33,7 +33,7 @@ from robofleet.scripts.script_link import FleetError, ended, held, refuse
 
 _JOINED_WITHIN_S = 3.0
 _POLL_S = 0.02
-_WORD_WITHIN_S = 5.0  # of a run that is there: a tick, the supervisor's word
+_MESSAGE_WITHIN_S = 5.0  # of a run that is there: a tick, the supervisor's state
 _READY_WITHIN_S = 300.0  # of all processes of a run that begins: they may compile kernels
 _OVER_WITHIN_S = 5.0  # after the script's last wish
 _ENDED_WITHIN_S = 120.0  # of a launcher: on a busy machine it writes the report for long
@@ -105,7 +105,7 @@ class LiveLink:
     def next_tick(self) -> bytes:
         """Wait for a tick that was not returned yet; of several the newest."""
         with self._came:
-            came = self._came.wait_for(self._has_new_tick, _WORD_WITHIN_S)
+            came = self._came.wait_for(self._has_new_tick, _MESSAGE_WITHIN_S)
         self._check()
         tick, self._taken_ns = self.tick, self._ticks.arrival_ns(TICK)
         if not came or (TICK_RECORD.head_of(tick, "run_tick") < 0 and self.status.phase in _OVER):

@@ -8,11 +8,9 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
-
-Array = NDArray[np.float64]
 
 _CROSS_ARM_M = 0.01  # of the cross that stands for a tag's heading
 

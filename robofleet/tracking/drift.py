@@ -21,13 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Flags
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import corrected, pose_covariance, sensitivity
 from robofleet.tracking.events import Notice, TrackerEvent
 from robofleet.tracking.tags.tracker import TagSighting
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Covariances of the camera: rotation [rad] about world x, y, z, shift along x, y [m], log focal length.
 _WANDER = np.diag([1.5e-6, 1.5e-6, 1.5e-6, 1e-6, 1e-6, 1e-6]) ** 2  # from image to image, by warming: 5 mm/min

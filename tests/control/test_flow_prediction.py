@@ -9,8 +9,9 @@ from robofleet.control.arrays import compiled, invert
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.control.flow import Plant
 from robofleet.control.prediction import compile_plant, spectral_radius_bound
+from robofleet.core.arrays import Array
 from robofleet.vehicles import bicycle
-from robofleet.vehicles.bicycle import FALCONE_2007, Array
+from robofleet.vehicles.bicycle import FALCONE_2007
 
 EXACT = settings(deadline=None, derandomize=True, max_examples=40)
 BY_HAND = bicycle_plant(FALCONE_2007)

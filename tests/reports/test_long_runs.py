@@ -67,7 +67,7 @@ def test_the_figures_of_a_run_in_parts_are_those_of_the_whole(
 
 def test_of_a_sampled_run_what_is_largest_and_what_is_counted_is_of_every_tick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reading, "_AROUND_NS", 3 * S // 2)
-    monkeypatch.setattr(sampled, "_MOST_BYTES", 20_000)
+    monkeypatch.setattr(sampled, "_MOST_TICK_BYTES", 20_000)
     file = RECORDINGS[[file.stem for file in RECORDINGS].index("platoon")]
     parts, whole = look(file, together=PART), look(file)
     assert len(parts.ticks) < len(whole.ticks) / 3
@@ -101,7 +101,7 @@ def test_a_part_of_a_run_is_let_go_of_before_the_next_one_is_read(
 
 def test_a_run_of_four_times_the_length_needs_no_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reading, "_AROUND_NS", 3 * S // 2)
-    monkeypatch.setattr(sampled, "_MOST_BYTES", 50_000)
+    monkeypatch.setattr(sampled, "_MOST_TICK_BYTES", 50_000)
     recording = reading.read(RECORDINGS[[file.stem for file in RECORDINGS].index("platoon")])
     messages = in_order(recording)[-300:]  # the fleet is driving: nothing else happens
     size = sum(len(payload) for _, payload in messages)

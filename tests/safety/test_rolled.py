@@ -77,6 +77,12 @@ def test_encoders_that_count_about_what_was_asked_or_nothing_are_no_fault(counts
     assert wiring_fault(Leg(FORTH, (counts[0] * FORTH[0], counts[1] * FORTH[1]), FORTH)) is None
 
 
+@pytest.mark.parametrize("counts", [(0.0, 0.0), (0.5, -0.5)])
+def test_wheels_that_were_told_nothing_yet_have_no_fault(counts: Wheels) -> None:
+    """Somebody pushes the robot at the beginning of its stroke."""
+    assert wiring_fault(Leg((0.0, 0.0), counts, (0.5, -0.5))) is None
+
+
 def test_an_encoder_at_its_tolerance_passes() -> None:
     assert wiring_fault(Leg((2.0, 1.0), (1.3, 1.0), (2.0, 1.0))) is None
 

@@ -1,4 +1,4 @@
-"""Bodies in arrays do what ``drivers/simulated.py`` does with one robot, to the last bit."""
+"""The plant compiled on arrays does what it does plain with one robot, to the last bit."""
 
 from dataclasses import replace
 from random import Random

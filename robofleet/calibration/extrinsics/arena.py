@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.consensus import Agreement, agree, chance
 from robofleet.calibration.extrinsics.fiducials import Look, Marks, TagFinder, look
@@ -21,9 +20,8 @@ from robofleet.calibration.frames import Named, refuse_other_sizes
 from robofleet.calibration.store import CalibrationError, load, provenance, save
 from robofleet.config.calibrated import CameraModel, FloorTag, PoseSettings, SeenMark
 from robofleet.config.cameras import lens_fault
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
-
-Array = NDArray[np.float64]
 
 _USABLE_MM = 3.0  # predicted error on the floor; the paper's robots keep to about 5 mm
 _UNLIKELY = 1e-3  # chance of residuals, below which the marks contradict what was stated of the survey

@@ -12,15 +12,12 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.fiducials import Marks
 from robofleet.calibration.extrinsics.placing import Lens, Placement, met, place
 from robofleet.calibration.extrinsics.survey import LEAST, on_one_line
 from robofleet.calibration.store import CalibrationError
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from robofleet.core.arrays import Array, Flags
 
 _FALSE_ALARM = 0.01  # probability that a mark of a survey without faults is accused
 _ENOUGH_MARKS = 7  # so many that agree accuse one mark, not two

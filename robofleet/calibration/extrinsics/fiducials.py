@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 from robofleet.calibration.extrinsics.survey import Survey
 from robofleet.calibration.frames import MIRRORED, Named
 from robofleet.calibration.store import CalibrationError
+from robofleet.core.arrays import Array, Image
 from robofleet.core.settings import FAMILIES, FamilyName
 from robofleet.tracking.tags.families import finder, pattern
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _WHITE_MARGIN = 0.5  # of the white around it that is compared, too [cells]
 _CELL_PIXELS = 16  # of the drawn print

@@ -10,16 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.consensus import Agreement
 from robofleet.calibration.extrinsics.fiducials import Marks
 from robofleet.calibration.extrinsics.region import COLUMNS, ROWS, Region
 from robofleet.calibration.report import Report
 from robofleet.config.calibrated import CameraModel
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, INK, STYLE
-
-Array = NDArray[np.float64]
 
 _BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", COLOURS[0]])
 _PLOT_WIDTH = 7.0  # [inch]

@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.fiducials import Marks
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
-
-Array = NDArray[np.float64]
 
 PARAMETERS = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "shift_x_m", "shift_y_m", "shift_z_m")  # of a covariance
 LEAST_SURVEY_M = 1e-4  # nobody surveys a floor better

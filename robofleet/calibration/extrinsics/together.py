@@ -28,8 +28,7 @@ from robofleet.calibration.extrinsics.placing import (
 )
 from robofleet.calibration.extrinsics.survey import LEAST
 from robofleet.calibration.store import CalibrationError
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 _GAUSS_NEWTON_STEPS = 8
 _TIED_M = 0.003  # standard deviation at first of a place that another camera saw

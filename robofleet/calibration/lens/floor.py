@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.lens.board import Array
 from robofleet.calibration.lens.projection import Lens
+from robofleet.core.arrays import Array
 
 COLUMNS, ROWS = 24, 14  # of the pixels whose places are asked for
 _TAGS_SHARE = 0.8  # half the side of the floor tags' rectangle, of the image's

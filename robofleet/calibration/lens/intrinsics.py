@@ -8,12 +8,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from robofleet.calibration.lens.board import Array, Board, BoardView
+from robofleet.calibration.lens.board import Board, BoardView
 from robofleet.calibration.lens.bundle import Fit, fit, typical
 from robofleet.calibration.lens.floor import Ceiling, FloorErrors
 from robofleet.calibration.lens.views import Coverage, Wanted, next_view
 from robofleet.calibration.store import CalibrationError, provenance
 from robofleet.config.calibrated import CameraModel
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import Lens as Kind
 
 COEFFICIENTS: dict[Kind, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12, 14), "fisheye": (4,)}  # OpenCV's models

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.lens.board import Array, Board, BoardView
+from robofleet.calibration.lens.board import Board, BoardView
 from robofleet.calibration.lens.bundle import Fit, inverse, view_information
 from robofleet.calibration.lens.floor import Ceiling, FloorErrors
 from robofleet.calibration.lens.projection import Lens
+from robofleet.core.arrays import Array
 
 COLUMNS, ROWS = 6, 4  # cells of the image
 _ENOUGH_CORNERS = 4  # in a cell

@@ -21,6 +21,7 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.config import groups
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config, Group
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 from robofleet.operator.terminal.live_state import WAITING
 from robofleet.operator.terminal.terminal import Terminal
@@ -32,7 +33,6 @@ from robofleet.runs.launcher import Launcher
 from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.offset import tag_from_centre
 
-Array = NDArray[np.float64]
 Turned = tuple[Array, Array]  # at [s], angles (n, 2) [rad]
 Seen = tuple[float, float, float, float]  # at [s], x, y [m], psi [rad]
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
+from robofleet.core.arrays import Array
 from robofleet.safety.gate import RAMP_NS
-
-Array = NDArray[np.float64]
 
 _FEWEST_SAMPLES = 3  # of an angle
 _OUTLIER_SHARE = 0.2  # of the poses, at most

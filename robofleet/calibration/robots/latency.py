@@ -26,8 +26,7 @@ from robofleet.calibration.robots.increments import (
     whiten,
 )
 from robofleet.calibration.store import CalibrationError
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 PARAMETERS = ("delay_s", "motor_lag_s")
 

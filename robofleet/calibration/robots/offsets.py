@@ -26,9 +26,8 @@ from robofleet.calibration.robots.increments import (
 )
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
+from robofleet.core.arrays import Array
 from robofleet.vehicles.differential_drive import DifferentialDrive
-
-Array = NDArray[np.float64]
 
 PARAMETERS = ("forward_m", "left_m", "heading_deg", "wheel_radius_m", "wheel_base_m")
 

@@ -27,8 +27,8 @@ from robofleet.safety.supervisor import Phase
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
 
-_AGAIN_NS = 20 * MS  # a command that stays as it is
-_SILENT_NS = 3 * S  # of the controller
+_REPEAT_NS = 20 * MS  # of a command that stays as it is
+_CONTROLLER_SILENT_NS = 3 * S
 
 
 def drive(
@@ -46,7 +46,7 @@ def drive(
     newest, heard_ns = 0, clock.now_ns()
     try:
         while True:
-            readable, _, _ = select.select([pad], [], [], _AGAIN_NS / S)
+            readable, _, _ = select.select([pad], [], [], _REPEAT_NS / S)
             if readable:
                 stick = pad.read()
             ticks.update()
@@ -62,7 +62,7 @@ def drive(
                 hand.drive(stick, ticks.newest)
             if ticks.newest != newest:
                 newest, heard_ns = ticks.newest, now_ns
-            elif now_ns - heard_ns > _SILENT_NS and over():
+            elif now_ns - heard_ns > _CONTROLLER_SILENT_NS and over():
                 return
     finally:
         hand.let_go()

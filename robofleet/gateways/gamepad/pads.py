@@ -14,7 +14,7 @@ SYN_REPORT, SYN_DROPPED = 0, 3
 ABS_X, ABS_Y = 0x00, 0x01  # the left stick: to the right and to the person are positive
 BTN_TL, BTN_TR, BTN_SOUTH = 0x136, 0x137, 0x130
 HOLD = BTN_TL, BTN_TR  # the shoulder buttons
-_DEAD = 0.08  # of a stick that is let go
+_DEAD_ZONE = 0.08  # of a stick that is let go
 _DEVICES = "/dev/input"
 _JOIN = "run `sudo usermod -aG input $USER`, then log in again"
 
@@ -64,7 +64,7 @@ class Held:
             elif kind == EV_ABS and code in self._ranges:
                 least, most = self._ranges[code]
                 at = 2.0 * (value - least) / (most - least) - 1.0
-                self._at[code] = 0.0 if abs(at) < _DEAD else at
+                self._at[code] = 0.0 if abs(at) < _DEAD_ZONE else at
         return Stick(-self._at[ABS_Y], -self._at[ABS_X], not self._pressed.isdisjoint(HOLD))
 
 

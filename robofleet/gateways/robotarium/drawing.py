@@ -9,7 +9,7 @@ from robofleet.core.clock import MS, stopwatch_ns
 
 Array = NDArray[np.float64]
 
-_EVERY_NS = 50 * MS  # from one picture in a window to the next
+_PICTURE_PERIOD_NS = 50 * MS  # in a window
 _INCHES_PER_M = 2.5
 
 
@@ -73,7 +73,7 @@ class Drawing:
 
     def update(self, poses: Array) -> None:
         """Show where the robots are, as often as an eye can follow."""
-        if not self._window or stopwatch_ns() - self._drawn_ns < _EVERY_NS:
+        if not self._window or stopwatch_ns() - self._drawn_ns < _PICTURE_PERIOD_NS:
             return
         self.place(poses)
         self.figure.canvas.draw_idle()

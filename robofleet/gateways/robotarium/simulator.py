@@ -23,7 +23,7 @@ MAX_LINEAR_VELOCITY = 0.2  # [m/s]
 MAX_WHEEL_VELOCITY = MAX_LINEAR_VELOCITY / WHEEL_RADIUS  # [rad/s]
 MAX_ANGULAR_VELOCITY = 2 * MAX_LINEAR_VELOCITY / ROBOT_DIAMETER  # [rad/s]
 COLLISION_OFFSET, COLLISION_DIAMETER = 0.025, 0.135  # [m]: of the points ahead of the axles, and how near is too near
-_MOST = 50  # robots of the original
+_MOST_ROBOTS = 50  # of the original
 _UTILITIES = "rps.utilities.misc"
 
 
@@ -47,7 +47,9 @@ class Simulator:
             ("sim_in_real_time", sim_in_real_time, bool), ("initial_conditions", initial_conditions, np.ndarray),
         ):  # fmt: skip
             assert isinstance(value, kind), f"{name} must be of {kind.__name__}, not {type(value).__name__}"
-        assert 0 <= number_of_robots <= _MOST, f"number_of_robots is {number_of_robots}, must be 0 to {_MOST}"
+        assert 0 <= number_of_robots <= _MOST_ROBOTS, (
+            f"number_of_robots is {number_of_robots}, must be 0 to {_MOST_ROBOTS}"
+        )
         n, most = number_of_robots, self.runs.most
         if not 0 < n <= most:
             config = self.runs.wanted.config

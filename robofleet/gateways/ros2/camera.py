@@ -23,8 +23,8 @@ from robofleet.gateways.ros2.topics import Frames
 from robofleet.nodes.pictures import REQUESTED
 from robofleet.tracking.pictures import picture_size
 
-_AGAIN_NS = S  # a request holds for two seconds
-_PLUMB_BOB = 5  # coefficients at most, of sensor_msgs' plumb_bob
+_REQUEST_PERIOD_NS = S  # a request holds for two seconds
+_PLUMB_BOB_COEFFICIENTS = 5  # of sensor_msgs' plumb_bob, at most
 
 
 class Camera:
@@ -46,7 +46,7 @@ class Camera:
     def step(self, now_ns: int, updated: set[Source]) -> None:
         """Ask for pictures while somebody looks, and say what came."""
         looked_at = any(map(wanted, (self._image, self._compressed, self._lens)))
-        if looked_at and (self._requested_ns is None or now_ns - self._requested_ns >= _AGAIN_NS):
+        if looked_at and (self._requested_ns is None or now_ns - self._requested_ns >= _REQUEST_PERIOD_NS):
             self._bus.ask(SAFE_REQUEST, self._tracker, REQUESTED)
             self._requested_ns = now_ns
         if looked_at and (source := (PICTURE, self._name)) in updated:
@@ -88,8 +88,8 @@ def camera_info(model: CameraModel, frame: str) -> CameraInfo:
     known = list(model.distortion)
     if model.lens == "fisheye":
         kind, coefficients = "equidistant", known
-    elif len(known) <= _PLUMB_BOB:
-        kind, coefficients = "plumb_bob", known + [0.0] * (_PLUMB_BOB - len(known))
+    elif len(known) <= _PLUMB_BOB_COEFFICIENTS:
+        kind, coefficients = "plumb_bob", known + [0.0] * (_PLUMB_BOB_COEFFICIENTS - len(known))
     else:
         kind, coefficients = "rational_polynomial", known
     info = CameraInfo(

@@ -26,7 +26,7 @@ SHARE = Path(__file__).parent / "share"  # the launch file
 _TYPES = topics.SERVICE, *(kind for row in topics.TOPICS for kind in row.type.split(" or "))
 _PACKAGES = sorted({"rclpy", *(kind.split("/")[0] for kind in _TYPES)})
 _SLOWEST, _FASTEST = 0.01, 100.0  # simulated seconds a second
-_RAISED = 1  # exit code of a Python that could not import
+_IMPORT_FAILED = 1  # exit code of a Python that could not import
 _OPTIONAL = "tf2_msgs"  # which PyPI does not have
 
 
@@ -101,7 +101,7 @@ def _need_ros() -> None:
     chosen = os.environ.get("RMW_IMPLEMENTATION")
     if chosen:  # rclpy ends the process that imports it and has no such one
         tried = subprocess.run([sys.executable, "-P", "-c", "import rclpy"], stderr=subprocess.DEVNULL, check=False)
-        if tried.returncode not in (0, _RAISED):
+        if tried.returncode not in (0, _IMPORT_FAILED):
             raise RefusedError(f"RMW_IMPLEMENTATION={chosen}: this rclpy does not start with it: unset it")
     missing = [package for package in _PACKAGES if package != _OPTIONAL and find_spec(package) is None]
     broken = ""

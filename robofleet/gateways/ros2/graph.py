@@ -15,8 +15,8 @@ from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.topics import Frames, Quality, Topic, load
 
 _WALL = WallClock()
-_ENDS_S = -(2**31), 2**31 - 1  # of ROS's time
-_LARGEST = 3.4028234e38  # of ROS's float32
+_TIME_RANGE_S = -(2**31), 2**31 - 1  # of ROS's time
+_LARGEST_FLOAT32 = 3.4028234e38
 
 
 class Graph:
@@ -48,13 +48,13 @@ class Graph:
 
 def stamped(ros_ns: int) -> Time:
     """Return a time of ROS [ns] as messages have it; beyond their ends, the nearer one."""
-    first_s, last_s = _ENDS_S
+    first_s, last_s = _TIME_RANGE_S
     return Time(sec=min(max(first_s, ros_ns // S), last_s), nanosec=ros_ns % S)
 
 
 def single(value: float) -> float:
     """Return a number as a float32 of a message can have it: beyond its ends, infinite."""
-    return math.copysign(math.inf, value) if abs(value) > _LARGEST else value
+    return math.copysign(math.inf, value) if abs(value) > _LARGEST_FLOAT32 else value
 
 
 def profile(quality: Quality) -> QoSProfile:

@@ -23,7 +23,7 @@ from robofleet.gateways.ros2.gateway import NODE, Gateway, serve_requests
 from robofleet.operator.terminal.terminal import interrupts
 
 _JOINED_WITHIN_S = 3.0
-_LOOK_S = 0.05  # at least so often it is seen what came
+_POLL_S = 0.05
 
 
 @contextmanager
@@ -71,9 +71,9 @@ def serve(config: Config, access: ArenaAccess, namespace: str) -> None:
         gateway = Gateway(made, config, bus, clock, epoch_ns, served)
         held.callback(gateway.velocities.stand)
         serve_requests(made, asking)
-        made.create_timer(_LOOK_S, gateway.step)
+        made.create_timer(_POLL_S, gateway.step)
         if groups.taking_setpoints(config, Ros2) and (why := joined_otherwise(config, access, SCRIPT)):
             print(why, file=sys.stderr)
         print(f"ROS 2 hears the run of {config.arena.name}: Ctrl-C ends this, and not the run", file=sys.stderr)
         while not interrupted.count and not served.is_over(clock.now_ns()):
-            executor.spin_once(timeout_sec=_LOOK_S)
+            executor.spin_once(timeout_sec=_POLL_S)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]
-_REMEMBERED = 64  # statuses; a pose is measured less than a second before it comes
+_REMEMBERED_STATUSES = 64  # a pose is measured less than a second before it comes
 
 
 def compose(first: Array, then: Array) -> Array:
@@ -49,8 +49,8 @@ class Odometry:
         self.corrected = np.zeros(n, np.bool_)  # whose place in the map is known
         self._angles: Array | None = None
         self._boot = 0
-        self._at_ns = np.zeros(_REMEMBERED, np.int64)
-        self._past = np.zeros((_REMEMBERED, n, 3))
+        self._at_ns = np.zeros(_REMEMBERED_STATUSES, np.int64)
+        self._past = np.zeros((_REMEMBERED_STATUSES, n, 3))
         self._count = 0
 
     def turned(self, at_ns: int, boot_id: int, angles: Array, speeds: Array) -> None:
@@ -69,7 +69,7 @@ class Odometry:
         self._angles, self._boot = angles.copy(), boot_id
         left, right = (speeds * self._radius[:, None]).T
         self.twists[:, 0], self.twists[:, 1] = (left + right) / 2.0, (right - left) / self._base
-        row = self._count % _REMEMBERED
+        row = self._count % _REMEMBERED_STATUSES
         self._at_ns[row], self._past[row] = at_ns, self.poses
         self._count += 1
 
@@ -81,8 +81,8 @@ class Odometry:
 
     def _then(self, robot: int, at_ns: int) -> Array:
         """Return where a robot was in its odom frame: between two instants on a line."""
-        known = min(self._count, _REMEMBERED)
-        order = (np.arange(known) + self._count - known) % _REMEMBERED
+        known = min(self._count, _REMEMBERED_STATUSES)
+        order = (np.arange(known) + self._count - known) % _REMEMBERED_STATUSES
         instants, poses = self._at_ns[order], self._past[order, robot]
         after = int(np.searchsorted(instants, at_ns))
         if after in (0, known):

@@ -26,9 +26,9 @@ from robofleet.tracking.filter.estimator import rows_of
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 _JOINTS = [f"{wheel}_joint" for wheel in WHEELS]
-_BATTERY_NS = S  # from one word of the batteries to the next
+_BATTERY_PERIOD_NS = S
 _COVARIANCE = tuple(TagPose._fields[6:])
-_PLACES = 0, 1, 7, 5, 11, 35  # of xx, xy, yy, xpsi, ypsi, psipsi in ROS's 6 x 6: x, y, z, roll, pitch, yaw
+_COVARIANCE_INDICES = 0, 1, 7, 5, 11, 35  # of xx, xy, yy, xpsi, ypsi, psipsi in ROS's 6 x 6: x, y, z, roll, pitch, yaw
 _MIRRORED = {1: 6, 5: 30, 11: 31}
 
 
@@ -101,7 +101,7 @@ class _Unit:
         odometry, stamp = self._odometry, self._graph.stamp(at_ns)
         odometry.turned(at_ns, status.boot_id, angles, speeds)
         moved = list[TransformStamped]()
-        tells = now_ns - self._battery_ns >= _BATTERY_NS
+        tells = now_ns - self._battery_ns >= _BATTERY_PERIOD_NS
         for row, robot in enumerate(self._robots):
             pose = odometry.poses[row].tolist()
             robot.say_odometry(stamp, pose, odometry.twists[row].tolist())
@@ -157,7 +157,7 @@ class _Robot:
         message, whole = self._seen, np.zeros(36)
         message.header.stamp = stamp
         _place(message.pose.pose, pose)
-        for index, value in zip(_PLACES, covariance, strict=True):
+        for index, value in zip(_COVARIANCE_INDICES, covariance, strict=True):
             whole[index] = whole[_MIRRORED.get(index, index)] = value
         message.pose.covariance = whole
         self._pose.publish(message)

@@ -24,8 +24,8 @@ from robofleet.recording.state_words import state_words
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 
-_EVERY_NS = S  # from one word of the diagnostics to the next
-_OLD_NS = 2 * S  # a robot that said nothing for so long is stale
+_DIAGNOSTICS_PERIOD_NS = S
+_STALE_NS = 2 * S  # a robot that said nothing for so long is stale
 _OK, _WARN, _ERROR, _STALE = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 _LEVELS = {Phase.HOLD: _WARN, Phase.FAULT: _ERROR, Phase.ESTOP: _ERROR}
 
@@ -52,7 +52,7 @@ class Run:
             if phase != self._phase:
                 self._phase = phase
                 self._state.publish(String(data=phase))
-        if now_ns - self._published_ns >= _EVERY_NS:
+        if now_ns - self._published_ns >= _DIAGNOSTICS_PERIOD_NS:
             self._published_ns = now_ns
             message = DiagnosticArray(status=[self._of_run(), self._of_controller(now_ns), *self._of_robots(now_ns)])
             message.header.stamp = self._graph.stamp(now_ns)
@@ -70,7 +70,7 @@ class Run:
 
     def _of_controller(self, now_ns: int) -> DiagnosticStatus:
         head, name = self._observer[TICK], f"{self._config.arena.name}: controller"
-        if not self._observer.alive(TICK, now_ns, _EVERY_NS):
+        if not self._observer.alive(TICK, now_ns, _DIAGNOSTICS_PERIOD_NS):
             return DiagnosticStatus(level=_STALE, name=name, message="no ticks")
         values = _values(
             tick=head.tick, overruns=head.overruns, lateness_ms=f"{head.lateness_ns / MS:.3f}",
@@ -82,7 +82,7 @@ class Run:
         for row, robot in enumerate(self._config.bodies):
             unit = self._config.unit_of[robot.id]
             say = partial(DiagnosticStatus, name=f"{self._config.arena.name}: {robot.id}", hardware_id=robot.id)
-            if not self._observer.alive((STATUS, unit), now_ns, _OLD_NS):
+            if not self._observer.alive((STATUS, unit), now_ns, _STALE_NS):
                 yield say(level=_STALE, message="its driver says nothing")
                 continue
             status = self._observer[STATUS, unit][1][self._config.units[unit].index(robot.id)]

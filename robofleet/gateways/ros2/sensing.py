@@ -19,8 +19,8 @@ from robofleet.gateways.ros2.robots import heading
 from robofleet.gateways.ros2.topics import Frames
 from robofleet.vehicles.readings import SensorReading
 
-_NOT_MEASURED = -1.0  # in the first place of a covariance: sensor_msgs/Imu
-_UT = 1e-6  # [T]
+_NOT_MEASURED_COVARIANCE = -1.0  # its first element: sensor_msgs/Imu
+_MICROTESLA_T = 1e-6
 
 
 class Sensing:
@@ -81,16 +81,16 @@ class _Sensors:
 def _imu(kind: SensorSettings, reading: SensorReading) -> Imu:
     """Return what a reading tells; a part that it does not tell is not measured."""
     message = Imu()
-    message.orientation_covariance[0] = _NOT_MEASURED
+    message.orientation_covariance[0] = _NOT_MEASURED_COVARIANCE
     if reading.gyro is None:
-        message.angular_velocity_covariance[0] = _NOT_MEASURED
+        message.angular_velocity_covariance[0] = _NOT_MEASURED_COVARIANCE
     else:
         turning = message.angular_velocity
         turning.x, turning.y, turning.z = reading.gyro
         if kind.gyro is not None:
             message.angular_velocity_covariance[:] = np.diag(np.square(kind.gyro.noise_rad_s)).ravel()
     if reading.accelerometer is None:
-        message.linear_acceleration_covariance[0] = _NOT_MEASURED
+        message.linear_acceleration_covariance[0] = _NOT_MEASURED_COVARIANCE
     else:
         force = message.linear_acceleration
         force.x, force.y, force.z = reading.accelerometer
@@ -103,7 +103,7 @@ def _field(kind: SensorSettings, frame: str) -> MagneticField:
     message = MagneticField()
     message.header.frame_id = frame
     if kind.magnetometer is not None:
-        noise_t = _UT * np.array(kind.magnetometer.noise_ut)
+        noise_t = _MICROTESLA_T * np.array(kind.magnetometer.noise_ut)
         message.magnetic_field_covariance[:] = np.diag(np.square(noise_t)).ravel()
     return message
 

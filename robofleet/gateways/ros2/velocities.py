@@ -24,8 +24,8 @@ from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, profile
 from robofleet.gateways.ros2.topics import load
 
-_DRIFT = 10_000  # two clocks drift apart by less than this part of the time that passes
-_SET_NS = 100 * MS  # who is faster than the fastest by more has set its clock
+_DRIFT_DIVISOR = 10_000  # two clocks drift apart by less than this part of the time that passes
+_CLOCK_SET_NS = 100 * MS  # who is faster than the fastest by more has set its clock
 _DOUBT_NS = S  # so long after that no age is known
 UNKNOWN_NS = 60 * S  # older than any command that is done (``silent_s``)
 
@@ -58,9 +58,9 @@ class Ages:
         if self._fastest_ns is None:
             self._fastest_ns = way_ns
         else:
-            self._fastest_ns += (came_ns - self._came_ns) // _DRIFT
+            self._fastest_ns += (came_ns - self._came_ns) // _DRIFT_DIVISOR
             longer_ns = way_ns - self._fastest_ns
-            if sent_ns < self._sent_ns or longer_ns < -_SET_NS or (self._other and longer_ns > _SET_NS):
+            if sent_ns < self._sent_ns or longer_ns < -_CLOCK_SET_NS or (self._other and longer_ns > _CLOCK_SET_NS):
                 self._fastest_ns, self._known_ns = way_ns, came_ns + _DOUBT_NS
         self._sent_ns, self._came_ns, self._other = sent_ns, came_ns, False
         self._fastest_ns = min(self._fastest_ns, way_ns)
@@ -68,10 +68,10 @@ class Ages:
 
 
 _EPOCH_BITS = 30  # as of scripts
-_LOOK_NS = S // 4  # between two looks of which type a robot's commands are
+_TYPE_POLL_NS = S // 4  # between two looks of which type a robot's commands are
 _SILENT_NS = S  # a publisher that says nothing for so long keeps no other one from its topic
 _BEYOND = 1e6  # [m/s, rad/s] as the controller refuses it
-_LONG_S = 1e5  # older than any command that is heard
+_LONGEST_AGE_S = 1e5  # older than any command that is heard
 
 
 class Velocities:
@@ -86,12 +86,12 @@ class Velocities:
             for group in config.groups
             if group.title in titles
         ]
-        self._looked_ns = -_LOOK_NS
+        self._looked_ns = -_TYPE_POLL_NS
         self.step(graph.clock.now_ns())
 
     def step(self, now_ns: int) -> None:
         """Listen to each robot's commands by the type that their publisher has."""
-        if self._groups and now_ns - self._looked_ns >= _LOOK_NS:
+        if self._groups and now_ns - self._looked_ns >= _TYPE_POLL_NS:
             self._looked_ns = now_ns
             for group in self._groups:
                 group.listen()
@@ -140,7 +140,7 @@ class _Group:
         tick = self._ticks.newest
         if tick:
             age_s = (self._ticks.instant(tick) - self._since_ns) / S
-            self._values[:, 2] = np.where(self._velocities["told"], np.minimum(age_s, _LONG_S), 0.0)
+            self._values[:, 2] = np.where(self._velocities["told"], np.minimum(age_s, _LONGEST_AGE_S), 0.0)
             self._seq += 1
             self._publish(SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, 0, tick), self._velocities))
 

@@ -25,9 +25,9 @@ from robofleet.recording.scenes.drawn import Channel, Drawn, of_key
 
 _NICE = 5  # viewers wait for the run, never the other way round
 _JOIN_WITHIN_S = 60.0  # the router is the first process of a run
-_QUEUE = 65536  # messages
+_QUEUE_MESSAGES = 65536
 _PERIOD_NS = 40 * MS
-_BATCH = 15  # ticks of a robot at once: half a second
+_BATCH_TICKS = 15  # of a robot at once: half a second
 
 
 def serve(
@@ -61,7 +61,7 @@ def serve(
 
     served = Served(lambda: is_over(config, access), clock.now_ns())
     try:
-        stream = bus.stream(*keys(config), capacity=_QUEUE)
+        stream = bus.stream(*keys(config), capacity=_QUEUE_MESSAGES)
         with closing(Viewers(config, stream, served, opened, epoch_ns())) as viewers:
             lifeline.ready(viewers.line)
             while not lifeline.cut and not served.is_over(now_ns := clock.now_ns()):
@@ -93,7 +93,7 @@ class Viewers:
     ) -> None:  # fmt: skip
         """Take all that is said, what opens a server of channels, and what makes its instants dates."""
         self._stream, self._served, self._epoch_ns = stream, served, epoch_ns
-        self._drawn = Drawn(config, groups.descriptions(config), epoch_ns=epoch_ns, batch=_BATCH)
+        self._drawn = Drawn(config, groups.descriptions(config), epoch_ns=epoch_ns, batch=_BATCH_TICKS)
         self._server, self.line = opened([*map(of_key, keys(config)), *self._drawn.channels])
         self._state = key_of(config.arena.name, STATE)
 

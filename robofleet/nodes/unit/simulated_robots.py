@@ -94,7 +94,7 @@ class SimulatedRobots(LinkedRobots):
     ) -> None:  # fmt: skip
         """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
         b = self._bodies
-        self._left, self.deadline_ns = _pass_on(
+        self._pending, self.deadline_ns = _pass_on(
             self._gates, self._inputs, self._links, self._drive_rows, b.bodies, b.builds, b.coming, b.noise,
             *(command or _NO_COMMAND), *(enable or _NO_ENABLE), now_ns, b.prepare(), due,
         )  # fmt: skip
@@ -102,7 +102,7 @@ class SimulatedRobots(LinkedRobots):
             for row in np.flatnonzero(self._links["stepped"]).tolist():
                 inputs, gate = record_of(Inputs, self._inputs[row]), record_of(GateState, self._gates[row])
                 self._probe(self._robots[row], now_ns, inputs, gate)
-        if self._left & link.NEW_RUNAWAY:
+        if self._pending & link.NEW_RUNAWAY:
             for row in np.flatnonzero(self._links["runaway"] == 1).tolist():
                 self._complaints.add(self._robots[row], link.runaway_complaint(record_of(Link, self._links[row])))
 
@@ -126,7 +126,7 @@ class SimulatedRobots(LinkedRobots):
 
     def keep(self, *, due: bool) -> None:
         """Keep what must be kept of the gates: a lease's epoch, a latch."""
-        if self._left & link.TO_STORE:
+        if self._pending & link.TO_STORE:
             for row, memory in enumerate(self._memories):
                 g, l = self._records(row)
                 link.store(g, l, memory, due=due)
@@ -139,7 +139,7 @@ class SimulatedRobots(LinkedRobots):
     def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
         """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
         _fill_statuses(self._gates, self._links, self._statuses, now_ns, refused)
-        self._left &= ~link.NEW_LATCH
+        self._pending &= ~link.NEW_LATCH
         return self._statuses
 
     def truths(self) -> NDArray[Any]:
@@ -160,8 +160,9 @@ class SimulatedRobots(LinkedRobots):
         """Motors off at once. Idempotent."""
         if not self._closed:
             self._closed = True
+            world_ns = self._bodies.prepare()
             for row in range(len(self)):
-                self._bodies.write(row, 0.0, 0.0)
+                simulated.write(*self._bodies.row(row), 0.0, 0.0, world_ns)
             self.say()
 
 
@@ -183,7 +184,7 @@ def _pass_on(  # type: ignore[no-untyped-def]
     world_ns,
     due,
 ):
-    left, deadline_ns = 0, NEVER_NS
+    pending, deadline_ns = 0, NEVER_NS
     for k in range(len(gates)):
         g, l, b, p = gates[k], links[k], bodies[k], builds[k]
         if due:
@@ -195,9 +196,9 @@ def _pass_on(  # type: ignore[no-untyped-def]
             _put_permission(inputs[k], enable[0], enables[k])
         if _pass_to_gate(g, l, drives[k], inputs[k], command[0].exposure_ns, now_ns):
             _write(l, b, p, coming[k], noise[k], g.output_left, g.output_right, world_ns)
-        left |= _settle(g, l, now_ns)
+        pending |= _settle(g, l, now_ns)
         deadline_ns = min(deadline_ns, g.deadline_ns)
-    return left, deadline_ns
+    return pending, deadline_ns
 
 
 @kernel
@@ -236,10 +237,10 @@ KERNELS = (_pass_on, _look, _fill_statuses, _fill_truths, simulated.advance_all,
 def compile_kernels(say: Say) -> None:
     """Compile every kernel, or load it from the cache, by calling it for no robots; ``say`` is told how far it is."""
     gates, inputs, links, drives = (np.ones(1, kind) for kind in (GATE, INPUT, LINK, DRIVE))
-    bodies, plants = np.zeros(1, simulated.BODY), np.ones(1, simulated.BUILD)
+    bodies, builds = np.zeros(1, simulated.BODY), np.ones(1, simulated.BUILD)
     coming, noise = np.zeros((1, 1), simulated.COMING), np.zeros((1, 1))
-    body = bodies[0], plants[0], coming[0], noise[0]
-    nobody = bodies[:0], plants[:0], coming[:0], noise[:0]
+    body = bodies[0], builds[0], coming[0], noise[0]
+    nobody = bodies[:0], builds[:0], coming[:0], noise[:0]
     statuses, truths = np.zeros(0, UNIT_STATUS.item_dtype), np.zeros(0, UNIT_TRUTH.item_dtype)
     with told("robots", KERNELS, say):
         _pass_on(gates[:0], inputs[:0], links[:0], drives[:0], *nobody, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)

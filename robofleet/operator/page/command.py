@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # whether a run has ended is said without the server's packag
 
 _CONFIG = "config.yaml"
 _ANSWERS_WITHIN_S, _BEGINS_WITHIN_S = 1.5, 15.0  # a bus that nobody has started here; one that a launcher brings now
-_LOOK_NS = S // 4  # between two looks whether a launcher lives
+_POLL_NS = S // 4
 
 
 class There(NamedTuple):
@@ -102,7 +102,7 @@ class Over:
     def __call__(self) -> bool:
         """Look, four times a second at most."""
         now_ns = self._clock.now_ns()
-        if self._run is not None and not self._over and now_ns - self._looked_ns >= _LOOK_NS:
+        if self._run is not None and not self._over and now_ns - self._looked_ns >= _POLL_NS:
             self._looked_ns = now_ns
             meets = listens(self._endpoint)
             self._met = self._met or meets is True

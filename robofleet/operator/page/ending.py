@@ -12,8 +12,8 @@ from robofleet.recording.causes import run_cause
 from robofleet.safety.supervisor import Phase
 
 STAYS_MIN = 10  # after the end, while somebody looks
-_GRACE_NS = 3 * S  # for a page that is loaded again
-_PATIENCE_NS = 15 * S  # for the summary of a run that has just ended
+_RELOAD_NS = 3 * S  # a page that is loaded again is back within
+_SUMMARY_WITHIN_NS = 15 * S  # of the end of a run
 _UNKNOWN = "How the run ended is not known: look at the robots."
 
 
@@ -48,7 +48,7 @@ class Ending:
     @property
     def watched(self) -> bool:
         """Whether somebody looks, or has just looked."""
-        return self._looked_ns is not None and self._clock.now_ns() - self._looked_ns <= _GRACE_NS
+        return self._looked_ns is not None and self._clock.now_ns() - self._looked_ns <= _RELOAD_NS
 
     @property
     def done(self) -> bool:
@@ -56,7 +56,7 @@ class Ending:
         if not self._over_ns:
             return False
         since_ns = self._clock.now_ns() - self._over_ns
-        if self._patient and self.verdict is None and since_ns <= _PATIENCE_NS:
+        if self._patient and self.verdict is None and since_ns <= _SUMMARY_WITHIN_NS:
             return False
         return not self.watched or since_ns > STAYS_MIN * 60 * S
 

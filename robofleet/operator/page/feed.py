@@ -71,11 +71,11 @@ class Diary:
             yield latch_line(self._robots[row], status.latch)
 
 
-_IDLE_NS = 100 * MS  # between two looks when nothing comes
+_IDLE_POLL_NS = 100 * MS  # when nothing comes
 _BEAT_NS = 90 * MS  # then the next look brings a beat: at least one in 200 ms
-_UNDRAWN = 4  # ticks on their way to a page, at most: 130 ms of a distant phone
+_MOST_UNDRAWN_TICKS = 4  # on their way to a page: 130 ms of a distant phone
 _ANYWAY_NS = S  # a page that draws nothing is sent a tick so often, and when the phase changes
-_ANSWERS = 16
+_MOST_ANSWERS = 16
 
 Say = Callable[[str], Awaitable[None]]
 
@@ -106,7 +106,7 @@ class Feed:
         """Look whenever something comes, and ten times a second in any case; for ever."""
         while True:
             try:
-                async with asyncio.timeout(_IDLE_NS / S):
+                async with asyncio.timeout(_IDLE_POLL_NS / S):
                     await self._woken.wait()
             except TimeoutError:
                 pass
@@ -172,7 +172,7 @@ class Feed:
     def _look(self) -> None:
         now_ns, before = self._clock.now_ns(), self.hearing.record
         new = self.hearing.hear()
-        if not new and now_ns - self._looked_ns < _IDLE_NS:
+        if not new and now_ns - self._looked_ns < _IDLE_POLL_NS:
             return
         self._looked_ns = now_ns
         self.diary.look(self.hearing, self.hearing.hear_the_rest())
@@ -189,7 +189,7 @@ class Page:
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
         self._woken = asyncio.Event()
-        self._answers: deque[Frame] = deque(maxlen=_ANSWERS)
+        self._answers: deque[Frame] = deque(maxlen=_MOST_ANSWERS)
         self._undrawn: deque[tuple[int, int]] = deque()  # ticks sent: number, and arrival of its record [ns]
         self._seq = -1  # of the newest tick sent
         self._sent_ns = 0
@@ -262,7 +262,7 @@ class Page:
     def _tick_due(self) -> bool:
         if self._feed.seq == self._seq:
             return False
-        if len(self._undrawn) >= _UNDRAWN:
+        if len(self._undrawn) >= _MOST_UNDRAWN_TICKS:
             if self._feed.phase == self._phase and self._feed.now_ns() - self._sent_ns < _ANYWAY_NS:
                 return False
             self._undrawn.popleft()

@@ -36,8 +36,8 @@ COLUMNS = (
     "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered", "to_go_m",
     "figures",
 )  # fmt: skip
-_LONGEST_MS = 1000.0  # two hosts' stamps give any number: more is no latency
-_DIGITS = 6  # of a figure that is shown
+_LONGEST_LATENCY_MS = 1000.0  # two hosts' stamps give any number: more is no latency
+_FIGURE_DIGITS = 6
 
 
 def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
@@ -52,7 +52,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
             "size_m": config.arena.size_m,
             "floor_m": config.arena.floor_m,
             "obstacles": [
-                {"name": solid.name, "points": solid.outline.round(_DIGITS).tolist()}
+                {"name": solid.name, "points": solid.outline.round(_FIGURE_DIGITS).tolist()}
                 for solid in obstacles.standing(config.arena)
             ],
         },
@@ -231,7 +231,7 @@ def _latency_ms(hearing: Hearing) -> float | None:
         for status, _ in hearing.robots
         if status is not None and status.applied_exposure_ns and status.gate == GateStatus.OPEN
     ]
-    return _rounded(max(applied), 1) if applied and 0.0 <= max(applied) <= _LONGEST_MS else None
+    return _rounded(max(applied), 1) if applied and 0.0 <= max(applied) <= _LONGEST_LATENCY_MS else None
 
 
 def _tracker(images: list[FleetPoses], robots: int) -> tuple[float | None, float | None]:
@@ -262,7 +262,7 @@ def _rows(
             _age_ms(arrival_ns, now_ns),
             *((int(record.measured), int(record.lost), int(record.filtered)) if record else [None] * 3),
             _rounded(to_go_m[row], 3) if driven else None,
-            [_rounded(value, _DIGITS) for value in texts.figures[row]] if driven else unknown,
+            [_rounded(value, _FIGURE_DIGITS) for value in texts.figures[row]] if driven else unknown,
         ])  # fmt: skip
     return rows
 

@@ -25,9 +25,9 @@ from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.recording.notes import Noted, noted
 from robofleet.safety.supervisor import Phase
 
-_IMAGES = 64  # two seconds of a camera, by which its rate is told
-_NEWS = 64
-_NOTES = 256  # of a group's script, between two looks
+_WINDOW_IMAGES = 64  # two seconds of a camera, by which its rate is told
+_NEWS_CAPACITY = 64
+_NOTES_CAPACITY = 256  # of a group's script, between two looks
 _POSES_WITHIN_NS = 200 * MS  # of a picture's arrival; it is shown without outlines then
 
 
@@ -44,11 +44,11 @@ class CameraHearing:
     def __init__(self, config: Config, bus: Bus, camera: str) -> None:
         arena = config.arena.name
         self.name = camera
-        self._frames = bus.stream(key(arena, POSES, camera), capacity=_IMAGES)
-        self._news = bus.stream(key(arena, NEWS, camera), capacity=_NEWS)
+        self._frames = bus.stream(key(arena, POSES, camera), capacity=_WINDOW_IMAGES)
+        self._news = bus.stream(key(arena, NEWS, camera), capacity=_NEWS_CAPACITY)
         self._pictures = Observer(bus, [(PICTURE, camera)])
         self._pending: tuple[int, Picture] | None = None  # and when it came
-        self.images: deque[FleetPoses] = deque(maxlen=_IMAGES)
+        self.images: deque[FleetPoses] = deque(maxlen=_WINDOW_IMAGES)
         self.heard_ns = 0  # the newest image's arrival; 0: none yet
         self.shown: Shown | None = None
 
@@ -89,7 +89,9 @@ class Hearing:
         self.record: TickRecord | None = None
         self.busy: BusyMachine | None = None  # None: nobody was late by the machine's load
         self.cameras = [CameraHearing(config, bus, camera) for camera in config.camera_names]
-        self._notes = {group: bus.stream(key(arena, NOTE, group), capacity=_NOTES) for group in groups.scripted(config)}
+        self._notes = {
+            group: bus.stream(key(arena, NOTE, group), capacity=_NOTES_CAPACITY) for group in groups.scripted(config)
+        }
         self.notes: list[tuple[str, Noted]] = []  # that came since the look before, and of which group
         self.overruns = 0  # in this run: what the start of all processes cost does not count
         self._overruns_before = 0

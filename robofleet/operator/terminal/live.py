@@ -34,11 +34,11 @@ from robofleet.tracking.events import describe
 
 _REFRESH_NS = S // 5
 _PLAIN_NS = 10 * S
-_SHOWN_NS = 5 * S  # how long the tracker's news stay
+_NEWS_SHOWN_NS = 5 * S
 _DOING = WAITING | UNDER_WAY
 _COLOURS = {"running": "bold green", "positioning": "bold green", "parking": "bold green", "emergency stop": "bold red"}
-_WINDOW = 300  # ticks, for the percentiles
-_BAR = 50  # columns of the progress bar, at most
+_WINDOW_TICKS = 300  # for the percentiles
+_BAR_COLUMNS = 50  # of the progress bar, at most
 
 
 class LiveView:
@@ -150,7 +150,9 @@ class LiveView:
         head.append(when, "default not bold")
         line = Table.grid()
         line.add_column(no_wrap=True)
-        line.add_row(head, Text(doing, "cyan") if doing else ProgressBar(duration_s, self._reached_s, width=_BAR))
+        line.add_row(
+            head, Text(doing, "cyan") if doing else ProgressBar(duration_s, self._reached_s, width=_BAR_COLUMNS)
+        )
         compiling: list[Any] = [
             compiling_line(progress) for progress in self._terminal.compiling if phase == "compiling"
         ]
@@ -181,7 +183,7 @@ class LiveView:
 
     def _health(self, recording: Recording, tick: TickRecord) -> Table:
         arena = self._config.arena.name
-        payloads = recording.messages.get(key(arena, TICK), [])[-_WINDOW:]
+        payloads = recording.messages.get(key(arena, TICK), [])[-_WINDOW_TICKS:]
         heads = [head for payload in payloads if (head := TICK_RECORD.decode_head(payload)) is not None]
         compute, late = [head.compute_ns / 1e6 for head in heads], [head.lateness_ns / 1e6 for head in heads]
         ticks = Text(f"p99 {np.percentile(compute, 99):.2f} ms, late p99 {np.percentile(late, 99):.2f} ms, ")
@@ -198,12 +200,12 @@ class LiveView:
         """Return how a camera's tracker does, and its news."""
         frames = [
             frame
-            for payload in recording.messages.get(key(self._config.arena.name, POSES, camera), [])[-_WINDOW:]
+            for payload in recording.messages.get(key(self._config.arena.name, POSES, camera), [])[-_WINDOW_TICKS:]
             if (frame := FLEET_POSES.decode(payload)) is not None
         ]
         tracker = Text(_tracker_line(frames, len(self._config.robots)))
         news = recording.newest(NEWS, camera)
-        if news is not None and frames and frames[-1].sent_ns - news.stamp_ns < _SHOWN_NS:
+        if news is not None and frames and frames[-1].sent_ns - news.stamp_ns < _NEWS_SHOWN_NS:
             tracker.append(f"\n{describe(news.event, news.tag, news.value)}", "yellow")
         return tracker
 

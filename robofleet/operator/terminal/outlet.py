@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, BinaryIO, TextIO, cast
 
-_MOST_BYTES = 1 << 16  # that wait; a picture of the live view has some 3,000
-_PATIENCE_S = 2.0  # in the end, with a reader that takes nothing
+_MOST_WAITING_BYTES = 1 << 16  # a picture of the live view has some 3,000
+_DRAIN_WITHIN_S = 2.0  # in the end, with a reader that takes nothing
 
 
 class _Writer:
@@ -34,7 +34,7 @@ class _Writer:
         with self._changed:
             self._waiting.append((descriptor, text))
             self._bytes += len(text)
-            while self._bytes > _MOST_BYTES and len(self._waiting) > 1:
+            while self._bytes > _MOST_WAITING_BYTES and len(self._waiting) > 1:
                 self._bytes -= len(self._waiting.popleft()[1])
             self._changed.notify_all()
 
@@ -43,7 +43,7 @@ class _Writer:
         with self._changed:
             while self._waiting or self._busy:
                 taken = self._taken
-                if not self._changed.wait(_PATIENCE_S) and taken == self._taken:
+                if not self._changed.wait(_DRAIN_WITHIN_S) and taken == self._taken:
                     return
 
     def _write(self) -> None:

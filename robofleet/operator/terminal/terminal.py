@@ -26,8 +26,8 @@ from robofleet.runs.console import EMERGENCY_KEYS
 _PAGE = "web"  # the command whose process serves the page
 _PAGE_GONE = "the page is gone, the run goes on: `robofleet web` opens another one"
 _VIEWERS_GONE = "{0} sees nothing more, the run goes on: `robofleet {0}` serves it again; see {1}"
-_MOST = 64  # keys at once
-_INPUT = 0  # place of the input modes in what termios returns
+_MOST_KEYS = 64  # at once
+_INPUT_MODES = 0  # index in what termios returns
 
 
 class Terminal:
@@ -129,7 +129,7 @@ class Terminal:
             if end in readable:
                 return
             try:
-                pressed = os.read(self._descriptor, _MOST)
+                pressed = os.read(self._descriptor, _MOST_KEYS)
             except OSError:
                 pressed = b""
             keys = pressed.decode("ascii", "ignore")
@@ -145,7 +145,7 @@ def _take_keys(descriptor: int) -> None:
     """Set a terminal's mode, without waiting for what it has not shown yet; drop what was typed before."""
     tty.setcbreak(descriptor, termios.TCSANOW)
     mode = termios.tcgetattr(descriptor)
-    mode[_INPUT] &= ~termios.IXON
+    mode[_INPUT_MODES] &= ~termios.IXON
     termios.tcsetattr(descriptor, termios.TCSANOW, mode)
     termios.tcflush(descriptor, termios.TCIFLUSH)
 

@@ -20,7 +20,7 @@ from robofleet.recording.scenes.scalars import Scalar, Scalars
 
 BATCH = 64  # ticks: in real time some seconds, which is what a kill may lose of them
 LARGE_BATCH = 1024  # in lockstep: what a batch costs by itself is shared by more
-_HELD = 10  # ticks that wait until every robot's truth of that instant must have come
+_HELD_TICKS = 10  # wait until every robot's truth of that instant must have come
 PACKAGE, MESSAGE = "robofleet", "RobotTick"
 
 
@@ -83,7 +83,7 @@ class RobotTicks:
             self._statuses.clear()
             self._window.add(full, payload)
             self._came.append(log_ns)
-            if len(self._came) == self._batch + _HELD:
+            if len(self._came) == self._batch + _HELD_TICKS:
                 return self._take(self._batch)
         return ()
 
@@ -111,7 +111,7 @@ class RobotTicks:
     def _forget(self, count: int) -> None:
         """Let go of what the ticks to come do not need."""
         window = self._window
-        needed = window.places(self._tick_key)[max(0, count - _HELD)]
+        needed = window.places(self._tick_key)[max(0, count - _HELD_TICKS)]
         for full in self._status_keys | self._truth_keys:
             window.forget(full, max(0, bisect_left(window.places(full), needed) - 1))
         window.forget(self._tick_key, count)

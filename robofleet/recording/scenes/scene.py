@@ -32,7 +32,7 @@ from robofleet.recording.scenes.fleet_scene import FleetScene, TopicMessages, po
 from robofleet.recording.scenes.overlay import Overlay
 
 _PERIOD_NS = S // 10
-_IMAGES = 8  # whose poses are kept until their picture comes
+_KEPT_IMAGES = 8  # whose poses are kept until their picture comes
 
 
 class Channel(NamedTuple):
@@ -57,7 +57,7 @@ class Scene:
         self._due_ns = 0
         self._busy = False  # the machine, and that was told
         self._images: dict[str, deque[tuple[int, bytes]]] = {
-            camera: deque(maxlen=_IMAGES) for camera in config.camera_names
+            camera: deque(maxlen=_KEPT_IMAGES) for camera in config.camera_names
         }
 
     def update(self, full: str, payload: bytes, at_ns: int) -> list[tuple[str, bytes]]:

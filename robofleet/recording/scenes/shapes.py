@@ -26,10 +26,11 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.behaviours import described
-from robofleet.behaviours.interface import Array, Dots, Shape
+from robofleet.behaviours.interface import Dots, Shape
 from robofleet.config import barrier, obstacles
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, INK, QUIET
 from robofleet.safety.distances import apart
 from robofleet.vehicles.solids import area
@@ -78,7 +79,7 @@ def _left(a: Point, b: Point, c: Point) -> float:
 WORLD = "world"
 _LINE_M, _FILM_M, _DOT_M = 0.006, 0.001, 0.03
 _TEXT_M = 0.07
-_HAZE = 0.2  # opacity of what is no body
+_HAZE_OPACITY = 0.2  # of what is no body
 
 
 class Look(Enum):
@@ -160,7 +161,7 @@ def robot(config: Config, robot: Robot, look: Look, at: Timestamp) -> SceneEntit
         metadata=[KeyValuePair(key="state", value=look.name.lower())],
         cylinders=[
             _disc(0.0, 2 * radius, height, colour(look.value)),
-            _disc(keepout.ahead, kept, _FILM_M, colour(look.value, _HAZE)),
+            _disc(keepout.ahead, kept, _FILM_M, colour(look.value, _HAZE_OPACITY)),
         ],
         arrows=[
             ArrowPrimitive(

@@ -12,6 +12,7 @@ from robofleet.behaviours.go_to import GoTo
 from robofleet.config import groups
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 from robofleet.safety.latches import Latch
 from robofleet.studies.storm.gates import intervals
@@ -25,8 +26,6 @@ _STANDING_M_S = 1e-3
 _NAMED_WITHIN_NS = 1_200_000_000  # of a wheel that turns by itself: 0.8 s, and its lag up and down
 _COMMANDED_RAD_S = 2.0  # no wheel stays at rest then
 _HELD_WITHIN_NS = 1_500_000_000  # of a wheel that stands: 1 s, and the hold's way to the gate and down the ramp
-
-Array = NDArray[np.float64]
 
 
 def rest_within_s(robot: Robot) -> float:

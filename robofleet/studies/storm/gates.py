@@ -12,6 +12,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, S
 from robofleet.safety.gate import NEVER, GateState, LeaseAction
 from robofleet.safety.latches import Latch
@@ -36,8 +37,6 @@ _memory = attrgetter(*(field.name for field in fields(GateState) if field.name n
 _lease = attrgetter("epoch", "session")
 _command = attrgetter("seq", "command_nonce", "wheels", "heard_ns")
 _enable = attrgetter("enabled_nonce", "enabled_seq", "limit")
-
-Array = NDArray[np.float64]
 
 
 class GateAudit:

@@ -6,17 +6,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import Line
 from robofleet.config import barrier, groups, slices
 from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault, PoseFault, Push
+from robofleet.core.arrays import Array
 from robofleet.core.settings import LAST_TAG
 from robofleet.safety.distances import apart, room_m
-
-Array = NDArray[np.float64]
 
 _SEED_SHARE = 0.4  # of seeds with bystanders
 _MOST = 2

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import WishKind
 from robofleet.behaviours.script import Script
@@ -20,8 +19,7 @@ from robofleet.bus.setpoints import setpoint_topics
 from robofleet.config import groups, slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config, Group
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 _EPOCH_BITS = 30
 _CHANGE_EVERY_S = 0.3, 3.0  # from, to

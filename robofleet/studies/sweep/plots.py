@@ -11,9 +11,10 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, FAINT, INK, QUIET
 from robofleet.reports.canvas import WIDTH
-from robofleet.studies.sweep.factors import Array, Factor, Measure
+from robofleet.studies.sweep.factors import Factor, Measure
 from robofleet.studies.sweep.table import Ending
 
 _FAULT = COLOURS[1]

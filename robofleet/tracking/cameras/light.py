@@ -6,13 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Complex
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagSighting
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _CELLS = 8  # of a colour that are looked at, those with the most neighbours of their colour
 _VEILED = 1 / 3  # a tag with less of its white as contrast lies under a reflection, which no exposure takes away

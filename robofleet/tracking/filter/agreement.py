@@ -18,10 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.tracking.filter.estimator import COLUMNS
 from robofleet.tracking.filter.joined import Seen
-
-Array = NDArray[np.float64]
 
 _VARIANCE_COLUMNS = [3, 5]  # of x and y
 _KEPT_IMAGES = 8  # images of each camera: so much later than another's may one come

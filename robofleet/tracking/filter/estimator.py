@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
 from robofleet.tracking.filter import reckoning
 from robofleet.tracking.filter.correction import (
@@ -28,8 +29,6 @@ from robofleet.tracking.filter.correction import (
 from robofleet.tracking.filter.reckoning import advance
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
 FilterState = tuple[NDArray[Any], ...]
 
 UNUSED, USED, CARRIED = 0, 1, 2  # CARRIED: a kidnapped robot, which somebody carried away

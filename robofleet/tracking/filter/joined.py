@@ -15,10 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Instants
 from robofleet.tracking.filter.estimator import UNUSED, FilterState, FleetFilter
-
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
 
 _ONE_INSTANT_NS = 20_000_000  # between images of one instant: less than a tick
 _LATEST_NS = 200_000_000  # that one camera may be behind another

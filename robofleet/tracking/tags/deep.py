@@ -17,15 +17,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Complex, Image
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.tags.detection import CORNERS, Findings, Region
 from robofleet.tracking.tags.families import Squares, dark_squares, patterns, same
 from robofleet.tracking.tags.photometric import ALIKE, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
-
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _LIKELY = 0.7  # the same of a tag that is blurred, or of which each cell is right: light that overflows widens white
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation

@@ -13,12 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Complex, Image
 from robofleet.tracking.tags.families import Squares, finder
 from robofleet.tracking.tags.photometric import ALIKE, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
-
-Image = NDArray[np.uint8]
-Complex = NDArray[np.complex128]
 
 _SIZE_RATIO = (0.8, 1.25)  # of a square on the plane, over the true one
 _SKEW = 0.1  # its corners' largest distance from a true square's [sides]

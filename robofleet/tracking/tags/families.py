@@ -14,10 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Image
 from robofleet.core.settings import FAMILIES, Family
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _CONTRAST = 5.0  # least, of the cells that all tags have in common [grey levels]
 _SAME_SQUARE = 0.5  # squares closer than this are one [sides]

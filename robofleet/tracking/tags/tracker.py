@@ -16,8 +16,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Complex, Image, Indices
 from robofleet.core.clock import S
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
@@ -29,11 +29,6 @@ from robofleet.tracking.tags.motion import measure, predict
 from robofleet.tracking.tags.photometric import NOBODY, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.suspects import SAME, Suspects
 from robofleet.tracking.tags.targets import Target
-
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Indices = NDArray[np.int64]
 
 CLEAR = 0.9  # a tag that is less alike may be placed better by what is not covered of it
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost

@@ -36,8 +36,9 @@ from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS
 from tests.endpoints import own_endpoint
 from tests.operator.asked_run import asked_run, until_asked
-from tests.runs.realrun import PLATOON, own_folders
+from tests.runs.realrun import own_folders
 from tests.runs.unlaunched import started
+from tests.shipped import PLATOON
 
 _CLOCK = WallClock()
 _DRIVES_NS = S  # between the start and the stop

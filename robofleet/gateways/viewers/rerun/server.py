@@ -32,8 +32,8 @@ from robofleet.reports.layouts.rerun_blueprint import APPLICATION, TIMELINE, blu
 
 MEMORY = "256MB"  # for who comes late: with pictures some twenty minutes of four robots
 _OFTEN = "/tf"  # moves the robots: nothing waits there
-_TOGETHER_NS = S // 2  # rows of every other topic that has columns
-_AGAIN_NS = 20 * S  # what is told seldom, which the limit may cost who comes late
+_ROWS_PERIOD_NS = S // 2  # of every other topic that has columns
+_REPEAT_NS = 20 * S  # of what is told seldom, which the limit may cost who comes late
 _LISTENS_WITHIN_NS = 5 * S
 _POLL_NS = 10 * MS
 _LEAVE_WITHIN_S = 0.5
@@ -75,13 +75,13 @@ class Server:
 
     def step(self, log_ns: int) -> None:
         """Show what was told, and from time to time again what is told seldom."""
-        if log_ns - self._again_ns >= _AGAIN_NS:
+        if log_ns - self._again_ns >= _REPEAT_NS:
             for topic in (*self._columns, *self._singles):
                 if self._again_ns and topic != _ONCE and (message := self._kept.of(topic)) is not None:
                     self.tell(topic, log_ns, message)
             self._again_ns = log_ns
         self._send([_OFTEN])
-        if log_ns - self._sent_ns >= _TOGETHER_NS:
+        if log_ns - self._sent_ns >= _ROWS_PERIOD_NS:
             self._send([*self._rows])
             self._sent_ns = log_ns
 
