@@ -123,7 +123,7 @@ class _Walk:
             if _is_ours(value.py_func):
                 self._say("kernel", value.meaning())
                 return value
-            value = numba.typeof(value).dispatcher
+            value = numba.typeof(value).dispatcher  # type: ignore[no-untyped-call]
         if isinstance(value, Dispatcher):
             options = {**value.targetoptions, "locals": value.locals}
             self._say("compiled", repr(sorted(options.items(), key=str)))
