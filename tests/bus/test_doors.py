@@ -17,10 +17,10 @@ import zenoh
 
 from robofleet.bus.bus import Request
 from robofleet.bus.keys import (
-    ASKED,
     ESTOP,
     LEASE,
     PICTURE,
+    QUERIES,
     REQUEST,
     SAFE_REQUEST,
     STATE,
@@ -202,7 +202,7 @@ def full_key(topic: Topic) -> str:
     return sender_key("lab", topic, about(topic), SENDER) if topic.by_sender else key("lab", topic, about(topic))
 
 
-BOUNDED = [topic for topic in TOPICS if topic.largest and topic not in ASKED]
+BOUNDED = [topic for topic in TOPICS if topic.largest and topic not in QUERIES]
 
 
 @pytest.mark.parametrize("topic", [topic for topic in BOUNDED if topic.by_sender], ids=lambda t: t.key)

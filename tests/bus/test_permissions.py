@@ -12,12 +12,12 @@ import zenoh
 from robofleet.bus.credentials import Credentials, session_id
 from robofleet.bus.keys import (
     ALIVE,
-    ASKED,
     CAMERA,
     COMMAND,
     ENABLE,
     NEWS,
     NOTE,
+    QUERIES,
     REQUEST,
     SAFE_REQUEST,
     TELEOP,
@@ -333,4 +333,4 @@ def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     assert all(may[name, SAYS] == permitted[name, TELEOP] for name in ("operator", "web")), (
         "in groups that a person drives"
     )
-    assert all(topic in ASKED for full in may["viewer", ASKS] for topic in [KEYS[full]])
+    assert all(topic in QUERIES for full in may["viewer", ASKS] for topic in [KEYS[full]])

@@ -19,7 +19,7 @@ from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.core import refusal
 from robofleet.core.refusal import RefusedError
-from robofleet.gateways.asking import SERVICES, Asked
+from robofleet.gateways.asking import SERVICES, Outcome
 from robofleet.gateways.place import Served
 from robofleet.gateways.viewers.foxglove.server import Server, services, written
 from robofleet.gateways.viewers.live import Viewers
@@ -135,9 +135,9 @@ def test_every_service_asks_the_run_what_it_is_called_and_returns_its_answer() -
 def answered(calls: list[str], requests: Sequence[tuple[str, object]]) -> list[dict[str, Any]]:
     """Call services of a server that has no run, and return their answers."""
 
-    def ask(what: str) -> "Future[Asked]":
+    def ask(what: str) -> "Future[Outcome]":
         calls.append(what)
-        future: Future[Asked] = Future()
+        future: Future[Outcome] = Future()
         future.set_result((True, f"ok {what}"))
         return future
 

@@ -206,14 +206,17 @@ def test_two_robots_wiggle_at_once_where_there_is_room_for_both_wiggles(
 
 
 def test_robots_that_need_more_room_leave_others_their_rounds() -> None:
-    settings, view = placed(0.0, 2 * BODY_M + 0.1, 3.0, driven=3, wheel_radius=(0.016, 0.016, 0.05))
+    second = 2 * BODY_M + 0.1
+    settings, view = placed(0.0, second, second + 0.3, driven=3, wheel_radius=(0.016, 0.016, 0.05))
     state, _ = arming.step(ArmingState(Stage.DRILL, S, clear=True), settings, view, True)
     assert {*state.wiggle.rounds[0]} & {*state.wiggle.rounds[1]}
 
 
 def test_a_bystander_needs_no_room_of_its_own_however_large_its_wheels_are() -> None:
-    settings, view = placed(0.0, 2 * BODY_M + 0.02, driven=1, wheel_radius=(0.016, 0.1))
-    assert arming.unready(settings, view) is None
+    settings, view = placed(0.0, 2 * BODY_M + 0.06, driven=1, wheel_radius=(0.016, 0.1))
+    state, _ = arming.step(ArmingState(Stage.DRILL, S, clear=True), settings, view, True)
+    assert state.stage is Stage.WIGGLE
+    assert not state.wiggle.on_the_spot
 
 
 @pytest.mark.parametrize(

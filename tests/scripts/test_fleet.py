@@ -192,7 +192,7 @@ def test_the_controller_takes_no_wish_that_fleet_would_not_have_sent(what: str) 
             payload = of_wish(wish, 3 if what == "too few robots" else 4, 1e7 if what == "beyond" else 0.1)
             if what == "not finite":
                 payload = payload[:-24] + np.array([np.nan] * 3).tobytes()
-            driven._wished = True  # `ticks` says nothing for it
+            driven._commanded = True  # `ticks` says nothing for it
             link.wish(payload[:-1] if what == "cut" else payload)
     run = Run(link.run.recording, every_tick=True)
     wheels = np.stack([run.items["left_rad_s"], run.items["right_rad_s"]])
