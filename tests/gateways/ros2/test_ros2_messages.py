@@ -256,7 +256,7 @@ def told(readings: Sequence[SensorReading]) -> Paper:
     part = Sensing(graph, config, topics.ros_names(config.ids), observer)  # type: ignore[arg-type]
     say = bus.publisher(SENSORS, config.sensing[0])
     for seq, reading in enumerate(readings, 1):
-        say(sensors.encoded(seq, 0, sensors.messages([(0, reading)])))
+        say(sensors.encoded(seq, 0, sensors.said([(0, reading)])))
         part.step(0, observer.update(0))
     return graph
 

@@ -20,6 +20,7 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
+from robofleet.testing import CameraContract
 from robofleet.tracking.cameras.basler import BaslerCamera, DeviceClock, SoftwareTrigger
 from robofleet.tracking.sources import CameraContext, CameraError, Exposure
 from tests.shipped import PLATOON
@@ -67,6 +68,14 @@ def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
     yield lab
     for camera in lab.cameras:
         camera.close()
+
+
+class TestContract(CameraContract):
+    shape = (240, 320)
+
+    @pytest.fixture
+    def camera(self, lab: Lab) -> BaslerCamera:
+        return lab.open("camera.trigger=free", "camera.rate_hz=50")
 
 
 def test_images_come_at_their_rate_each_its_own(lab: Lab) -> None:
