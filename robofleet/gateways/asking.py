@@ -17,7 +17,7 @@ Ask = Callable[[str], "Future[Outcome]"]
 
 
 class Asking:
-    """Asks in threads of its own: an answer may take two seconds. The emergency stop waits for none."""
+    """Asks in threads: an answer may take two seconds. The emergency stop has its own thread."""
 
     def __init__(self, bus: Bus, clock: Clock, config: Config, role: str = OPERATOR) -> None:
         """``role``: in which this gateway is on the bus."""
@@ -46,7 +46,7 @@ class Asking:
 
 
 def _answered(ask: Callable[[], Outcome]) -> Outcome:
-    """Return what came of it: whoever asked is told in any case."""
+    """Return the outcome, also of an exception."""
     try:
         return ask()
     except Exception as error:  # noqa: BLE001 - of the bus, too

@@ -17,14 +17,14 @@ Say = Callable[[str], None]
 
 
 class FewLines:
-    """Says at most a few lines a minute, whoever knocks and however often."""
+    """Writes at most a few lines a minute."""
 
     def __init__(self, say: Say, now_ns: Callable[[], int]) -> None:
         self._say, self._now_ns = say, now_ns
         self._left, self._until_ns, self._more = _MOST_LINES, 0, 0
 
     def __call__(self, line: str) -> None:
-        """Say a line, or count it."""
+        """Write a line, or count it as left out."""
         self.turn()
         if self._left:
             self._left -= 1

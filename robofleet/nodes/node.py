@@ -81,7 +81,7 @@ class Lifeline:
     def ready(self, message: str = "ready") -> None:
         """Tell the parent that this process does its work from now on; from now on a signal ends it well."""
         signal.signal(signal.SIGTERM, self._cut_by_signal)
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup's wish
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup sets it
             signal.signal(signal.SIGHUP, self._cut_by_signal)  # a lost terminal must not leave wheels turning
         self.say(message)
         if self._socket is None:

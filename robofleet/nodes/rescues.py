@@ -1,4 +1,4 @@
-"""A person's wish to drive one robot out of a held run: as it is heard, and how fast a wheel may turn for it."""
+"""A person's commands to drive one robot out of a held run: as received, and how fast a wheel may turn for them."""
 
 from collections.abc import Iterator
 

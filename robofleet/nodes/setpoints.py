@@ -21,7 +21,7 @@ from robofleet.bus.setpoints import setpoint_topics
 from robofleet.config.tree import Config
 from robofleet.safety.supervisor import Phase
 
-_BEYOND = 1e6  # [m/s, rad/s, m]: nobody wishes that
+_BEYOND = 1e6  # [m/s, rad/s, m]: no setpoint is so large
 _LEASE_EXPIRES_S = 0.5  # after its newest message a session that sends no more has left its lease to another one
 _PARTING_KINDS = frozenset({WishKind.DONE, WishKind.FAILED})  # by these a session ends; a person's hand also by STAND
 _KINDS, _NOTHING = frozenset(WishKind), frozenset[WishKind]()
@@ -42,9 +42,9 @@ class SetpointInbox:
         self._some = any(self._groups)
 
     def at(self, tick: int, phase: Phase) -> tuple[Wish | None, ...]:
-        """Return the wishes at a tick; while no robot may drive, wishes are dropped.
+        """Return the setpoints at a tick; while no robot may drive, setpoints are dropped.
 
-        In HOLD only a person's wish counts that drives one robot out.
+        In HOLD only setpoints of a person who drives one robot out count.
         """
         if not self._some:
             return self.nobody

@@ -48,7 +48,7 @@ class Stopped(NamedTuple):
 
 
 class EmergencyStop:
-    """One that is on its way: ``step`` it again and again."""
+    """An emergency stop in progress: call ``step`` until it returns the result."""
 
     def __init__(self, bus: Bus, units: Units | None, now_ns: int) -> None:
         """Ask the supervisor; the gates follow with the units' next statuses.
@@ -65,7 +65,7 @@ class EmergencyStop:
         self._after_ms: dict[str, float] = {}
 
     def step(self, now_ns: int) -> Stopped | None:
-        """Say again what is not answered; returns what came of it, None while that is open."""
+        """Repeat what is not answered; return the result, None while it is open."""
         if self._answer is not None and self._answer.take() is not None:
             self._answer = None  # it need not be asked again
         if self._answer is not None and now_ns >= self._again_ns:

@@ -23,7 +23,7 @@ from robofleet.config import groups
 from robofleet.config.tree import Config
 
 _EPOCH_BITS = 30  # as of scripts
-_MOST_TICKS = 1 << 32  # in a wish
+_MOST_TICKS = 1 << 32  # in a message of setpoints
 
 
 class Stick(NamedTuple):

@@ -2,20 +2,7 @@
 
 from collections.abc import Iterator
 
-from robofleet.bus.keys import (
-    BUSY,
-    NEWS,
-    NOTE,
-    OF_UNITS,
-    PICTURE,
-    POSES,
-    RECORDER,
-    SENSORS,
-    STATE,
-    TICK,
-    key,
-    named,
-)
+from robofleet.bus.keys import BUSY, NEWS, NOTE, OF_UNITS, PICTURE, POSES, RECORDER, SENSORS, STATE, TICK, key, named
 from robofleet.bus.layouts import VERSION
 from robofleet.bus.setpoints import setpoint_topics
 from robofleet.config.tree import Config

@@ -116,7 +116,7 @@ class RunLog:
         self.close()
 
     def let_go(self) -> None:
-        """Leave the file to a fork of this process, which has the log too."""
+        """Close the file in this process: a fork of it goes on writing."""
         self._file.close()
 
     def close(self) -> None:

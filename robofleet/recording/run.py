@@ -18,15 +18,7 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Past
 from robofleet.bus.keys import NEWS, POSES, STATE, STATUS, TICK, TRUTH, Topic, key
 from robofleet.bus.layouts import VERSION, Layout, ListLayout
-from robofleet.bus.messages import (
-    FLEET_POSES,
-    RUN_STATE,
-    TICK_RECORD,
-    TRACKER_NEWS,
-    FleetPoses,
-    RobotStatus,
-    RunState,
-)
+from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS, FleetPoses, RobotStatus, RunState
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.plugins import PluginError
@@ -141,13 +133,13 @@ class Recording:
         return made
 
     def keep_newest(self, most: int) -> None:
-        """Let go of old messages where there are more than ``most`` of a key: a run that goes on is in its file."""
+        """Drop old messages where a key has more than ``most``: the run's file has all of them."""
         for full, messages in self.messages.items():
             if len(messages) > 2 * most:
                 self.forget(full, len(messages) - most)
 
     def forget(self, full: str, count: int) -> None:
-        """Let go of a key's oldest messages."""
+        """Drop a key's oldest messages."""
         del self.messages[full][:count], self._places[full][:count]
         self._arrays.pop(full, None)
 

@@ -73,7 +73,7 @@ def _properties(summary: Summary) -> Iterator[tuple[str, object]]:
 def _run(summary: Summary, lost: list[str]) -> _Case:
     """Return the case that the run came to its end, and kept its results."""
     outcome, cause, took_s = summary["outcome"], summary["cause"] or "", summary["duration_s"]
-    if outcome == "stopped":  # the operator's wish is no error
+    if outcome == "stopped":  # by the operator: no error
         return _Case("completed", took_s, "failure", outcome, cause)
     if outcome != "completed":
         return _Case("completed", took_s, "error", outcome, cause or "how the run ended was not recorded")

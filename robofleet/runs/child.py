@@ -39,7 +39,7 @@ def main(
     *,
     take_over: bool = False,
 ) -> None:
-    """Be one process of a run until its lifeline is cut. ``folder``: where the run is recorded.
+    """Run one process of a run until its lifeline is cut. ``folder``: where the run is recorded.
 
     ``camera``: whose tracker this is, where there are several.
 
@@ -132,7 +132,7 @@ def _opened_again(config: Config, beyond: Network) -> zenoh.Session:
 
 
 def _log_refused(say: FewLines) -> None:
-    """Let the log say which links were refused: Zenoh says so on stdout, and whoever knocks decides how often."""
+    """Log which links Zenoh refuses, at a limited rate: it writes them to stdout as often as peers try."""
     sys.stdout.flush()
     read, write = os.pipe()
     os.set_blocking(write, False)  # a log that nobody takes up costs lines, and holds up none of Zenoh's threads

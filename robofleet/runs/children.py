@@ -92,7 +92,7 @@ class Children:
         return child
 
     def started(self, name: str, arguments: tuple[str, ...]) -> Child:
-        """Start a process that is none of the run's own: nobody waits for it, and who has started it ends it."""
+        """Start a process beside the run: the caller ends it, and the run does not wait for it."""
         ours, theirs = socket.socketpair()
         log = self.folder / f"{name}.log"
         with theirs, log.open("ab") as output:

@@ -27,7 +27,7 @@ class PageWanted(NamedTuple):
 
 
 class Companion:
-    """Hears in a thread where the process serves: the launcher may be compiling."""
+    """Waits in a thread for the address at which the process serves, since the launcher may be compiling."""
 
     def __init__(self, child: Child, found: Callable[[str], None], gone: Callable[[], None]) -> None:
         """``found`` is called, from that thread, with the line that says where it serves; ``gone`` when it has died."""
@@ -45,18 +45,18 @@ class Companion:
                 self._child.lifeline.send(words.encode() + b"\n", socket.MSG_DONTWAIT)
 
     def look(self) -> None:
-        """See whether it is there still."""
+        """Report it if the process has ended."""
         if self._child.died:
             self._gone()
 
     def end(self) -> None:
-        """Say that the run is over."""
+        """Tell the process that the run is over."""
         self._over = True
         with suppress(OSError):  # it is gone
             self._child.lifeline.shutdown(socket.SHUT_WR)
 
     def leave(self, clock: Clock) -> None:
-        """Leave it to who looks at it after the end, or see it end; one that hangs is killed."""
+        """Leave the process running while somebody uses it, else wait for its end. Kill it if it hangs."""
         child = self._child
         self._hearing.join(_LEAVE_WITHIN_S)
         end_ns = clock.now_ns() + round(_LEAVE_WITHIN_S * S)

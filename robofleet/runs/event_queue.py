@@ -114,7 +114,7 @@ class ProcessFaults:
         self._seq = 0
 
     def step(self, now_ns: int) -> int:
-        """Let begin and end what is due."""
+        """Begin and end the faults that are due."""
         turned = {injection.number for injection in self._injections() if injection.acts(now_ns)} ^ self._acting
         self._acting ^= turned
         for name, slot in self._slots.items():

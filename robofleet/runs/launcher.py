@@ -297,7 +297,7 @@ class Launcher:
         return outcome, cause
 
     def _emergency(self, why: str) -> Outcome:
-        """Latch every gate; a robot that does not say so is named, and its lifeline is cut at once."""
+        """Latch every gate; name each robot that does not confirm it, and cut its lifeline."""
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
         stopped = self._console.emergency_stop(self._bus, self._clock, self._config.units)
@@ -328,7 +328,7 @@ class Launcher:
         keys = self._console.keys(self._clock, self._clock.now_ns() + _POLL_NS)
         if self._phase != _EMERGENCY:
             self._obey(keys)
-            if self._phase != READY:  # no key's wish overtakes the reset that the command line asked for
+            if self._phase != READY:  # a key's request must not overtake the reset of the command line
                 self._ask_by_key(keys)
             self._heed()
             self._attend()
@@ -418,7 +418,7 @@ class Launcher:
 
 
 class ChildFaults:
-    """Does to the children what the configuration's faults ask for. Its times count from ``begin``."""
+    """Applies the configuration's timed faults to the children. Times count from ``begin``."""
 
     def __init__(self, config: Config, clock: Clock, children: Children) -> None:
         self._clock, self._children = clock, children
@@ -430,7 +430,7 @@ class ChildFaults:
         self._schedule.begin(self._clock.now_ns())
 
     def step(self) -> None:
-        """Let begin and end what is due."""
+        """Begin and end the faults that are due."""
         now_ns = self._clock.now_ns()
         for injection in self._schedule.of("killed", "stopped"):
             acts = injection.acts(now_ns)

@@ -166,7 +166,7 @@ class _Takings:
 
 
 def _scripted(recording: Recording) -> dict[str, tuple[int, int]]:
-    """Return the groups that scripts drive, and where in a tick's numbers their wish is named: epoch, number."""
+    """Return the groups that scripts drive, and where in a tick's numbers their setpoints are named: epoch, number."""
     names, found = described.names(recording.groups), {}
     for group in recording.groups:
         own = [f"{group.robots[0]}: {figure}" for figure in ("wish_epoch", "wish")]
@@ -182,7 +182,7 @@ def _further(recording: Recording, cameras: int) -> list[tuple[int, int]]:
 
 
 def _named(numbers: Array, at: tuple[int, int]) -> list[Name]:
-    """Return the wish that each tick did, or the image that it took, by its name."""
+    """Return the setpoints that each tick followed, or the image that it took, by its name."""
     counts = np.nan_to_num(np.clip(numbers[:, at], 0, 2**53), nan=0.0).astype(np.int64)
     return [(int(epoch), int(seq)) for epoch, seq in counts]
 

@@ -5,7 +5,7 @@
         for t in fleet.ticks(20):
             fleet.drive(...)
 
-The script is a client without privileges. What it wishes goes over the bus to the behaviour ``script``; the wheels'
+The script is a client without privileges. Its setpoints go over the bus to the behaviour ``script``; the wheels'
 limits, the barrier and every gate stand behind it.
 """
 
@@ -180,7 +180,7 @@ class Fleet:
         self._values = SCRIPT_WISH.floats(self._setpoint)  # of the same memory (N, 3)
         self._kind = WishKind.STAND
         self._commanded = False
-        self._strange = 0  # ticks in which another script's wishes were done
+        self._strange = 0  # ticks in which another script's setpoints were followed
         self._read(link.tick)
         self.folder: Path | None = link.folder
 
@@ -549,7 +549,7 @@ class Fleet:
         return SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, self._order, self._tick), self._setpoint)
 
     def _stand(self) -> None:
-        """Wish that the robots stand until something else is wished."""
+        """Command the robots to stand until the next command."""
         self._kind = WishKind.STAND
         with suppress(FleetError):  # the run is over
             self._send()

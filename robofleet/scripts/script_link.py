@@ -41,7 +41,7 @@ class Link(Protocol):
         """Return the newest message of a unit: its STATUS, or its SENSORS."""
 
     def wish(self, payload: bytes) -> None:
-        """Send a wish."""
+        """Send setpoints."""
 
     def note(self, payload: bytes) -> None:
         """Send a note."""
@@ -50,14 +50,14 @@ class Link(Protocol):
         """Ask the supervisor; FleetError where it refuses."""
 
     def done(self, parting: bytes) -> dict[str, Any] | None:
-        """Leave, when the script has done all; ``parting``: its last wish. Returns the summary of a run that ended."""
+        """Leave, as the script is done; ``parting``: its last setpoints. Returns the summary of a run that ended."""
 
     def failed(self, parting: bytes, why: str) -> dict[str, Any] | None:
         """Leave, when the script has ended by an error."""
 
 
 def scripted(config: Config) -> Config:
-    """Return a configuration whose run a script ends, and in which some group takes its wishes.
+    """Return a configuration whose run a script ends, and in which some group takes its setpoints.
 
     One without such a group gets one, of all the robots that would have driven.
     """

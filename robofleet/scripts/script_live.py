@@ -35,10 +35,10 @@ _JOINED_WITHIN_S = 3.0
 _POLL_S = 0.02
 _MESSAGE_WITHIN_S = 5.0  # of a run that is there: a tick, the supervisor's state
 _READY_WITHIN_S = 300.0  # of all processes of a run that begins: they may compile kernels
-_OVER_WITHIN_S = 5.0  # after the script's last wish
+_OVER_WITHIN_S = 5.0  # after the script's last setpoints
 _ENDED_WITHIN_S = 120.0  # of a launcher: on a busy machine it writes the report for long
 _GOODBYE_S = 0.1  # for which a script says good-bye: one word may be lost on a radio
-_PARTING_WITHIN_S = 0.3  # of a parting wish
+_PARTING_WITHIN_S = 0.3  # of the parting setpoints
 _OVER = Phase.IDLE, Phase.FAULT, Phase.ESTOP
 
 
@@ -139,7 +139,7 @@ class LiveLink:
         return None
 
     def _part(self, parting: bytes, answered: Callable[[], bool], within_s: float = _PARTING_WITHIN_S) -> bool:
-        """Say the last wish again and again, tick by tick, until it is heard; returns whether it was."""
+        """Repeat the parting setpoints until they take effect; return whether they did."""
         end_ns = self._clock.now_ns() + round(within_s * S)
         while not answered() and self._clock.now_ns() < end_ns:
             self._publish(parting)

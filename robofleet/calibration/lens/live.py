@@ -50,13 +50,13 @@ class Screen:
         self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
 
     def __enter__(self) -> "Screen":
-        """Take the terminal."""
+        """Start drawing."""
         if self._live is not None:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the terminal back."""
+        """Stop drawing."""
         if self._live is not None:
             self._live.stop()
 

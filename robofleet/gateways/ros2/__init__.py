@@ -1,1 +1,1 @@
-"""ROS 2: what a run says, as a ROS 2 graph hears it; and velocities that ROS 2 nodes wish."""
+"""ROS 2: a run's messages on a ROS 2 graph; and velocity commands of ROS 2 nodes."""

@@ -44,7 +44,7 @@ class Camera:
         self._requested_ns: int | None = None
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
-        """Ask for pictures while somebody looks, and say what came."""
+        """Request pictures while somebody subscribes, and publish them."""
         looked_at = any(map(wanted, (self._image, self._compressed, self._lens)))
         if looked_at and (self._requested_ns is None or now_ns - self._requested_ns >= _REQUEST_PERIOD_NS):
             self._bus.ask(SAFE_REQUEST, self._tracker, REQUESTED)

@@ -38,11 +38,11 @@ class Component(Protocol):
     """A part of the gateway that publishes what the observer has."""
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
-        """Say what is new; ``updated``: of which sources the observer has a new message."""
+        """Publish what is new; ``updated``: the sources of which the observer has a new message."""
 
 
 class Gateway:
-    """What a run says, on a ROS 2 graph; and what ROS 2 nodes wish."""
+    """Publishes a run on a ROS 2 graph, and takes the commands of ROS 2 nodes."""
 
     def __init__(
         self, node: Node, config: Config, bus: Bus, clock: Clock, epoch_ns: Callable[[], int], served: Served
@@ -73,7 +73,7 @@ class Gateway:
             )
 
     def step(self) -> None:
-        """Say what is new; it is called when something comes, too."""
+        """Publish what is new; also called when a message comes."""
         now_ns = self._graph.clock.now_ns()
         self._ticks.update()
         self.velocities.step(now_ns)
@@ -82,7 +82,7 @@ class Gateway:
             part.step(now_ns, updated)
 
     def _publish_fixed_frames(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
-        """Say where everything is that does not move."""
+        """Publish the frames that do not move."""
         self._fixed = Transforms(graph, topics.FIXED)
         stamp = graph.stamp(graph.clock.now_ns())
         found = [frame for robot in config.robots for frame in places(robot, names[robot.id], graph.frames, stamp)]
@@ -98,7 +98,7 @@ _MOST_CELLS = 1_000_000
 
 
 class Floor:
-    """Says once what does not move; who comes later hears it, too."""
+    """Publishes once, for late subscribers too, what does not move."""
 
     def __init__(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
         self._publishers: list[Any] = [graph.publisher(topics.FLOOR)]

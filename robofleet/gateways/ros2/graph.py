@@ -95,6 +95,6 @@ class Transforms:
         return self._publisher is not None and (self._latched or wanted(self._publisher))
 
     def say(self, frames: Sequence[TransformStamped]) -> None:
-        """Say where these frames are."""
+        """Publish frames."""
         if self._publisher is not None and frames:
             self._publisher.publish(self._type(transforms=frames))

@@ -53,11 +53,11 @@ class Robots:
         self._behind_ns = dict.fromkeys(config.camera_names, 0)  # each tracker's clock, behind ours
 
     def exposed_ns(self, camera: str, exposure_ns: int) -> int:
-        """Return an instant of a tracker's clock on ours, as its newest poses tell it."""
+        """Convert an instant of a tracker's clock to this clock, by the tracker's newest poses."""
         return exposure_ns + self._behind_ns[camera]
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
-        """Say what is new."""
+        """Publish what is new."""
         for name, unit in self._units.items():
             if (source := (STATUS, name)) in updated:
                 unit.say(self._observer.arrival_ns(source), now_ns, *self._observer[source])
@@ -66,7 +66,7 @@ class Robots:
                 self._seen(camera, *self._observer[POSES, camera])
 
     def _seen(self, camera: str, image: FleetPoses, poses: NDArray[Any]) -> None:
-        """Say where the robots are that an image shows; those that are only predicted are not measured."""
+        """Publish the poses of robots that an image shows; a predicted pose is not measured."""
         if not image.echo_tick:
             return
         exposure_ns = self._ticks.instant(image.echo_tick) + image.since_tick_ns

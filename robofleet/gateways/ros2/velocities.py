@@ -1,4 +1,4 @@
-"""``cmd_vel``: what ROS 2 nodes wish of the robots whose behaviour is ``ros2``, with its age.
+"""``cmd_vel``: velocity commands of ROS 2 nodes to the robots whose behaviour is ``ros2``, with their age.
 
 A command's age counts from its publication. DDS tells when that was, on the publisher's clock: see ``Ages``. A
 stamp in the message's own header counts too: an old one is an old command.
@@ -97,7 +97,7 @@ class Velocities:
                 group.listen()
 
     def stand(self) -> None:
-        """Say that nothing is wished any more."""
+        """Publish that the robots are to stand."""
         for group in self._groups:
             group.say(WishKind.STAND)
 
@@ -131,10 +131,10 @@ class _Group:
         self._values[row, :2] = v, omega
         self._since_ns[row] = self._clock.now_ns() - age_ns
         self.changed = True
-        self._wake()  # of several that came together one wish is made
+        self._wake()  # several commands that came together make one message
 
     def say(self, kind: WishKind) -> None:
-        """Wish what was commanded last; the ages count from the newest tick that is known."""
+        """Publish the newest commands as setpoints; their ages count from the newest tick that is known."""
         self.changed = False
         self._ticks.update()
         tick = self._ticks.newest

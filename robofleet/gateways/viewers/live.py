@@ -98,7 +98,7 @@ class Viewers:
         self._state = key_of(config.arena.name, STATE)
 
     def step(self, now_ns: int) -> None:
-        """Tell what came."""
+        """Pass on new messages."""
         for at_ns, full_of_sender, payload in self._stream.drain():
             full, _ = split(full_of_sender)
             if full == self._state and (epoch := RUN_STATE.head_of(payload, "epoch")):
@@ -111,11 +111,11 @@ class Viewers:
         self._server.step(now_ns + self._epoch_ns)
 
     def rest(self, now_ns: int) -> None:
-        """Tell what is left at the end of a run."""
+        """Pass on the last messages of a run."""
         for message in self._drawn.rest():
             self._server.tell(*message)
         self._server.step(now_ns + self._epoch_ns)
 
     def close(self) -> None:
-        """Leave every viewer."""
+        """Close every viewer's connection."""
         self._server.close()

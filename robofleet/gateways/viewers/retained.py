@@ -1,4 +1,4 @@
-"""What is told once or seldom, for viewers that come later."""
+"""Rare messages, kept for viewers that come later."""
 
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
@@ -10,14 +10,14 @@ _SCENES = "/arena", "/fleet"  # entities stay until they are taken away
 
 
 class RetainedMessages:
-    """The newest of each topic that is told seldom."""
+    """The newest message of each rare topic."""
 
     def __init__(self) -> None:
         self._newest: dict[str, bytes] = {}
         self._scenes: dict[str, dict[str, SceneEntity]] = {}
 
     def take(self, topic: str, message: bytes) -> None:
-        """Take a message, if it is one of those."""
+        """Keep a message of a rare topic."""
         if topic in _WHOLE or topic.endswith(_LENS):
             self._newest[topic] = message
         elif topic in _SCENES:
@@ -30,7 +30,7 @@ class RetainedMessages:
             entities.update((entity.id, entity) for entity in update.entities)
 
     def of(self, topic: str) -> bytes | None:
-        """Return what somebody who comes now has missed."""
+        """Return the message that a new viewer needs."""
         if topic in self._scenes:
             return SceneUpdate(entities=self._scenes[topic].values()).SerializeToString()
         return self._newest.get(topic)

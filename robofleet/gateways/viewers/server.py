@@ -18,7 +18,7 @@ class Server(Protocol):
         """Show what was told, and again what was told seldom to who comes late; ``log_ns``: the date now."""
 
     def close(self) -> None:
-        """Leave every viewer."""
+        """Close every viewer's connection."""
 
 
 class Run(NamedTuple):

@@ -33,7 +33,7 @@ def permits(role: str, what: str) -> bool:
 
 
 class Access(Protocol):
-    """What the guard asks of the two ways in."""
+    """How the guard learns the role of a request."""
 
     scheme: str
     stranger: Words  # what somebody reads who opens a page without the right to

@@ -12,13 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from robofleet.bus.keys import BUSY, NEWS, POSES, STATE, TICK, key
-from robofleet.bus.messages import (
-    FLEET_POSES,
-    TICK_RECORD,
-    FleetPoses,
-    RunState,
-    TickRecord,
-)
+from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, FleetPoses, RunState, TickRecord
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.operator.terminal import live_robots
@@ -58,13 +52,13 @@ class LiveView:
         self._noticed = False  # that the machine is busy
 
     def __enter__(self) -> Self:
-        """Take the terminal."""
+        """Start drawing."""
         if self._live is not None and not self._quiet:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the terminal back."""
+        """Stop drawing."""
         if self._live is not None:
             self._live.stop()
 

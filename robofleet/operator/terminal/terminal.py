@@ -73,7 +73,7 @@ class Terminal:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give it back."""
+        """Restore the terminal's mode."""
         if self._hearing is not None and self._end is not None:
             os.close(self._end[1])
             self._hearing.join()
@@ -165,7 +165,7 @@ class Interrupts:
 
 @contextmanager
 def interrupts() -> Iterator[Interrupts]:
-    """Count the terminal's signals instead of ending by them; nohup's wish stands."""
+    """Count the terminal's signals instead of ending by them; nohup's setting stays in force."""
     counted = Interrupts()
     numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGTSTP]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
@@ -180,7 +180,7 @@ def interrupts() -> Iterator[Interrupts]:
 
 @contextmanager
 def hangup_interrupts() -> Iterator[None]:
-    """Let a terminal that is closed interrupt as Ctrl-C does; nohup's wish stands."""
+    """Let a terminal that is closed interrupt as Ctrl-C does; nohup's setting stays in force."""
     before = signal.getsignal(signal.SIGHUP)
     if before is not signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.default_int_handler)

@@ -34,7 +34,7 @@ def of_key(full: str) -> Channel:
 
 
 class Drawn:
-    """Told every message of the bus in order, it returns what viewers draw."""
+    """Makes viewers' messages of the bus's messages, which it is given in order."""
 
     def __init__(
         self, config: Config, groups: tuple[described.Group, ...], *, epoch_ns: int = 0, batch: int = BATCH

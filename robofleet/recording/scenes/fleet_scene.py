@@ -38,7 +38,7 @@ def pose_topic(robot: str) -> str:
 
 
 class FleetScene:
-    """Told what is known of the robots, it draws what is new. Times are dates [ns].
+    """Draws what has changed of the robots. Times are dates [ns].
 
     Rows are in the bodies' order: the group's robots, where the controller believes that they are, then the bystanders,
     where an image showed them.

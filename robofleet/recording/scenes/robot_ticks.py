@@ -49,7 +49,7 @@ def _described(gauges: Sequence[Gauge], gauge: Gauge) -> Scalars:
 
 
 class RobotTicks:
-    """Told every message of the bus in order, it returns each robot's ticks."""
+    """Makes each robot's ticks of the bus's messages, which it is given in order."""
 
     def __init__(self, config: Config, groups: tuple[described.Group, ...], batch: int = BATCH) -> None:
         """Take how many ticks are told at once."""
@@ -109,7 +109,7 @@ class RobotTicks:
         return [(*index, message) for index, message in zip(places, in_order, strict=True)]
 
     def _forget(self, count: int) -> None:
-        """Let go of what the ticks to come do not need."""
+        """Drop the messages that later ticks do not need."""
         window = self._window
         needed = window.places(self._tick_key)[max(0, count - _HELD_TICKS)]
         for full in self._status_keys | self._truth_keys:

@@ -44,7 +44,7 @@ class Channel(NamedTuple):
 
 
 class Scene:
-    """Told every message of the bus in order, it returns what viewers draw."""
+    """Makes viewers' messages of the bus's messages, which it is given in order."""
 
     def __init__(self, config: Config, groups: Sequence[described.Group], *, epoch_ns: int = 0) -> None:
         """Take what makes instants of the caller's clock dates [ns since 1970]."""

@@ -87,7 +87,7 @@ class Server(ServerListener):
         self._channels[topic].log(message, log_time=log_ns)
 
     def step(self, log_ns: int) -> None:
-        """Tell again what is told seldom, where somebody came late."""
+        """Repeat rare messages for viewers that came late."""
         late = set[str]()
         while not self._new.empty():
             late.add(self._new.get())
@@ -96,7 +96,7 @@ class Server(ServerListener):
                 self._channels[topic].log(message, log_time=log_ns)
 
     def close(self) -> None:
-        """Leave every viewer."""
+        """Close every viewer's connection."""
         self._server.stop()
 
 

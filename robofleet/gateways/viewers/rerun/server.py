@@ -74,7 +74,7 @@ class Server:
             single(log_ns, message)
 
     def step(self, log_ns: int) -> None:
-        """Show what was told, and from time to time again what is told seldom."""
+        """Show new messages, and repeat rare ones from time to time."""
         if log_ns - self._again_ns >= _REPEAT_NS:
             for topic in (*self._columns, *self._singles):
                 if self._again_ns and topic != _ONCE and (message := self._kept.of(topic)) is not None:
@@ -86,7 +86,7 @@ class Server:
             self._sent_ns = log_ns
 
     def close(self) -> None:
-        """Leave every viewer."""
+        """Close every viewer's connection."""
         self._send([*self._rows])
         with suppress(TimeoutError):
             self._recording.flush(timeout_sec=_LEAVE_WITHIN_S)
