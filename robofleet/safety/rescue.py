@@ -68,7 +68,7 @@ def watch(
             now = now._replace(word=word, heard_ns=view.now_ns, pressed=pressed, up=others)
         else:
             now = now._replace(up=(*others, word.hand)[-_MOST_HANDS:])
-            now = now._replace(word=None, heard_ns=NEVER, pressed=False) if own else now
+            now = now._replace(word=None) if own else now
     held = status.phase is Phase.HOLD and status.held is Phase.RUNNING
     if now.word is None or not (held and now.pressed and _fresh(now, view)):
         return now._replace(pressed=False)

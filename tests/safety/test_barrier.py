@@ -82,6 +82,15 @@ def test_a_mirrored_scene_has_the_mirrored_answer(seed: int) -> None:
     s = scene(seed)
     mirrored = Scene(s.poses * (1, -1, -1), s.turning[:, ::-1].copy(), s.wheels[:, ::-1].copy())
     assert answer(mirrored).wheels == pytest.approx(answer(s).wheels[:, ::-1], abs=1e-6)
+    assert answer(mirrored, stood(s.n)).wheels == pytest.approx(answer(s, stood(s.n)).wheels[:, ::-1], abs=1e-6)
+
+
+def stood(n: int) -> Barrier:
+    """Return a barrier whose robots were not asked to move for so long that they are believed to stand."""
+    barrier, apart_ = Barrier(KEEPOUT, (BODY,) * n), np.column_stack([np.linspace(-1.0, 1.0, n), np.zeros((n, 2))])
+    for _ in range(10):
+        answer(Scene(apart_, np.zeros((n, 2)), np.zeros((n, 2))), barrier)
+    return barrier
 
 
 @settings(deadline=None, derandomize=True, max_examples=60)

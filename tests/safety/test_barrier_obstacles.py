@@ -10,7 +10,18 @@ from robofleet.safety.barrier import Barrier
 from robofleet.safety.distances import from_edge
 from robofleet.vehicles.differential_drive import arc
 from robofleet.vehicles.solids import Solid, distances
-from tests.safety.barrier_scenes import BODY, GTERNAL, KEEPOUT, Array, body, feasible, stop_point, velocities
+from tests.safety.barrier_scenes import (
+    BODY,
+    GTERNAL,
+    KEEPOUT,
+    Array,
+    Scene,
+    answer,
+    body,
+    feasible,
+    stop_point,
+    velocities,
+)
 
 TICK, PARTS = KEEPOUT.tick, 3
 FLOOR = Solid("floor", ((-1.5, -0.9), (1.5, -0.9), (1.5, 0.2), (0.3, 0.2), (0.3, 0.9), (-1.5, 0.9)), floor=True)
@@ -121,3 +132,17 @@ def test_a_rectangular_floor_is_kept_as_the_arena_s_edge_is():
             barrier, u = Barrier(keepout, (BODY,)), velocities(pose, wheels)
             answers.append(barrier.filter(pose, turning, np.zeros(1), np.ones(1, np.bool_), wheels, u).wheels)
         assert answers[0] == pytest.approx(answers[1], abs=1e-9)
+
+
+@pytest.mark.parametrize(("wall_x", "obstacle_x", "turns"), [(1.4, 0.087, True), (0.087, -1.0, False)])
+def test_a_robot_turns_aside_before_an_obstacle_and_not_before_the_edge_of_its_floor(
+    wall_x: float, obstacle_x: float, turns: bool
+) -> None:
+    """It drives straight at what is as near as it may be."""
+    floor = Solid("floor", ((-1.4, -0.9), (wall_x, -0.9), (wall_x, 0.9), (-1.4, 0.9)), floor=True)
+    ends = obstacle_x + 0.1
+    box = Solid("box", ((obstacle_x, -0.3), (ends, -0.3), (ends, 0.3), (obstacle_x, 0.3)))
+    barrier = Barrier(replace(KEEPOUT, solids=(box, floor)), (BODY,))
+    s = Scene(np.zeros((1, 3)), np.zeros((1, 2)), np.full((1, 2), 8.0))
+    turning = [abs(body(answer(s, barrier).wheels[0])[1]) > 0.1 for _ in range(30)]
+    assert turning == [False] * 15 + [turns] * 15

@@ -43,9 +43,21 @@ def test_a_button_that_is_pressed_in_a_held_run_lets_its_robot_crawl() -> None:
 
 def test_a_button_that_is_let_go_makes_it_stand_at_once() -> None:
     rescue = watch(pressed(), (LETS_GO,), HELD, (), view())
-    assert rescue.robot == NOBODY
+    assert (rescue.robot, rescue.asked) == (NOBODY, Event.NOTHING)
     assert watch(rescue, (ASKS,), HELD, (), view()).robot == 0, "pressed again"
     assert watch(pressed(), (LETS_GO._replace(hand=2),), HELD, (), view()).robot == 0, "another one's button"
+
+
+def test_a_hand_that_presses_while_another_one_holds_waits_and_one_that_presses_after_it_does_not() -> None:
+    both, other = watch(pressed(), (LETS_GO._replace(hand=2),), HELD, (), view()), ASKS._replace(hand=2)
+    assert both.robot == 0
+    assert watch(both, (other,), HELD, (), view()).robot == NOBODY
+    assert watch(both, (LETS_GO, other), HELD, (), view()).robot == 0
+
+
+def test_what_is_just_young_enough_counts() -> None:
+    assert pressed(seen=view()._replace(controller_ns=NOW - WORD_NS)).robot == 0
+    assert pressed(seen=view(robots=(WELL._replace(heard_ns=NOW - 500 * MS),) * N)).robot == 0
 
 
 @pytest.mark.parametrize("phase", [phase for phase in Phase if phase is not Phase.HOLD])

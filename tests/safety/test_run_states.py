@@ -179,3 +179,19 @@ def test_what_was_held_is_forgotten_by_a_phase_that_comes_after() -> None:
     held = step(RunStatus(Phase.POSITIONING), Happening(Event.HOLD_REQUESTED))
     parking = step(held, Happening(Event.PARK_REQUESTED))
     assert (parking.phase, parking.held) == (Phase.PARKING, Phase.PARKING)
+
+
+def test_what_a_robot_is_too_close_to_and_which_camera_is_out_are_named() -> None:
+    close, out = Happening(Event.TOO_CLOSE, 0, NOBODY), Happening(Event.CAMERA_OUT, 0, 0.0)
+    assert describe(close, ("a", "b")) == "a: it is too close to the wall or to an obstacle"
+    roster = Roster(("a", "b"), ("", ""), ("left",))
+    assert describe(out, roster) == "a: only the camera left could see it, and that gives no poses"
+    for robots, camera in ((("a", "b"), 0.0), (roster, 1.0), (roster, -1.0)):
+        told = describe(out._replace(detail=camera), robots)
+        assert told == "a: only a camera could see it, and that gives no poses"
+
+
+def test_a_status_of_another_version_is_not_read() -> None:
+    assert RunStatus.read(Phase.HOLD, Event.TOO_CLOSE, 1, 2.0) == RunStatus(Phase.HOLD, Event.TOO_CLOSE, 1, 2.0)
+    assert RunStatus.read(99, Event.TOO_CLOSE, 1, 2.0) is None
+    assert RunStatus.read(Phase.HOLD, 9999, 1, 2.0) is None
