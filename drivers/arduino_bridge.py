@@ -38,10 +38,10 @@ _BAUD = 57600
 _BOOT_NS = 6_000_000_000  # of patience: opening the port resets the board, whose boot loader takes up to 2 s
 _ASK_AGAIN_S = 0.3
 _AGAIN_NS = 20_000_000  # the wheels are told the same, and the counts asked for, so often: half of the line is free
-_LOST_NS = 100_000_000  # what is unanswered for so long gets no answer any more
+_UNANSWERED_NS = 100_000_000  # then no answer is expected any more
 _SILENT_NS = 500_000_000
 _STOP_TRIES, _STOP_PATIENCE_S = 3, 0.02
-_LONGEST = 64  # bytes of an answer
+_LONGEST_ANSWER = 64  # [bytes]
 _MOST_COUNTS = 32767  # per frame: the sketch's integers
 _Gain = Annotated[int, Field(ge=0, le=999)]  # older sketches hold 15 characters of all four
 _Divisor = Annotated[int, Field(ge=1, le=999)]
@@ -135,7 +135,7 @@ class ArduinoBridge:
             )
         # a question behind a motion that was cut would end that one: the next motion, which is near, shall do it
         moving = any(answer == _DONE for answer, _ in self._unanswered)
-        if not 0 <= now_ns - self._requested_ns < (_LOST_NS if moving else _AGAIN_NS):
+        if not 0 <= now_ns - self._requested_ns < (_UNANSWERED_NS if moving else _AGAIN_NS):
             self._say(_COUNTS, b"e\r")
             self._requested_ns = now_ns
         return DriverReading(*self._encoders.angles, *self._encoders.speeds, math.nan, 0)
@@ -181,7 +181,7 @@ class ArduinoBridge:
         if self._unanswered:
             mark, question = next(self._marks)
             line = question + line
-            while self._unanswered and now_ns - self._unanswered[0][1] > _LOST_NS:
+            while self._unanswered and now_ns - self._unanswered[0][1] > _UNANSWERED_NS:
                 self._unanswered.popleft()
             self._unanswered.append((mark, now_ns))
         self._line.write(line)
@@ -194,7 +194,7 @@ class ArduinoBridge:
         received = self._line.read()
         self._talks = self._talks or bool(received)
         *lines, rest = (self._rest + received).split(b"\n")
-        self._rest = rest[-_LONGEST:]
+        self._rest = rest[-_LONGEST_ANSWER:]
         for line in lines:
             for kind, shape in _ANSWERS.items():
                 if words := shape.fullmatch(line):

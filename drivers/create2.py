@@ -52,9 +52,9 @@ _MODE_LOST_NS = 100_000_000
 _AGAIN_NS = 30_000_000  # the gate tells its ramp every 5 ms, which is often the same in mm/s
 _STOP_PATIENCE_NS, _STOP_TRIES = 50_000_000, 4
 _OVERCURRENT_NS = 300_000_000  # shorter ones are a motor's start, or noise
-_SPEED_NS = 100_000_000  # one count in it is 0.12 rad/s
+_SPEED_WINDOW_NS = 100_000_000  # one count in it is 0.12 rad/s
 _FASTEST_RAD_S = 30.0  # twice what its motors do: pushed by hand
-_LATE_S = 0.1  # a frame may be so much older than it seems
+_FRAME_DELAY_S = 0.1  # at most, beyond the time since the last one
 
 
 class Create2:
@@ -220,7 +220,7 @@ class Create2:
         last = self._frame or frame
         left = _wrapped(frame.left_counts - last.left_counts)
         right = _wrapped(frame.right_counts - last.right_counts)
-        seconds = (now_ns - self._at_ns) * 1e-9 + _LATE_S
+        seconds = (now_ns - self._at_ns) * 1e-9 + _FRAME_DELAY_S
         if max(abs(left), abs(right)) * self._rad_per_count > _FASTEST_RAD_S * seconds:
             return False
         self._turned = (self._turned[0] + left, self._turned[1] + right)
@@ -229,7 +229,7 @@ class Create2:
         if self._past and self._past[-1][0] == now_ns:
             self._past.pop()
         self._past.append((now_ns, self._turned))
-        while len(self._past) > 2 and now_ns - self._past[1][0] >= _SPEED_NS:
+        while len(self._past) > 2 and now_ns - self._past[1][0] >= _SPEED_WINDOW_NS:
             self._past.popleft()
         return True
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 _BYTES, _UNSIGNED, _SIGNED, _COUNTERS = (7, 9, 10, 11, 12, 14, 34, 35), (25, 26), (41, 42), (43, 44)
 PACKETS = _BYTES + _UNSIGNED + _SIGNED + _COUNTERS
 """Ids of what makes a frame, in its order."""
-_MOST = (15, 1, 1, 1, 1, 31, 3, 3)  # of the bytes' values; more is garbage that adds up
+_LARGEST_VALUES = (15, 1, 1, 1, 1, 31, 3, 3)  # of the bytes' values; more is garbage that adds up
 _FRAME = struct.Struct(">BB" + "BB" * len(_BYTES) + "BH" * 2 + "Bh" * 2 + "BH" * 2 + "B")
 _HEADER = bytes((19, _FRAME.size - 3))
 
@@ -55,4 +55,4 @@ def _frame(data: bytearray) -> Frame | None:
     fields = _FRAME.unpack(data)
     ids, values = fields[2:-1:2], fields[3:-1:2]
     sound = data.startswith(_HEADER) and sum(data) % 256 == 0 and ids == PACKETS
-    return Frame(*values) if sound and all(map(int.__le__, values, _MOST)) else None
+    return Frame(*values) if sound and all(map(int.__le__, values, _LARGEST_VALUES)) else None

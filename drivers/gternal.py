@@ -32,10 +32,10 @@ _BATTERY_NS = 1_000_000_000
 _EMPTY_V, _FULL_V = 3.3, 4.2  # assumed: its one lithium cell, taken as linear between
 _TRIES, _PATIENCE_S = 20, 0.1  # a firmware that waits for the rest of a broken line does so for a second
 _STOP_TRIES, _STOP_PATIENCE_S = 3, 0.02
-_COAST_S = 0.4  # its motors without current
+_MOTOR_COAST_S = 0.4  # without current
 _START = b'{"status"'
-_PIECES = 100  # in which an answer comes at most; who says more has another language
-_LONGEST = 1024  # bytes of an answer; it gives less than a hundred, with all its sensors less than 300
+_MOST_PIECES = 100  # in which an answer comes at most; who says more has another language
+_LONGEST_ANSWER = 1024  # [bytes]; it gives less than a hundred, with all its sensors less than 300
 _OTHER_ROBOT = 1.5  # times what is believed: it is another robot's, or in another unit
 
 _Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -145,7 +145,7 @@ class GTernal:
             raise DriverError(f"{self._port}: nothing answers: switch the robot on, and look at its cable")
         if not any(self._obeys(STOP, _PATIENCE_S) for _ in range(_TRIES)):
             raise DriverError(f"{self._port}: the robot answers, but does not stop: look at its firmware")
-        self._line.wait(_COAST_S)
+        self._line.wait(_MOTOR_COAST_S)
         if self._interfaces and not any(self._obeys(None, _PATIENCE_S, sensors=True) for _ in range(_TRIES)):
             raise DriverError(
                 f"{self._port}: its firmware does not tell {' and '.join(self._interfaces)}: load the published "
@@ -177,7 +177,7 @@ class GTernal:
         """Send one line and wait for its answer."""
         self._send(wheels, battery=True, sensors=sensors)
         request = (1 if wheels is None else 2) + (len(self._interfaces) if sensors else 0)
-        for _ in range(_PIECES):
+        for _ in range(_MOST_PIECES):
             if not self._line.wait(patience_s):
                 return False
             if request in self._listen():
@@ -221,7 +221,7 @@ class GTernal:
             if len(answer.status) == len(answer.body) > 0:
                 lengths.append(len(answer.body))
                 self._take(answer)
-        self._received = rest[-_LONGEST:]
+        self._received = rest[-_LONGEST_ANSWER:]
         return lengths
 
     def _take(self, answer: _Answer) -> None:

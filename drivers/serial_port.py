@@ -8,7 +8,7 @@ import serial
 
 from robofleet.vehicles.interface import DriverError
 
-_MOST = 65536  # bytes taken at once
+_MOST_BYTES_AT_ONCE = 65536
 _WHY = {
     errno.ENOENT: "there is no such port: plug the robot in, switch it on, or mend settings.port",
     errno.EACCES: "this user may not open it: join the group dialout, or install the udev rules of tools/deploy",
@@ -55,7 +55,7 @@ class SerialPort:
             DriverError: The line is gone.
         """
         try:
-            return bytes(self._serial.read(_MOST))
+            return bytes(self._serial.read(_MOST_BYTES_AT_ONCE))
         except (serial.SerialException, OSError, TypeError) as error:
             raise self._gone() from error
 

@@ -2,12 +2,10 @@
 
 from typing import ClassVar
 
-from robofleet.vehicles.body import SimulatedBody
 from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, WheelSpeeds
+from robofleet.vehicles.plant import WATCHDOG_NS, Plant
 from robofleet.vehicles.readings import SensorReading, TruePose
 from robofleet.vehicles.sensors import SimulatedSensors
-
-_SILENT_NS = 200_000_000  # the firmware's own watchdog: without a word for so long the motors go off
 
 
 class SimulatedRobot:
@@ -16,11 +14,11 @@ class SimulatedRobot:
     body_faults: ClassVar[bool] = True
 
     def __init__(self, context: DriverContext) -> None:
-        assert context.simulation is not None, "a robot that does not exist is refused without one"
+        s = context.simulation
+        assert s is not None, "a robot that does not exist is refused without one"
         self._now_ns = context.now_ns
-        self._body = SimulatedBody(context.simulation, context.now_ns())
-        self._off_ns: int | None = None  # when the motors go off; None: they are
-        own = context.simulation.sensing  # it sees walls alone: it knows of no other robot
+        self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=context.now_ns(), trouble=s.trouble)
+        own = s.sensing  # it sees walls alone: it knows of no other robot
         self._sensors = None if own is None else SimulatedSensors([0], [own])
         self._sensed: SensorReading | None = None
         self._sense_ns = 0
@@ -28,24 +26,23 @@ class SimulatedRobot:
     def write(self, wheels: WheelSpeeds) -> None:
         """Command the wheels from now on [rad/s]."""
         now_ns = self._advance()
-        self._body.command(wheels)
-        self._off_ns = now_ns + _SILENT_NS
+        self._plant.write(wheels, off_ns=now_ns + WATCHDOG_NS)
 
     def read(self) -> DriverReading:
         """Return encoders and battery now, and its sensors as read last."""
         now_ns = self._advance()
-        reading = self._body.plant.reading()
+        reading = self._plant.reading()
         if self._sensors is None:
             return reading
         if not self._sense_ns - self._sensors.period_ns <= now_ns < self._sense_ns:
             self._sense_ns = now_ns + self._sensors.period_ns
-            self._sensed = self._sensors.first(now_ns, [self._body.plant.truth()], [0.0])
+            self._sensed = self._sensors.first(now_ns, [self._plant.truth()], [0.0])
         return reading._replace(sensors=self._sensed)
 
     def truth(self) -> TruePose:
         """Return the true pose now."""
         self._advance()
-        return self._body.plant.truth()
+        return self._plant.truth()
 
     def close(self) -> None:
         """Motors off."""
@@ -53,9 +50,5 @@ class SimulatedRobot:
 
     def _advance(self) -> int:
         now_ns = self._now_ns()
-        if self._off_ns is not None and now_ns >= self._off_ns:
-            self._body.advance(self._off_ns)
-            self._body.command(STOP)
-            self._off_ns = None
-        self._body.advance(now_ns)
+        self._plant.advance(now_ns)
         return now_ns

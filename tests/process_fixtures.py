@@ -28,8 +28,8 @@ from robofleet.testing import FakeDriver, run_lockstep
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.bus import alone as of_one
 from tests.runs.realrun import RealRun
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[1] / "configs" / "platoon.yaml"
 ONE_BY_ONE = "drivers.robots_per_process=1"
 LAYOUTS: dict[Topic, Any] = {
     keys.COMMAND: of_one.WHEEL_COMMAND,
@@ -74,8 +74,8 @@ class Bench:
         self.clock.advance_to(S)  # 0 means "never" in many fields
         self.bus = MemoryBus(config.arena.name, self.clock, 0)
         self.woken: list[int] = []
-        self._said: list[tuple[str, bytes]] = []
-        self.bus.tap(self._said.append)
+        self._messages: list[tuple[str, bytes]] = []
+        self.bus.tap(self._messages.append)
 
     @property
     def now_ns(self) -> int:
@@ -102,11 +102,11 @@ class Bench:
         """Return every message of a topic so far; ``name``: of a robot, where units speak or listen."""
         layout, unit = LAYOUTS[topic], self.config.unit_of.get(name, name)
         full = key(self.config.arena.name, topic, unit)
-        payloads = [payload for said, payload in self._said if said == full]
+        payloads = [payload for full_key, payload in self._messages if full_key == full]
         if not isinstance(layout, of_one.Alone):
             return [layout.decode(payload) for payload in payloads]
-        place = self.config.units[unit].index(name)
-        return [layout.of(payload, place) for payload in payloads]
+        row = self.config.units[unit].index(name)
+        return [layout.of(payload, row) for payload in payloads]
 
     def run(self, node: Node, ns: int, *others: tuple[int, Callable[[], None]]) -> None:
         """Step a process whenever it asks to be, and after every act of ``others``: (period [ns], act)."""
@@ -182,13 +182,13 @@ class Stand:
 
     def ask(self, robot: str, action: LeaseAction = LeaseAction.ACQUIRE, session: int = SESSION) -> Any:
         """Ask for a robot's unit; returns the answer for the robot, or None if there was none."""
-        unit, place = self._place(robot)
+        unit, row = self._place(robot)
         answer = self.bench.bus.ask(
             keys.LEASE, unit, messages.LEASE_REQUEST.encode(messages.LeaseRequest(session, action))
         )
         self.node.step(self.bench.now_ns)
         payload = answer.take()
-        return None if payload is None else of_one.LEASE_ANSWER.of(payload, place)
+        return None if payload is None else of_one.LEASE_ANSWER.of(payload, row)
 
     def acquire(self, robot: str) -> None:
         assert self.ask(robot).granted == 1
@@ -198,16 +198,18 @@ class Stand:
         """Command robots of a unit as the controller does, and say nothing to its others; ``age`` 2 echoes the status
         before the newest."""
         unit, _ = self._place(robots[0])
-        of = {robot: self.bench.heard(keys.STATUS, robot)[-age:] for robot in self.bench.config.units[unit]}
-        if statuses := of[robots[0]]:
+        newest_of = {robot: self.bench.heard(keys.STATUS, robot)[-age:] for robot in self.bench.config.units[unit]}
+        if statuses := newest_of[robots[0]]:
             self._seq += 1
             status = statuses[0]
             self.seen.update(dict.fromkeys(robots, status.nonce))
             head = messages.UnitCommand(self._seq, self.SESSION, status.boot_id, status.nonce, exposure_ns, ())
             nothing = messages.WheelCommand(0, 0.0, 0.0)
-            told = [messages.WheelCommand(of[r][0].epoch, *wheels) if r in robots else nothing for r in of]
+            commands = [
+                messages.WheelCommand(newest_of[r][0].epoch, *wheels) if r in robots else nothing for r in newest_of
+            ]
             self.bench.bus.publisher(keys.COMMAND, unit)(
-                messages.UNIT_COMMAND.encode(head._replace(robots=tuple(told)))
+                messages.UNIT_COMMAND.encode(head._replace(robots=tuple(commands)))
             )
 
     def enable(self, *robots: str, limit: float = 12.5, latch: int = 0, clear: int = 0) -> None:
@@ -224,8 +226,8 @@ class Stand:
                 else messages.Enable(epoch, 0, 0, self._limits.get(robot, 0.0))
                 for robot, epoch in epochs.items()
             )
-            said = messages.UnitEnable(self._seq, status.boot_id, status.nonce, Phase.RUNNING, permissions)
-            self.bench.bus.publisher(keys.ENABLE, unit)(messages.UNIT_ENABLE.encode(said))
+            permission = messages.UnitEnable(self._seq, status.boot_id, status.nonce, Phase.RUNNING, permissions)
+            self.bench.bus.publisher(keys.ENABLE, unit)(messages.UNIT_ENABLE.encode(permission))
 
     def _place(self, robot: str) -> tuple[str, int]:
         """Return the robot's unit, and its place there."""

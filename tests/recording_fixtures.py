@@ -36,8 +36,8 @@ from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus, Truth
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.recording import recorded
+from tests.shipped import PLATOON
 
-PLATOON = File(__file__).parents[1] / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
 START_NS = 1000 * S
 
@@ -48,18 +48,18 @@ class Story:
 
     config: Config
     ticks: int
-    said: described.Group = field(init=False)
+    run_messages: described.Group = field(init=False)
     path: Path = field(init=False)
     points: np.ndarray = field(init=False)  # (K, N, 2) [m]
     psi: np.ndarray = field(init=False)  # (K, N) [rad]
     estimate_off: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the filter: x, y [m], psi [rad]
     control_error: np.ndarray = field(init=False)  # (K, N) [m]
-    _told: np.ndarray = field(init=False)  # the centres, while they are written down
+    _written: np.ndarray = field(init=False)  # the centres, while they are written down
     before: int = 5  # ticks before the run
     origin: float = 0.0  # the leader's parameter at the start
 
     def __post_init__(self) -> None:
-        (self.said,) = groups.descriptions(self.config)
+        (self.group,) = groups.descriptions(self.config)
         self.path = PathFile.model_validate(self.settings["path"]).path()
         self.place(np.zeros(len(self.config.members)))
         self.control_error = np.zeros((self.ticks, len(self.config.members)))
@@ -97,12 +97,12 @@ class Story:
     def recording(self, *, truth: bool = True) -> Recording:
         """Return the messages of this run: the ticks, and the truth at every tick."""
         recording, arena = Recording(self.config), self.config.arena.name
-        self._told = self.centres
+        self._written = self.centres
         for k in range(-self.before, self.ticks):
             recording.add(key(arena, TICK), TICK_RECORD.encode(self._tick(k)))
             for row, robot in enumerate(self.config.members) if truth else ():
                 at = max(k, 0)
-                pose = *self._told[at, row], math.remainder(self.psi[at, row], math.tau)
+                pose = *self._written[at, row], math.remainder(self.psi[at, row], math.tau)
                 message = Truth(1, self.stamp(k), *pose, 0.0, 0.0)
                 recording.add(key(arena, TRUTH, robot.id), TRUTH_LAYOUT.encode(message))
         return recording
@@ -121,7 +121,7 @@ class Story:
         at, items, numbers = max(k, 0), [], []
         for row in range(len(self.config.members)):
             off = np.array(self.estimate_off)
-            x, y, psi = np.array([*self._told[at, row], self.psi[at, row]]) + off
+            x, y, psi = np.array([*self._written[at, row], self.psi[at, row]]) + off
             point = x + 0.08 * math.cos(psi), y + 0.08 * math.sin(psi)
             error = self.control_error[at, row] if k >= 0 else 9.0
             pose = x, y, math.remainder(psi, math.tau)
@@ -151,8 +151,8 @@ class Story:
 
     def _numbers(self, error: float, reference: float) -> list[float]:
         """Return what a robot's behaviour told: no reference's place, and two of its figures."""
-        told = {"control_error": error, "reference_parameter": reference}
-        return [math.nan, math.nan, *(told.get(figure.name, math.nan) for figure in self.said.figures)]
+        figures = {"control_error": error, "reference_parameter": reference}
+        return [math.nan, math.nan, *(figures.get(figure.name, math.nan) for figure in self.group.figures)]
 
 
 @pytest.fixture
@@ -221,15 +221,15 @@ def add_image() -> Callable[..., None]:
 
 
 @pytest.fixture(scope="session")
-def said() -> recorded.Said:
+def run_messages() -> recorded.Messages:
     """Return what is said in a short run."""
     return recorded.said_in(recorded.config())
 
 
 @pytest.fixture(scope="session")
-def run_file(said: recorded.Said, tmp_path_factory: pytest.TempPathFactory) -> File:
+def run_file(run_messages: recorded.Messages, tmp_path_factory: pytest.TempPathFactory) -> File:
     """Return the file of this run; it is read by many tests."""
     file = tmp_path_factory.mktemp("run") / FILE
     with RunLog(file, recorded.config()) as log:
-        recorded.write(log, said)
+        recorded.write(log, run_messages)
     return file

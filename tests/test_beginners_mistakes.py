@@ -33,7 +33,7 @@ class Mistake:
 
     name: str
     typed: str
-    place: str  # what the line begins with; {at} is where « stands
+    where: str  # what the line begins with; {at} is where « stands
     cure: str  # what it says
     edit: Edit | None = None
     files: Mapping[str, str | bytes] = field(default_factory=dict)
@@ -755,14 +755,14 @@ def test_a_mistake_is_one_line_with_its_place_and_its_cure(
     monkeypatch.setattr(sys, "argv", ["robofleet", *mistake.typed.split()])
     with pytest.raises(SystemExit) as ended:
         cli.main()
-    said = capfd.readouterr()
-    print(f"{mistake.name} | {said.err}")
-    assert ended.value.code == 2, said
-    assert said.out == ""
-    lines = [line for line in said.err.splitlines() if line.startswith(mistake.place.format(at=at))]
+    captured = capfd.readouterr()
+    print(f"{mistake.name} | {captured.err}")
+    assert ended.value.code == 2, captured
+    assert captured.out == ""
+    lines = [line for line in captured.err.splitlines() if line.startswith(mistake.where.format(at=at))]
     assert len(lines) == 1
     assert mistake.cure in lines[0]
-    assert said.err.splitlines() == lines or not mistake.alone
+    assert captured.err.splitlines() == lines or not mistake.alone
     assert content_of(folder) == before
 
 
@@ -776,7 +776,7 @@ def test_a_process_says_the_same(folder: Path, name: str) -> None:
     )
     (line,) = done.stderr.splitlines()
     assert (done.returncode, done.stdout) == (2, "")
-    assert line.startswith(mistake.place.format(at=at))
+    assert line.startswith(mistake.where.format(at=at))
     assert mistake.cure in line
 
 

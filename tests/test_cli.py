@@ -20,10 +20,10 @@ from robofleet import cli
 from robofleet.core.refusal import LAB_MODULES
 from robofleet.operator import run_command
 from tests.recording.recorded import room_for
+from tests.shipped import PLATOON
 
 pytestmark = pytest.mark.usefixtures("unplotted")
 
-PLATOON = Path(__file__).parent.parent / "configs" / "platoon.yaml"
 TRUTH = ("--lockstep", "--set", "tracker.source=truth")
 SUMMARY_KEYS = {
     "version", "config", "seed", "mode", "outcome", "cause", "duration_s", "ticks", "real_time_factor", "trace_hash",
@@ -110,9 +110,9 @@ WRONG = [
 def test_a_fault_in_the_file_is_one_line_with_its_place(
     folder: Path, refused: Callable[..., str], old: str, new: str, path: str, message: str
 ) -> None:
-    file, place = written(folder, old, new)
+    file, where = written(folder, old, new)
     line = refused(file)
-    assert line.startswith(f"{file}:{place}: {path}: ")
+    assert line.startswith(f"{file}:{where}: {path}: ")
     assert message in line
 
 
@@ -252,7 +252,7 @@ def test_a_fault_is_exit_code_1_with_its_cause_and_a_summary(folder: Path) -> No
 
 
 def test_strict_ends_with_1_where_a_bound_is_not_met_and_junit_says_which(folder: Path) -> None:
-    asked = (
+    commands = (
         "--duration",
         "2",
         "--set",
@@ -260,7 +260,7 @@ def test_strict_ends_with_1_where_a_bound_is_not_met_and_junit_says_which(folder
         "--junit",
         "ci/b.xml",
     )
-    result = robofleet("run", PLATOON, *TRUTH, *asked, "--strict", "--quiet", "--out", "new1")
+    result = robofleet("run", PLATOON, *TRUTH, *commands, "--strict", "--quiet", "--out", "new1")
     assert result.exit_code == 1, result.stderr
     (line,) = result.stderr.splitlines()
     assert line.startswith("bound not met: control error, mean: ")
@@ -299,11 +299,11 @@ def test_a_ci_that_asks_for_nothing_is_told_so(refused: Callable[..., str], fold
 @pytest.mark.slow
 def test_a_terminal_of_the_c_locale_gets_ascii_alone(folder: Path) -> None:
     command = [sys.executable, "-m", "robofleet", "check", str(PLATOON)]
-    for place, plain in (({"LC_ALL": "C"}, True), ({"LANG": "C.UTF-8"}, False)):
+    for locale, plain in (({"LC_ALL": "C"}, True), ({"LANG": "C.UTF-8"}, False)):
         environment = {name: value for name, value in os.environ.items() if name[:3] not in ("LC_", "LAN")}
-        said = subprocess.run(command, env=environment | place, capture_output=True, check=True).stdout
-        assert said.isascii() == plain, place
-        assert (b"<= 12.5 rad/s" in said) == plain
+        output = subprocess.run(command, env=environment | locale, capture_output=True, check=True).stdout
+        assert output.isascii() == plain, locale
+        assert (b"<= 12.5 rad/s" in output) == plain
 
 
 def test_check_prints_what_it_proved(folder: Path) -> None:
@@ -315,11 +315,11 @@ def test_check_prints_what_it_proved(folder: Path) -> None:
 
 
 def test_check_refuses_with_exit_code_2(folder: Path) -> None:
-    file, place = written(folder, "path_rate: 0.0455", "path_rate: «0.06")
+    file, path = written(folder, "path_rate: 0.0455", "path_rate: «0.06")
     result = robofleet("check", file, "--set", "groups.0.settings.path_rate=0.075")
     assert (result.exit_code, result.stdout) == (2, "")
     assert "--set groups.0.settings.path_rate=0.075: groups.0.settings.path_rate: the fastest wheel" in result.stderr
-    assert robofleet("check", file).exit_code == 0, place
+    assert robofleet("check", file).exit_code == 0, path
 
 
 @pytest.mark.slow_after_first
@@ -354,8 +354,8 @@ def test_a_runtime_folder_that_is_a_file_is_named_in_a_line(
     (folder / "file").write_text("")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder / "file"))
     given = [] if command in COMMANDS_ON_A_RUN else [str(PLATOON)]
-    said = robofleet(*command, *given)
-    assert said.exit_code == 2
-    assert f"{folder}/file/robofleet: Not a directory: set XDG_RUNTIME_DIR to a folder of yours" in said.stderr
-    assert len(said.stderr.splitlines()) == (2 if command in COMMANDS_ON_A_RUN else 1), said.stderr
+    result = robofleet(*command, *given)
+    assert result.exit_code == 2
+    assert f"{folder}/file/robofleet: Not a directory: set XDG_RUNTIME_DIR to a folder of yours" in result.stderr
+    assert len(result.stderr.splitlines()) == (2 if command in COMMANDS_ON_A_RUN else 1), result.stderr
     assert not (folder / "runs").exists()

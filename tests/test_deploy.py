@@ -56,10 +56,10 @@ def test_the_service_lets_a_driver_do_what_it_does() -> None:
     assert "XDG_STATE_HOME=/var/lib" in service["Environment"].split()
     assert (service["RuntimeDirectory"], service["RuntimeDirectoryMode"]) == ("robofleet", "0700")
     assert service["RuntimeDirectoryPreserve"] == "yes", "the socket must outlive a driver"
-    said = re.search(r"^    bus: \{endpoint: (\S+)\}$", (DEPLOY / "README.md").read_text(), re.MULTILINE)
-    assert said is not None
-    assert said[1].startswith("unixsock-stream//run/robofleet/")
-    load_config(ROOT / "configs" / "lab.yaml", [f"bus.endpoint={said[1]}"])
+    endpoint = re.search(r"^    bus: \{endpoint: (\S+)\}$", (DEPLOY / "README.md").read_text(), re.MULTILINE)
+    assert endpoint is not None
+    assert endpoint[1].startswith("unixsock-stream//run/robofleet/")
+    load_config(ROOT / "configs" / "lab.yaml", [f"bus.endpoint={endpoint[1]}"])
     assert service["KillMode"] == "process", "the dead man's process must outlive its driver"
     assert service["SupplementaryGroups"] == "dialout"
     assert 'GROUP="dialout"' in (DEPLOY / "70-robofleet.rules").read_text()

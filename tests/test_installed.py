@@ -79,7 +79,9 @@ def test_the_starting_files_can_be_read(tmp_path: Path) -> None:
         assert f"{file}: " in done.output
         load_config(file)  # nothing in it is wrong
     assert f"python {tmp_path}/lab/examples/hello.py" in done.output
-    theirs, ours = ({file.name for file in (place / "examples").glob("*.py")} for place in (tmp_path / "lab", SHIPPED))
+    theirs, ours = (
+        {file.name for file in (folder / "examples").glob("*.py")} for folder in (tmp_path / "lab", SHIPPED)
+    )
     assert theirs == ours > {"hello.py"}
 
 

@@ -188,7 +188,7 @@ def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
             else:  # there may be no such camera, no such port here
                 load_config(values["config"], changes, faults)
         if name == "sweep" and "sweep" in values:
-            load_sweep(values["sweep"], lambda of: bar("checks", of))
+            load_sweep(values["sweep"], lambda sweep: bar("checks", sweep))
         if name == "paper":
             assert values["experiment"] in {"all", *EXPERIMENTS}
         if name != "web":  # its run is an arena, as a rule

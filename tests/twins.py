@@ -14,8 +14,7 @@ from robofleet.core.clock import Clock, WallClock
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
 from robofleet.vehicles.interface import DriverContext
-
-PLATOON = Path(__file__).parents[1] / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 def config_of(*overrides: str, twin: str, vehicle: str = "gternal", faults: str = "") -> Config:
@@ -51,8 +50,8 @@ class TwinStand:
         def go_on() -> None:
             while not ended.is_set():
                 wait_s = max(0.0, (self.step() - self.clock.now_ns()) * 1e-9)
-                heard = [] if self.twin.descriptor is None else [self.twin.descriptor]
-                select.select(heard, [], [], min(0.05, wait_s))
+                readable = [] if self.twin.descriptor is None else [self.twin.descriptor]
+                select.select(readable, [], [], min(0.05, wait_s))
 
         thread = threading.Thread(target=go_on)
         thread.start()

@@ -12,8 +12,8 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.behaviours import Behaviour, Bound, Decision, Figure, Refusal, Situation, Team
-from robofleet.behaviours.interface import Array
 from robofleet.behaviours.limits import point_speeds, slowed
+from robofleet.core.arrays import Array
 from robofleet.core.settings import MANY, Name, within
 
 Edge = Annotated[tuple[Name, Name], Field(strict=False)]

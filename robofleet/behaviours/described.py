@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import Behaviour, Dots, Figure, Line, Shape
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 NAMING = 2  # numbers that name an image: its tracker's epoch, its number
 

@@ -11,25 +11,24 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import Behaviour, Decision, Figure, Situation, Team
+from robofleet.core.arrays import Array
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels, feasible_ratio
 
-Array = NDArray[np.float64]
 Pose = tuple[float, float, float]
 
 _SPIN, _STRAIGHT = 0.4, 0.5  # of what the wheels can do
 _SLOWEST, _FASTEST = 0.25, 0.6  # random wheel speeds, of the highest; slow ones would be lost in the dead band
-_TURNED = 1.1 * math.tau  # a spin [rad]
+_SPIN_ANGLE = 1.1 * math.tau  # [rad]
 _REST_S = 0.5
 _RANDOM_S = 20.0
-_LINE = 0.3  # longest straight [m]
+_LONGEST_LINE = 0.3  # [m]
 _LINE_STEP = 0.02
-_DISC = 0.08  # random motion stays so near [m]
+_RANDOM_DISC = 0.08  # random motion stays so near [m]
 _KEPT_OUT = 0.03  # between bodies, and to the edge [m]
 _DIRECTIONS = 36
-_ARRIVED = 0.03  # of a turn [rad]
+_TURN_ACCURACY = 0.03  # [rad]
 
 
 class Act(Enum):
@@ -116,7 +115,7 @@ class Excitation(Behaviour):
         if math.isnan(self._heading):
             self._heading, self._length = around.freest(pose)
         left = math.remainder(self._heading - pose[2], math.tau)
-        if abs(left) < _ARRIVED:
+        if abs(left) < _TURN_ACCURACY:
             return 0.0, 0.0
         speed = math.copysign(_SPIN * min(1.0, max(0.2, abs(left) / 0.4)), left) * vehicle.max_wheel_speed
         return -speed, speed
@@ -145,7 +144,7 @@ class _Surroundings(NamedTuple):
         if anchor is None:
             return True
         away = math.dist(then[:2], anchor)
-        return away <= _DISC or away <= math.dist(now[:2], anchor)
+        return away <= _RANDOM_DISC or away <= math.dist(now[:2], anchor)
 
     def freest(self, pose: Pose) -> tuple[float, float]:
         """Return the heading of the longest free line from here, and its length [m]; of equal ones the nearest."""
@@ -155,7 +154,9 @@ class _Surroundings(NamedTuple):
         for turn in turns:
             c, s = math.cos(psi + turn), math.sin(psi + turn)
             length = 0.0
-            while length < _LINE and self.clearance(x + (length + 0.05) * c, y + (length + 0.05) * s) >= _KEPT_OUT:
+            while (
+                length < _LONGEST_LINE and self.clearance(x + (length + 0.05) * c, y + (length + 0.05) * s) >= _KEPT_OUT
+            ):
                 length += _LINE_STEP
             if length > best[1]:
                 best = psi + turn, length
@@ -167,9 +168,9 @@ def _script(vehicle: DifferentialDrive, tick: float, rng: np.random.Generator) -
     radius, base, highest = vehicle.wheel_radius, vehicle.wheel_base, vehicle.max_wheel_speed
     spin, straight = _SPIN * highest, _STRAIGHT * min(highest, vehicle.max_speed / radius)
     omega = body_from_wheels(-spin, spin, radius, base)[1]
-    plan = [(Act.SPIN, _TURNED / omega, -spin, spin), (Act.SPIN, _TURNED / omega, spin, -spin)]
+    plan = [(Act.SPIN, _SPIN_ANGLE / omega, -spin, spin), (Act.SPIN, _SPIN_ANGLE / omega, spin, -spin)]
     plan.append((Act.TURN, math.pi / omega + 1.0, 0.0, 0.0))
-    plan += [(Act.LINE, _LINE / (straight * radius), way * straight, way * straight) for way in (1.0, -1.0) * 2]
+    plan += [(Act.LINE, _LONGEST_LINE / (straight * radius), way * straight, way * straight) for way in (1.0, -1.0) * 2]
     until = _REST_S
     yield Spell(until, Act.REST)
     for act, duration, left, right in plan:

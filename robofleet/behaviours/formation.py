@@ -15,7 +15,6 @@ from pydantic import Field
 
 from robofleet.behaviours import laps
 from robofleet.behaviours.interface import (
-    Array,
     Behaviour,
     Bound,
     Decision,
@@ -32,6 +31,7 @@ from robofleet.behaviours.limits import clear_of_each_other, inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.point import PointFlow
 from robofleet.control.trajectory import Trajectory, demanded
+from robofleet.core.arrays import Array
 from robofleet.core.settings import ROBOTS, Coordinate, Degrees, within
 
 _STEP = 0.01  # between the instants that are looked at before a run [s]

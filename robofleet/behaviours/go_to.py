@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.behaviours.interface import (
-    Array,
     Behaviour,
     Bound,
     Decision,
@@ -34,23 +33,24 @@ from robofleet.control.flow import integrator_gain
 from robofleet.control.following import PATIENCE_S, Follower, FollowerSettings, State
 from robofleet.control.planning import Problem
 from robofleet.control.precedence import Plan
+from robofleet.core.arrays import Array, Indices
 from robofleet.core.settings import ROBOTS, Coordinate, Degrees, Model, Name, within
 from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.safety.supervisor import Event
 from robofleet.vehicles.solids import distances
 
-_PARTS = 5  # of the search in a tick
+_SEARCH_PARTS = 5  # in a tick
 _MARGIN = 0.01  # of what robots keep under way beyond what the barrier keeps [m]
-_FINE = 3.8  # cells across the distance under way
-_PUSHED = 0.10  # off its place, a robot needs another plan [m]
+_CELLS_ACROSS = 3.8  # the distance under way
+_PUSHED_M = 0.10  # off its place, a robot needs another plan
 _LOST_TICKS = 30  # for which it was there
 _STUCK_S = 6.0  # without progress of anybody
 _RETRY_S = 1.0  # after no plan was found
 _MOST_FAILED = 10  # plans in a row: then the run is held
-_STILL = 0.004  # so far a robot moves in a tick that counts as standing [m]
+_STILL_M = 0.004  # in a tick
 _STILL_TICKS = 6
 _THERE_TICKS = 15
-_MOVED = 0.01  # less is no motion of another body [m]
+_OTHER_MOVED_M = 0.01  # at least
 _STANDS_S = 1.0  # what has stood for so long is there to stay
 
 
@@ -161,7 +161,7 @@ class GoTo(Behaviour):
         """See ``Behaviour``."""
         self.rehearse()
         moved = np.hypot(*(now.poses - self._poses)[:, :2].T)
-        self._still = np.where(moved < _STILL * self.team.tick / 0.033, self._still + 1, 0)
+        self._still = np.where(moved < _STILL_M * self.team.tick / 0.033, self._still + 1, 0)
         self._poses = now.poses.copy()
         if self._planned and self._wrong(now):
             self._drop()
@@ -197,7 +197,7 @@ class GoTo(Behaviour):
         if self._work is None:
             self._work = self._search(now)
         try:
-            for _ in range(_PARTS):
+            for _ in range(_SEARCH_PARTS):
                 next(self._work)
         except StopIteration as done:
             self._work = None
@@ -231,13 +231,13 @@ class GoTo(Behaviour):
     def _ways(self, starts: Array, goals: Array, obstacles: Array) -> Problem:
         half = (self.team.arena[0] / 2 - self._edge, self.team.arena[1] / 2 - self._edge)
         keeps = self.team.keepout.solids, self._edge
-        return Problem(starts, goals, obstacles, half, self._distance, self._distance / _FINE, *keeps)
+        return Problem(starts, goals, obstacles, half, self._distance, self._distance / _CELLS_ACROSS, *keeps)
 
     def _wrong(self, now: Situation) -> bool:
         """Whether the plan is to be made anew."""
         state, follower = self._follower.state, self._follower
         done, _ = follower.steps
-        off = np.hypot(*(now.poses - state[:, :3])[:, :2].T) > _PUSHED
+        off = np.hypot(*(now.poses - state[:, :3])[:, :2].T) > _PUSHED_M
         self._off = np.where(off, self._off + 1, 0)
         made = float(done.sum() + (state[:, State.THERE] > 0).sum())
         best, since = self._progress
@@ -250,7 +250,7 @@ class GoTo(Behaviour):
 
     def _in_the_way(self, others: Array) -> bool:
         """Whether something has come to stand in a way. What moves is the barrier's, and may go again."""
-        if others.shape != self._seen.shape or (np.abs(others - self._seen) > _MOVED).any():
+        if others.shape != self._seen.shape or (np.abs(others - self._seen) > _OTHER_MOVED_M).any():
             self._seen, self._stood = others.copy(), 0
             return False
         self._stood += 1
@@ -408,7 +408,7 @@ class GoTo(Behaviour):
         }
 
 
-def _shared_out(ways: Array) -> planning.Indices:
+def _shared_out(ways: Array) -> Indices:
     """Return which goal each robot has, by its ways (N, N) [m] to them: one without a way only where all must be."""
     some = ways[np.isfinite(ways)]
     return planning.assign(np.where(np.isfinite(ways), ways, 1.0 + 2.0 * some.max(initial=0.0)))

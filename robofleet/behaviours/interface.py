@@ -16,16 +16,14 @@ from enum import IntEnum
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.settings import Model
 from robofleet.safety.distances import Body, Keepout
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import Event
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Pose = tuple[float, float, float]  # x, y [m], psi [rad]
 
 _SHOWN = {("m", "mm"): 1e3, ("rad", "deg"): 180.0 / math.pi, ("m/s", "mm/s"): 1e3}

@@ -4,12 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import Bound
 from robofleet.control.path import Path
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 STEPS = 1000  # a side: the fastest wheel is then known to about 1e-5 of itself
 _STANDSTILL = 0.01  # of the mean |r'|: a path slower than this at a point has a cusp there

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from robofleet.behaviours.interface import Array, Bound, Team
+from robofleet.behaviours.interface import Bound, Team
 from robofleet.behaviours.laps import rounded_down
+from robofleet.core.arrays import Array
 from robofleet.safety.distances import apart, from_edge
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.solids import distances

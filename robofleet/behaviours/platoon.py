@@ -33,22 +33,21 @@ from robofleet.behaviours.interface import (
 from robofleet.behaviours.limits import inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.platoon import INPUTS, REFERENCES, Column, PlatoonLaw, PlatoonSettings
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Model, within
 from robofleet.safety import starts
 from robofleet.safety.distances import apart, from_edge
 from robofleet.safety.starts import MOST_THROUGH, Ways, judge
 
-Array = NDArray[np.float64]
-
 _PATH_POINTS = 400  # of the line that is drawn
-_JUDGED = 100  # points of a side, for judging a start
+_START_POINTS = 100  # of a side, for judging a start
 _FIGURES = (
     ("control_error", int(Column.CONTROL_ERROR)),
     ("estimated_path_error", int(Column.PATH_ERROR)),
     ("estimated_spacing", int(Column.SPACING)),
     ("reference_parameter", int(Column.REFERENCE_PARAMETER)),
 )
-_PLACED = 2000  # points of a side, for places: a chord is then 0.1 um off its arc
+_PLACE_POINTS = 2000  # points of a side, for places: a chord is then 0.1 um off its arc
 
 
 class Platoon(Behaviour):
@@ -158,7 +157,7 @@ class Platoon(Behaviour):
     def ways(self) -> Ways:
         """Return what a start is judged by."""
         sides, team, s = self._path.sides, self.team, self.settings
-        points = self._path.position(np.arange(sides * _JUDGED) / _JUDGED)
+        points = self._path.position(np.arange(sides * _START_POINTS) / _START_POINTS)
         gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
         k = np.arange(len(points))
         far = gaps[k[:, None], k[:, None] - k[None]] >= s.spacing_m  # [point, steps back]
@@ -329,7 +328,7 @@ class Platoon(Behaviour):
     def _back(self, sigma: float) -> float:
         """Return the first parameter going back whose point is ``spacing_m`` away; infinite where there is none."""
         spacing = self.settings.spacing_m
-        back = sigma - np.arange(1 + self._path.sides * _PLACED) / _PLACED
+        back = sigma - np.arange(1 + self._path.sides * _PLACE_POINTS) / _PLACE_POINTS
         points = self._path.position(back)
         gaps = np.hypot(*(points - points[0]).T)
         k = int((gaps >= spacing).argmax())

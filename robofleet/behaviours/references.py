@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from robofleet.behaviours.interface import Array, Refusal
+from robofleet.behaviours.interface import Refusal
 from robofleet.behaviours.laps import rounded_down
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.trajectory import Trajectory, spline
+from robofleet.core.arrays import Array
 from robofleet.core.settings import MANY, Coordinate, Instant, Model, within
 from robofleet.vehicles.differential_drive import DifferentialDrive
 

@@ -12,19 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from robofleet.behaviours.go_to import Goal, GoTo
-from robofleet.behaviours.interface import (
-    Array,
-    Behaviour,
-    Decision,
-    Figure,
-    Flags,
-    Past,
-    Pose,
-    Situation,
-    Team,
-    Wish,
-    WishKind,
-)
+from robofleet.behaviours.interface import Behaviour, Decision, Figure, Past, Pose, Situation, Team, Wish, WishKind
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.settings import Model, within
 from robofleet.safety.supervisor import Event
 

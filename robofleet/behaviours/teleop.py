@@ -15,24 +15,14 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import (
-    Array,
-    Behaviour,
-    Bound,
-    Decision,
-    Figure,
-    Flags,
-    Past,
-    Situation,
-    Team,
-    WishKind,
-)
+from robofleet.behaviours.interface import Behaviour, Bound, Decision, Figure, Past, Situation, Team, WishKind
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.settings import Model, within
 from robofleet.safety.distances import apart
 
 _ROUNDING = 1e-9
 _INNER = "wish_epoch", "wish"  # figures for replays, not for people
-_STEP = 0.005  # between two points of a way that are remembered [m]
+_WAY_STEP = 0.005  # between two points of a way that are remembered [m]
 
 
 class Teleop(Behaviour):
@@ -146,7 +136,7 @@ class Teleop(Behaviour):
             return own
         if not way:
             way.append(own.copy())
-        if np.hypot(*(ahead - way[-1])) >= _STEP:
+        if np.hypot(*(ahead - way[-1])) >= _WAY_STEP:
             way.append(ahead.copy())
         left, newer = self.settings.spacing_m, ahead
         for k in range(len(way) - 1, -1, -1):

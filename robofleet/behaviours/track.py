@@ -15,7 +15,6 @@ import numpy as np
 from pydantic import Field
 
 from robofleet.behaviours.interface import (
-    Array,
     Behaviour,
     Bound,
     Decision,
@@ -34,6 +33,7 @@ from robofleet.control.flow import FlowSettings, NewtonRaphsonFlow
 from robofleet.control.point import PointFlow
 from robofleet.control.trajectory import demanded
 from robofleet.control.unicycle import unicycle_plant
+from robofleet.core.arrays import Array
 from robofleet.core.settings import ROBOTS, Model, Name
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_point
 

@@ -31,11 +31,22 @@ _RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits i
 _FURTHEST_NS = 2**62 - 1  # of an instant
 _RANGES["q"] = -_FURTHEST_NS, _FURTHEST_NS
 _MOST = 1e300  # so many of them have a finite sum, by which decoding judges
-_FEW = 4  # items
+_FEW = 128  # floats: so many Python adds up before numpy has begun
 _MOST_ITEMS = _RANGES["H"][1]
 _TOO_LARGE = (error, OverflowError)  # what packing raises
 
 M = TypeVar("M", bound=NamedTuple)
+
+
+class Encoded(bytes):
+    """A message with a list that this process encoded: decoding it here does not judge its numbers again.
+
+    What comes from another process, or was changed, is plain ``bytes``.
+    """
+
+    __slots__ = ()
+
+
 Description = tuple[str, dict[str, Any]]  # of a layout, in words that numpy reads
 
 
@@ -64,7 +75,7 @@ def _judge_instants(letters: str) -> Callable[[Sequence[Any]], bool]:
     if not fields:
         return lambda values: True
     instants_of = itemgetter(*fields, fields[0])  # of two at least it makes a tuple
-    return lambda values: min(instants_of(values)) >= -_FURTHEST_NS and max(instants_of(values)) <= _FURTHEST_NS
+    return lambda values: max(map(abs, instants_of(values))) <= _FURTHEST_NS
 
 
 def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:
@@ -133,7 +144,7 @@ class ListLayout(Generic[M]):
         self, make: type[M], head: str, make_item: type[NamedTuple], item: str, *, numbers: bool = False
     ) -> None:
         self._make, self._make_item, self._numbers = make, make_item, numbers
-        self._head, self._item = Struct(f"<B{head}H"), Struct(f"<{item}")
+        self._head, self._body, self._item = Struct(f"<B{head}H"), Struct(f"<x{head}H"), Struct(f"<{item}")
         self._head_letters, self._item_letters, self._count = head, item, Struct("<H")
         self._near, self._head_has_floats = _judge_instants(head), "d" in head
         self._columns = [("version", "u1"), *_columns(make, head), ("count", "<u2")]
@@ -142,6 +153,7 @@ class ListLayout(Generic[M]):
         assert "d" not in plain, "an item's floats are its last fields"
         self.item_floats, self._floats_at = len(item) - len(plain), self._item.size - 8 * (len(item) - len(plain))
         self._strides = self._item.size, 8
+        self._few_floats: dict[int, Struct] = {}  # of so many items, without their other fields
         self._none: tuple[tuple[()], ...] = ((),) * (1 + numbers)  # the lists of a message that is only a head
 
     @cached_property
@@ -179,17 +191,20 @@ class ListLayout(Generic[M]):
         rest = length - self._head.size - count * self._item.size
         return rest == 0 or (self._numbers and rest > 0 and rest % 8 == 0)
 
-    def _opened(self, payload: bytes) -> tuple[list[Any], int] | None:
+    def _opened(self, payload: bytes) -> tuple[tuple[Any, ...], int] | None:
         """Return the head and the number of items; None where length, version or an instant is wrong."""
         if len(payload) < self._head.size or payload[0] != VERSION:
             return None
-        _, *head, count = self._head.unpack_from(payload)
-        return (head, count) if self._fits(len(payload), count) and self._near(head) else None
+        fields = self._body.unpack_from(payload)
+        head, count = fields[:-1], fields[-1]
+        if not self._fits(len(payload), count):
+            return None
+        return (head, count) if type(payload) is Encoded or self._near(head) else None
 
     def decode_head(self, payload: bytes) -> M | None:
         """Return the message without its items, or None where length, version or an instant is wrong."""
         opened = self._opened(payload)
-        return None if opened is None else self._make._make((*opened[0], *self._none))
+        return None if opened is None else tuple.__new__(self._make, opened[0] + self._none)
 
     def arrays(self, payload: bytes) -> "tuple[NDArray[Any], NDArray[Any]] | None":
         """Return the head (1,) and the items (N,) as structured arrays that share the payload's memory.
@@ -200,7 +215,7 @@ class ListLayout(Generic[M]):
         if (opened := self._opened(payload)) is None:
             return None
         head, count = opened
-        if not (self._finite_head(head) and self._finite(payload, count, size)):
+        if not self._finite(payload, head, count):
             return None
         return read.array(1, self.head_dtype, payload), read.array(count, self.item_dtype, payload, size)
 
@@ -268,9 +283,9 @@ class ListLayout(Generic[M]):
         if (opened := self._opened(payload)) is None:
             return None
         head, count = opened
-        if not (self._finite_head(head) and self._finite(payload, count, size)):
+        if not self._finite(payload, head, count):
             return None
-        message = tuple.__new__(self._make, (*head, *self._none))
+        message = tuple.__new__(self._make, head + self._none)
         return message, self._reader.array(count, self.item_dtype, payload, size)
 
     def encode(self, message: M) -> bytes:
@@ -296,7 +311,7 @@ class ListLayout(Generic[M]):
             packed = self._head.pack(VERSION, *_fitted(self._head_letters, head), count)
         if not math.isfinite(sum(map(sum, self._item.iter_unpack(items)))):
             items = self._packed(self._item.iter_unpack(items))
-        return packed + items + numbers
+        return Encoded(packed + items + numbers)
 
     def encode_array(self, head: tuple[Any, ...], items: "NDArray[Any]", numbers: bytes = b"") -> bytes:
         """As ``encode_parts``; items: contiguous, structured or not, with the bytes that the layout has."""
@@ -306,21 +321,35 @@ class ListLayout(Generic[M]):
         except _TOO_LARGE:
             return self.encode_parts(head, count, items.tobytes(), numbers)
         body = items.tobytes()
-        if not (self._finite_head(head) and self._near(head) and self._finite(body, count, 0)):
+        if not (self._finite_head(head) and self._near(head) and self._finite_items(body, count, 0)):
             return self.encode_parts(head, count, body, numbers)
-        return b"".join((packed, body, numbers))
+        return Encoded(packed + body + numbers)
 
     def _finite_head(self, head: Sequence[float]) -> bool:
         return not self._head_has_floats or math.isfinite(sum(head))
 
-    def _finite(self, payload: bytes, count: int, start: int) -> bool:
+    def _finite(self, payload: bytes, head: Sequence[float], count: int) -> bool:
+        """Return whether all floats of a message are finite."""
+        if type(payload) is Encoded:
+            return True
+        return self._finite_head(head) and self._finite_items(payload, count, self._head.size)
+
+    def _finite_items(self, payload: bytes, count: int, start: int) -> bool:
         """Return whether all floats of the items that begin at a place in a payload are finite."""
         if not self.item_floats:
             return True
-        if count >= _FEW and self._reader.small(self._tail(count, payload, start + self._floats_at)):
+        if count * self.item_floats <= _FEW:
+            return math.isfinite(sum(self._floats_of(count).unpack_from(payload, start)))
+        if self._reader.small(self._tail(count, payload, start + self._floats_at)):
             return True
-        items = payload[start : start + count * self._item.size]  # of few ones Python is faster
+        items = payload[start : start + count * self._item.size]
         return math.isfinite(sum(map(sum, self._item.iter_unpack(items))))
+
+    def _floats_of(self, count: int) -> Struct:
+        """Return what unpacks the floats of so many items."""
+        if count not in self._few_floats:
+            self._few_floats[count] = Struct("<" + f"{self._floats_at}x{self.item_floats}d" * count)
+        return self._few_floats[count]
 
     def _packed(self, items: Iterable[Iterable[float]]) -> bytes:
         return b"".join(self._item.pack(*_fitted(self._item_letters, item)) for item in items)

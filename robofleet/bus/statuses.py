@@ -53,6 +53,7 @@ class Statuses:
         self._whole = np.dtype(f"V{self.robots.dtype.itemsize}")  # an item as its bytes: fields are copied one by one
         self._bytes = self.robots.view(self._whole)
         self.known = np.zeros(len(robots), np.bool_)  # whose status is known
+        self.urgent_units: list[int] = []  # by cable, with a bad link: spoken to every URGENT_PERIOD_NS
 
     def take(self) -> list[int]:
         """Take what came; returns the units, as numbers, of which there is a newer status."""
@@ -68,15 +69,13 @@ class Statuses:
             self._bytes[unit.rows] = items.view(self._whole)[unit.places]
             self.known[unit.rows] = True
             newer.append(number)
+        if newer:
+            self.urgent_units = [
+                number
+                for number, known in enumerate(self.newest)
+                if known is not None and known.hurry and number not in self.by_radio
+            ]
         return newer
-
-    def urgent_units(self) -> list[int]:
-        """Return the units by cable whose link is bad: what is said to these is said every URGENT_PERIOD_NS."""
-        return [
-            number
-            for number, status in enumerate(self.newest)
-            if status is not None and status.hurry and number not in self.by_radio
-        ]
 
 
 def _index(numbers: NDArray[np.intp]) -> "slice | NDArray[np.intp]":

@@ -22,9 +22,9 @@ _CORNERS = (-1, -1), (1, -1), (1, 1), (-1, 1)
 _MIDDLES = (0, -1), (0, 1), (1, 0), (-1, 0)  # of the long sides, then of the short ones
 _LEFT, _ROW = 16.0, 6.4  # of the survey sheet: left edge [mm], row of the table [mm]
 _FIRST, _MORE = 8, 30  # rows of the table on the first sheet, and on each further one
-_PLAN_MM = 92.0  # height of the plan, at most
+_PLAN_HEIGHT_MM = 92.0  # at most
 _SMALL, _HEAD = 8, 13  # points
-_DOT = 1.2  # half a cross, which is one of a group's dots [mm]
+_HALF_CROSS = 1.2  # of a group's dots [mm]
 
 
 class Floor(NamedTuple):
@@ -126,7 +126,7 @@ def _headed(floor: Floor, paper: str, command: str) -> tuple[Page, float]:
 def _plan(page: Page, config: Config, floor: Floor, top: float) -> float:
     """Draw the arena from above, the groups' shapes in it, and the tags; returns how far down it reaches [mm]."""
     wide = page.width - 2 * _LEFT
-    scale = min(wide / floor.size_m[0], _PLAN_MM / floor.size_m[1])  # mm a metre
+    scale = min(wide / floor.size_m[0], _PLAN_HEIGHT_MM / floor.size_m[1])  # mm a metre
     x_mid, y_mid = page.width / 2, top - scale * floor.size_m[1] / 2
 
     def at(x: float, y: float) -> tuple[float, float]:
@@ -144,8 +144,8 @@ def _plan(page: Page, config: Config, floor: Floor, top: float) -> float:
             curve = [*points, *(points[:1] if shape.closed else [])]
             page.lines([[*a, *b] for a, b in itertools.pairwise(curve)][::2], name=shape.name)  # dashed
         else:
-            page.lines([[x - _DOT, y, x + _DOT, y] for x, y in points], name=shape.name)
-            page.lines([[x, y - _DOT, x, y + _DOT] for x, y in points])
+            page.lines([[x - _HALF_CROSS, y, x + _HALF_CROSS, y] for x, y in points], name=shape.name)
+            page.lines([[x, y - _HALF_CROSS, x, y + _HALF_CROSS] for x, y in points])
     length = 12.0
     page.lines([[x_mid, y_mid, x_mid + length, y_mid], [x_mid, y_mid, x_mid, y_mid + length]], name="axes")
     page.text(x_mid + length + 1, y_mid, "x", va="center", fontsize=_SMALL)

@@ -5,7 +5,6 @@ from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.bus.bus import MemoryBus
 from robofleet.bus.ticks import TickFollower
@@ -14,12 +13,12 @@ from robofleet.config.calibrated import CameraModel
 from robofleet.config.faults import did_you_mean
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Image
 from robofleet.core.clock import S, WallClock
 from robofleet.core.plugins import PluginError, load
 from robofleet.tracking.cameras import files
 from robofleet.tracking.sources import Camera, CameraContext, CameraError
 
-Image = NDArray[np.uint8]
 Named = tuple[str, Image]  # what to call an image, and its greys (H, W)
 MIRRORED = (
     "the images are mirrored: their markers are read only when left and right are exchanged; "

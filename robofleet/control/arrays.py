@@ -4,11 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import INFINITE, infinite_kernel
 
-Array = NDArray[np.float64]
 cached = infinite_kernel
 
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from robofleet.control.arrays import cached, finite
 from robofleet.control.prediction import RK4_LIMIT, Plant, needed_steps
+from robofleet.core.arrays import Array
 from robofleet.vehicles import bicycle
-from robofleet.vehicles.bicycle import Array, BicycleParameters, Numbers
+from robofleet.vehicles.bicycle import BicycleParameters, Numbers
 
 _derivative = cached(bicycle.derivative)
 _state_jacobian = cached(bicycle.state_jacobian)

@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robofleet.control.arrays import all_finite, compiled, copy, finite
 from robofleet.control.blame import Suspect, blame, plant_functions
@@ -39,14 +39,13 @@ from robofleet.control.flow_settings import (
 from robofleet.control.flow_step import Slot, Status, compile_step, layout
 from robofleet.control.prediction import MAX_STEPS, Plant
 from robofleet.control.sensitivity import difference_jacobian
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import UnknownMeaningError, kernel
 
 __all__ = [
     "FlowError", "FlowSettings", "Integrator", "MemorylessFlow", "NewtonRaphsonFlow", "Plant",
     "integrator_gain", "point_update",
 ]  # fmt: skip
-
-Array = NDArray[np.float64]
 
 
 def integrator_gain(alpha: float, step: float, integrator: Integrator) -> float:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robofleet.control.prediction import Plant
+from robofleet.core.arrays import Array
 from robofleet.core.errors import RobofleetError
 
-Array = NDArray[np.float64]
 Integrator = Literal["exact", "euler"]
 Limits = tuple[float, ...]
 

@@ -7,7 +7,6 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.control.arrays import cached, compiled, copy, finite, first_not_finite, invert
 from robofleet.control.prediction import (
@@ -21,9 +20,8 @@ from robofleet.control.prediction import (
     compile_plant,
     needed_steps,
 )
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import model
-
-Array = NDArray[np.float64]
 
 
 class Status(IntEnum):

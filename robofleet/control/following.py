@@ -19,27 +19,24 @@ from numpy.typing import NDArray
 from robofleet.control import planning, precedence
 from robofleet.control.flow import point_update
 from robofleet.control.precedence import Plan
+from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.int64]
-
 _body_from_point = kernel(differential_drive.body_from_point)
 
-_TURNING = 0.65  # of the fastest turn: the rest is the feedback's
-_STRAIGHT = 0.35  # it turns by less than this while it drives [rad]
+_TURN_SHARE = 0.65  # of the fastest turn: the rest is the feedback's
+_STRAIGHT_RAD = 0.35  # it turns by less than this while it drives
 _NEAR, _FAR = 0.02, 0.06  # of the virtual robot: within the first it drives on, behind the second it waits [m]
-_COME = 0.01  # so near a robot has come to a place of its way [m]
-_STANDS = 0.008  # a robot that waits so near its place stands [m]
-_FINISHING = 0.02  # from the end of the way [m]
+_ARRIVED_M = 0.01  # at a place of its way
+_WAITING_M = 0.008  # a robot that waits so near its place stands
+_FINISHING_M = 0.02  # from the end of the way
 _POSITION_STOP, _HEADING_STOP = 0.7, 0.5  # of the accuracy: a robot stops within this, and is corrected beyond 1.0
 PATIENCE_S = 8.0  # of bringing a robot to its pose; after that it is left where it is ...
-_LOOSE = 2.0  # ... within so many times the accuracy
-_RATE = 3.0  # of what is left, at the end [1/s]
-_AHEAD = 0.6  # of the way is allowed at once, at most [m]
+_LOOSE_FACTOR = 2.0  # ... within so many times the accuracy
+_END_RATE = 3.0  # of what is left [1/s]
+_AHEAD_M = 0.6  # of the way is allowed at once, at most
 
 
 class State(IntEnum):
@@ -90,7 +87,7 @@ class Follower:
         self._accuracy = np.array(
             [
                 (s.position, s.heading, s.slowest_wheel, PATIENCE_S / s.tick),  # at the goal
-                (_STANDS, _STRAIGHT, s.slowest_wheel, math.inf),  # where it waits
+                (_WAITING_M, _STRAIGHT_RAD, s.slowest_wheel, math.inf),  # where it waits
             ]
         )
         n = len(drives)
@@ -181,7 +178,7 @@ def _advance(
     n, last = len(places), places.shape[1] - 1
     for i in range(n):
         s = state[i]
-        while allowed[i] < last and length[i, allowed[i]] <= s[3] + _AHEAD:
+        while allowed[i] < last and length[i, allowed[i]] <= s[3] + _AHEAD_M:
             a, free = allowed[i] + 1, True
             for j in range(n):
                 if done[j] < needed[i, a, j]:
@@ -202,9 +199,9 @@ def _advance(
                 before_x - poses[i, 0] - l * np.cos(poses[i, 2]), before_y - poses[i, 1] - l * np.sin(poses[i, 2])
             )
             pace = min(max((_FAR - off) / (_FAR - _NEAR), 0.0), 1.0)
-            fastest = _TURNING * 2.0 * limits[i, 0] * limits[i, 2] / limits[i, 1] * pace * tick
+            fastest = _TURN_SHARE * 2.0 * limits[i, 0] * limits[i, 2] / limits[i, 1] * pace * tick
             s[2] = _wrapped(s[2] + min(max(turn, -fastest), fastest))
-            if abs(turn) < _STRAIGHT:
+            if abs(turn) < _STRAIGHT_RAD:
                 s[3] = min(end, s[3] + np.cos(turn) * limits[i, 3] * pace * tick)
                 while k < allowed[i] and length[i, k + 1] <= s[3] + 1e-9:
                     k += 1
@@ -217,10 +214,10 @@ def _advance(
             s[11] = (s[0] + l * np.cos(s[2]) - before_x) / tick
             s[12] = (s[1] + l * np.sin(s[2]) - before_y) / tick
         off = np.hypot(s[0] - poses[i, 0], s[1] - poses[i, 1])
-        s[4] = max(s[4], s[3] - max(0.0, off - _COME))
+        s[4] = max(s[4], s[3] - max(0.0, off - _ARRIVED_M))
         while done[i] < allowed[i] and length[i, done[i] + 1] <= s[4] + 1e-9:
             done[i] += 1
-        if allowed[i] == last and s[3] >= length[i, last] - 1e-9 and off < _FINISHING:
+        if allowed[i] == last and s[3] >= length[i, last] - 1e-9 and off < _FINISHING_M:
             s[7] = 1.0
 
 
@@ -238,7 +235,7 @@ def _drive(
             _finish(poses[i], goals[i], limits[i], accuracy[0], s, out[i])
         else:
             waits = s[10] == 0.0
-            if waits and s[13] == 0.0 and np.hypot(s[0] - poses[i, 0], s[1] - poses[i, 1]) < _STANDS:
+            if waits and s[13] == 0.0 and np.hypot(s[0] - poses[i, 0], s[1] - poses[i, 1]) < _WAITING_M:
                 out[i] = 0.0
                 continue
             c, sn = np.cos(poses[i, 2]), np.sin(poses[i, 2])
@@ -264,11 +261,11 @@ def _finish(pose: Array, goal: Array, limits: Array, accuracy: Array, s: Array, 
     While it stands, that is where it was measured: if it came to rest beyond the accuracy, it is corrected.
     """
     patient = s[13] < accuracy[3]
-    loose = 1.0 if patient else _LOOSE
+    loose = 1.0 if patient else _LOOSE_FACTOR
     lag, radius, base = limits[4] if patient else 0.0, limits[0], limits[1]  # the model may be what is wrong
     within, heading, slowest = accuracy[0], accuracy[1], accuracy[2]
     slow, slow_turn = radius * slowest, 2.0 * radius * slowest / base
-    fast_turn = _TURNING * 2.0 * radius * limits[2] / base
+    fast_turn = _TURN_SHARE * 2.0 * radius * limits[2] / base
     psi = pose[2] + s[6] * lag
     c, sn = np.cos(psi), np.sin(psi)
     x, y = goal[0] - pose[0] - s[5] * lag * c, goal[1] - pose[1] - s[5] * lag * sn
@@ -288,14 +285,14 @@ def _finish(pose: Array, goal: Array, limits: Array, accuracy: Array, s: Array, 
             turn = _wrapped(turn + math.pi)
         if abs(across) < 0.6 * within:
             turn = 0.0
-            v = min(max(_RATE * abs(along), slow), limits[3])
+            v = min(max(_END_RATE * abs(along), slow), limits[3])
             v = v if along > 0.0 else -v
     else:
         turn = _wrapped(goal[2] - psi)
         if abs(turn) < (loose if s[8] > 0.0 or not patient else _HEADING_STOP) * heading:
             turn = 0.0
     if turn != 0.0:
-        omega = min(max(_RATE * abs(turn), slow_turn), fast_turn)
+        omega = min(max(_END_RATE * abs(turn), slow_turn), fast_turn)
         room = max(0.0, base * omega / 2.0 - slow)
         v = min(max(along, -room), room)
         out[0], out[1] = v, (omega if turn > 0.0 else -omega)

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
 
-Array = NDArray[np.float64]
-
 _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
-_CLEARLY = 0.999  # of a squared distance: beyond any rounding
+_CLEARLY_NEARER = 0.999  # of a squared distance: beyond any rounding
 _LAST_STEP = 1e-9  # of Newton: what is left is its square
 _ROUNDING = 1e-13  # of the largest coefficient
 _CHOOSE_OF_5 = (1.0, 5.0, 10.0, 10.0, 5.0, 1.0)
@@ -137,7 +135,7 @@ def nearest(coefficients: Array, x: float, y: float, near: float) -> float:
     own = 0 if np.isnan(near) else int(np.floor(near)) - first  # looked at first: then others may be too far away
     for turn in range(own, own + searched):
         side = first + turn % searched
-        if _CLEARLY * _box_distance(coefficients[side % sides], x, y) > best_value:
+        if _CLEARLY_NEARER * _box_distance(coefficients[side % sides], x, y) > best_value:
             continue
         start, end = max(low - side, 0.0), min(high - side, 1.0)
         _squared_distance(coefficients[side % sides], x, y, squared, slope)

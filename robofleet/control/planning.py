@@ -26,18 +26,16 @@ from numpy.typing import NDArray
 
 from robofleet.control import solid_ways
 from robofleet.control.solid_ways import SolidWays
+from robofleet.core.arrays import Array, Indices
 from robofleet.core.kernels import kernel
 from robofleet.vehicles.solids import Solid
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-_REACH = 1.5  # cells: from a start or to a goal
+_REACH_CELLS = 1.5  # from a start or to a goal
 _SLOPE = solid_ways.SLOPE  # by which rho grows with the distance from a start or goal
 _EPSILON = 1e-9
 _clear_way = solid_ways.clear_way
-_NEAR = 16  # places next to a vertex, at most
-_CANDIDATES = _NEAR + 2
+_MOST_NEIGHBOURS = 16  # of a vertex
+_CANDIDATES = _MOST_NEIGHBOURS + 2
 _EXPANSIONS = 8  # in one part of the work
 _FIRST_TRY = 1500  # expansions; each further one from the beginning, with other ties, may take twice as many
 _TRIES = 6
@@ -156,7 +154,7 @@ def _grid(problem: Problem) -> Generator[None, None, _Grid | None]:
     if not free.any():
         return None
     at = np.concatenate([grid, problem.starts, problem.goals])
-    near, reach = np.full((len(at), _NEAR), -1), np.full(2 * n, np.inf)
+    near, reach = np.full((len(at), _MOST_NEIGHBOURS), -1), np.full(2 * n, np.inf)
     yield
     _neighbours(at, free, nx, ny, cell, left, standing, near, reach)
     return _Grid(at, near, reach, standing)
@@ -278,7 +276,7 @@ def _neighbours(
     """Write which free places of the grid are next to each vertex; a start or goal off the grid reaches the nearest."""
     first = nx * ny
     for v in range(len(at)):
-        limit = _REACH * cell
+        limit = _REACH_CELLS * cell
         if v >= first:
             for w in range(first):
                 if free[w]:
@@ -292,7 +290,7 @@ def _neighbours(
             for jy in range(max(0, middle_y - span), min(ny, middle_y + span + 1)):
                 w = jx * ny + jy
                 away = np.hypot(at[w, 0] - at[v, 0], at[w, 1] - at[v, 1])
-                if w == v or not free[w] or away > limit or count == _NEAR:
+                if w == v or not free[w] or away > limit or count == _MOST_NEIGHBOURS:
                     continue
                 far_enough = left[v] + left[w] > (1.0 + _SLOPE) * away
                 if far_enough or _clear_way(at[v, 0], at[v, 1], at[w, 0], at[w, 1], standing):

@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from robofleet.control import path as paths
 from robofleet.control.flow import integrator_gain, point_update
 from robofleet.control.path import Path
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
-
-Array = NDArray[np.float64]
 
 _body_from_point = kernel(differential_drive.body_from_point)
 _point_from_pose = kernel(differential_drive.point_from_pose)

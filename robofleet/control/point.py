@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.control.flow import Integrator, integrator_gain
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 
 class PointFlow:

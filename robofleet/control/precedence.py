@@ -18,16 +18,14 @@ from numpy.typing import NDArray
 from robofleet.control import planning, solid_ways
 from robofleet.control.planning import Problem
 from robofleet.control.solid_ways import SolidWays
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _rho, _clear_way = planning.rho, solid_ways.clear_way
 _EPSILON = 1e-9
-_SHORTER = 1e-3  # [m]; what saves less is not taken
+_LEAST_SAVING_M = 1e-3  # what saves less is not taken
 _ROUNDS = 3
-_DIAGONAL = 1.42  # cells: the longest step
+_LONGEST_STEP_CELLS = 1.42
 
 
 class Plan(NamedTuple):
@@ -53,7 +51,7 @@ def plan(problem: Problem, rng: np.random.Generator) -> Generator[None, None, Pl
         for i in range(len(places)):
             shorter |= _shorten(
                 places, radii, i, rho.places[i], rho.radii[i], rho.most, problem.obstacles, standing,
-                _DIAGONAL * problem.cell,
+                _LONGEST_STEP_CELLS * problem.cell,
             )  # fmt: skip
             yield
         if not shorter:
@@ -92,7 +90,7 @@ def _shorten(
                 way += np.hypot(places[i, a + 1, 0] - places[i, a, 0], places[i, a + 1, 1] - places[i, a, 1])
             straight_x, straight_y = places[i, end, 0] - places[i, begin, 0], places[i, end, 1] - places[i, begin, 1]
             straight = np.hypot(straight_x, straight_y)
-            if way < straight + _SHORTER:
+            if way < straight + _LEAST_SAVING_M:
                 continue
             if not _clear_way(places[i, begin, 0], places[i, begin, 1], places[i, end, 0], places[i, end, 1], standing):
                 continue

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.control.arrays import Array, all_finite, cached, compiled, copy, finite
+from robofleet.control.arrays import all_finite, cached, compiled, copy, finite
 from robofleet.control.sensitivity import (
     analytic_output,
     analytic_slopes,
@@ -24,6 +24,7 @@ from robofleet.control.sensitivity import (
     difference_slopes,
     forward_jacobian,
 )
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import model
 
 __all__ = ["MAX_STEPS", "Compiled", "Plant", "compile_plant", "compiled"]

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.control.arrays import Array, cached, compiled, copy
+from robofleet.control.arrays import cached, compiled, copy
+from robofleet.core.arrays import Array
 
 _DIFFERENCE = 6e-6  # relative step of a central difference: third root of the rounding error
 _ONE_SIDED = 1e-7  # of a difference whose curvature is cancelled by the next one's, on the other side

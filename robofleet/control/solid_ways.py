@@ -4,18 +4,15 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Indices
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import solids
 from robofleet.vehicles.solids import Outlines, Solid
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 SLOPE = 0.5  # by which what is kept grows with the distance from a start or goal
 _EPSILON = 1e-9
-_WALKED = 0.002  # [m]; what is looked at of a straight way is no further apart
+_WAY_STEP_M = 0.002  # between two points of a straight way that are looked at
 
 _away = solids.away
 
@@ -69,9 +66,9 @@ def clear_way(from_x: float, from_y: float, to_x: float, to_y: float, standing: 
     while gone < length:
         share = gone / length
         free = _left_at(from_x + share * (to_x - from_x), from_y + share * (to_y - from_y), standing)
-        if free < -_WALKED:
+        if free < -_WAY_STEP_M:
             return False
-        gone += max(free / (1.0 + SLOPE), _WALKED)
+        gone += max(free / (1.0 + SLOPE), _WAY_STEP_M)
     return True
 
 

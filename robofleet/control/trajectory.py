@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.control.path import Path
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
-_STANDS = 1e-3  # a reference slower than this has no direction [m/s]
-_SAMPLES = 64  # of the spline between two way points
-_SHARPEST = 1e6  # curvature of a way that turns back [1/m]
-_ROUNDS = 2  # of a closed way, until its speeds agree with themselves
+_STANDING_M_S = 1e-3  # a slower reference has no direction
+_SPLINE_SAMPLES = 64  # between two way points
+_SHARPEST_CURVATURE = 1e6  # of a way that turns back [1/m]
+_CLOSED_ROUNDS = 2  # until the speeds of a closed way agree with themselves
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ class Trajectory:
     def heading(self) -> float:
         """Return the direction in which it begins to move [rad]."""
         velocity = self.velocity(np.concatenate([[0.0], self.instants(0.02)]))
-        moving = np.hypot(velocity[:, 0], velocity[:, 1]) > _STANDS
+        moving = np.hypot(velocity[:, 0], velocity[:, 1]) > _STANDING_M_S
         x, y = velocity[int(moving.argmax())]
         return math.atan2(y, x)
 
@@ -149,7 +148,7 @@ def spline(points: Array, *, closed: bool) -> Spline:
     chords = np.hypot(*np.diff(knots, axis=0).T)
     derivatives = _derivatives(knots, chords, closed=closed)
     path = Trajectory.hermite(np.concatenate([[0.0], np.cumsum(chords)]), knots, derivatives, closed=False)
-    inner = path.breaks[:-1, None] + chords[:, None] * np.arange(_SAMPLES) / _SAMPLES
+    inner = path.breaks[:-1, None] + chords[:, None] * np.arange(_SPLINE_SAMPLES) / _SPLINE_SAMPLES
     at = np.append(inner.ravel(), path.end)
     s, c, _ = path._pieces(at)
     first, second = path.velocity(at), 2.0 * c[:, 2] + 6.0 * s * c[:, 3]
@@ -158,7 +157,7 @@ def spline(points: Array, *, closed: bool) -> Spline:
     steps = np.hypot(*np.diff(points := path.position(at), axis=0).T)
     turned = np.abs((np.diff(np.arctan2(first[:, 1], first[:, 0])) + math.pi) % math.tau - math.pi)
     sharp = np.append(turned / np.maximum(steps, np.finfo(np.float64).tiny), 0.0)  # where it stands and turns back
-    return Spline(points, first / speed[:, None], np.minimum(np.maximum(np.abs(curvature), sharp), _SHARPEST))
+    return Spline(points, first / speed[:, None], np.minimum(np.maximum(np.abs(curvature), sharp), _SHARPEST_CURVATURE))
 
 
 def _derivatives(knots: Array, chords: Array, *, closed: bool) -> Array:
@@ -182,7 +181,7 @@ def _derivatives(knots: Array, chords: Array, *, closed: bool) -> Array:
 def _accelerated(fastest: Array, steps: Array, acceleration: float, *, closed: bool) -> Array:
     """Return the highest speeds (M,) [m/s] that are reached, and left, with no more than an acceleration [m/s^2]."""
     squared, gains = (fastest**2).tolist(), (2.0 * acceleration * steps).tolist()
-    for _ in range(_ROUNDS if closed else 1):
+    for _ in range(_CLOSED_ROUNDS if closed else 1):
         for k, gain in enumerate(gains):
             squared[k + 1] = min(squared[k + 1], squared[k] + gain)
         for k in range(len(gains) - 1, -1, -1):
@@ -206,7 +205,7 @@ def demanded(trajectory: Trajectory, ahead: float, step: float) -> tuple[Array, 
     speed, direction = np.hypot(velocity[:, 0], velocity[:, 1]), np.arctan2(velocity[:, 1], velocity[:, 0])
     if ahead == 0.0:
         turned = np.diff(direction, append=direction[:1] if trajectory.closed else direction[-1:])
-        moving = (speed > _STANDS) & (np.roll(speed, -1) > _STANDS)
+        moving = (speed > _STANDING_M_S) & (np.roll(speed, -1) > _STANDING_M_S)
         return t, speed, np.where(moving, (turned + math.pi) % math.tau - math.pi, 0.0) / took, at
     psi = trajectory.heading()
     lags: list[tuple[float, float]] = []  # from r' to the heading, before and after each step [rad]

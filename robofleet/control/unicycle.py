@@ -12,12 +12,10 @@ import functools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.control.arrays import cached, finite
 from robofleet.control.prediction import Plant
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 _STRAIGHT = 1e-4  # half an arc's turn below which it is a straight line, to the second order [rad]
 

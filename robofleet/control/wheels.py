@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
-
-Array = NDArray[np.float64]
 
 _body_from_point = kernel(differential_drive.body_from_point)
 _point_from_pose = kernel(differential_drive.point_from_pose)

@@ -9,7 +9,7 @@ from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.kernels import reached
 
 _MARK = "compiling"
-_EVERY_NS = 5 * S  # a line, where it is not drawn
+_LINE_EVERY_NS = 5 * S  # where it is not drawn
 
 
 class Progress(NamedTuple):
@@ -84,7 +84,7 @@ def on_stderr() -> Say:
     def say(progress: Progress) -> None:
         nonlocal next_ns
         if stopwatch_ns() >= next_ns:
-            next_ns = stopwatch_ns() + _EVERY_NS
+            next_ns = stopwatch_ns() + _LINE_EVERY_NS
             print(progress.words(), file=sys.stderr, flush=True)
 
     return say

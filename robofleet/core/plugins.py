@@ -42,12 +42,15 @@ def load(group: str, name: str) -> Any:
     try:
         found = getattr(import_module(module), attribute) if ":" in name else points[name].load()
     except Exception as error:
+        where = _raised_in(error)
         mend = "mend its name, or install its package"
         if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
             mend += f", or put {error.name}.py beside the configuration"
+        elif where is None and ":" not in name:
+            mend = "install its package again (in a checkout: pip install -e .)"
         elif isinstance(error, ImportError) and (error.name or "").startswith("robofleet."):
-            mend = f"mend {_raised_in(error)}: import it from `robofleet` itself, whose modules move (UPGRADING.md)"
-        elif (where := _raised_in(error)) is not None:
+            mend = f"mend {where or 'its name'}: import it from `robofleet` itself, whose modules move (UPGRADING.md)"
+        elif where is not None:
             mend = f"mend {where}"
         raise PluginError(f"{name!r} cannot be loaded: {error}: {mend}") from error
     if not isinstance(found, type):

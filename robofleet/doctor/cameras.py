@@ -22,7 +22,7 @@ from pypylon import pylon
 found = pylon.TlFactory.GetInstance().EnumerateDevices()
 print(json.dumps([(one.GetModelName(), one.GetSerialNumber()) for one in found]))
 """
-_SHOWN = 3  # sizes of a format
+_SHOWN_SIZES = 3  # of a format
 _SAME_RATE = 0.01  # relative
 
 
@@ -95,9 +95,9 @@ def shown(modes: tuple[Mode, ...]) -> str:
         words = [
             f"{size.width}x{size.height}"
             + (f" at {'/'.join(f'{rate:g}' for rate in size.rates_hz)} Hz" if size.rates_hz else "")
-            for size in sizes[:_SHOWN]
+            for size in sizes[:_SHOWN_SIZES]
         ]
-        more = f" and {len(sizes) - _SHOWN} smaller" if len(sizes) > _SHOWN else ""
+        more = f" and {len(sizes) - _SHOWN_SIZES} smaller" if len(sizes) > _SHOWN_SIZES else ""
         parts.append(f"{letters} {', '.join(words)}{more}")
     return "; ".join(parts) or "it tells no formats"
 

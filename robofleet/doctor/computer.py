@@ -18,7 +18,7 @@ from robofleet.nodes.node import HIGHEST_PRIORITY, NICE
 _LIMITS = "/etc/security/limits.d/robofleet.conf"
 _QUOTA = Path("/sys/fs/cgroup/cpu.max")
 _SIOCGIFADDR = 0x8915
-_NAME = 256  # bytes of a request that begins with an interface's name
+_REQUEST_BYTES = 256  # it begins with an interface's name
 _DISPLAYS = "DISPLAY", "WAYLAND_DISPLAY"
 _ELSEWHERE = (
     "open the page on another computer or a phone: `robofleet web --host ADDRESS`, with an address of `network`"
@@ -119,7 +119,7 @@ def addresses() -> list[tuple[str, str]]:
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         for _, name in socket.if_nameindex():
-            request = struct.pack(f"{_NAME}s", name.encode())
+            request = struct.pack(f"{_REQUEST_BYTES}s", name.encode())
             try:
                 answer = fcntl.ioctl(asking.fileno(), _SIOCGIFADDR, request)
             except OSError:

@@ -47,12 +47,19 @@ def holders(path: str) -> list[Holder]:
     found = []
     for process in _PROCESSES.glob("[0-9]*"):
         try:
-            if any(str(entry.readlink()) == wanted for entry in (process / "fd").iterdir()):
+            if any(_target(entry) == wanted for entry in (process / "fd").iterdir()):
                 command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
                 found.append(Holder(int(process.name), command[:80]))
         except OSError:
             continue  # another user's, or ended
     return sorted(found)
+
+
+def _target(link: Path) -> str:
+    try:
+        return str(link.readlink())
+    except OSError:  # this descriptor was closed meanwhile
+        return ""
 
 
 def serial_ports(needs: Needs) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ _CAPABILITY, _FORMAT, _SIZE, _INTERVAL = 104, 64, 44, 52  # bytes of their struc
 _CAPTURE, _HAS_DEVICE_CAPS = 0x1, 0x80000000
 _VIDEO_CAPTURE = 1  # the type of buffer
 _DISCRETE = 1
-_MOST = 256  # entries of a list: a driver that never ends one is broken
+_MOST_ENTRIES = 256  # entries of a list: a driver that never ends one is broken
 
 Ioctl = Callable[[int, int, bytearray], object]
 
@@ -86,7 +86,7 @@ def _rates(ioctl: Ioctl, descriptor: int, letters: bytes, width: int, height: in
 
 def _listed(ioctl: Ioctl, descriptor: int, request: int, size: int, head: bytes) -> Iterator[bytearray]:
     """Yield the entries of a list: the struct begins with the entry's index, and ``head`` is what is asked for."""
-    for index in range(_MOST):
+    for index in range(_MOST_ENTRIES):
         buffer = bytearray(size)
         buffer[: len(head)] = head
         struct.pack_into("=I", buffer, 0, index)

@@ -5,12 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from robofleet.core.arrays import Array
 from robofleet.core.clock import stopwatch_ns
 from robofleet.experiments.baselines.choice import Key, MissingLibraryError, build
 from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
 from robofleet.experiments.comparison_results import Compared, ComparisonParameters, Troubled, Updates
 from robofleet.experiments.comparison_views import figures, tables
-from robofleet.experiments.results import Array, Result
+from robofleet.experiments.results import Result
 from robofleet.vehicles.bicycle import FALCONE_2007
 
 KNOWS_NO_DELAY: Key = "flow-paper"  # its law, as printed, has no roll-forward: nominally it drives without

@@ -10,13 +10,13 @@ from pydantic import Field
 
 from robofleet.config.faults import Complaint
 from robofleet.config.files.parameters import Parameters
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Model, Positive
 from robofleet.experiments.baselines.choice import Key, Laws
 from robofleet.experiments.baselines.problem import Drive, Problem
 from robofleet.experiments.closed_curve import Track
 from robofleet.experiments.curves import lane_change
 from robofleet.experiments.driving import Speeds
-from robofleet.experiments.results import Array
 from robofleet.vehicles.bicycle import FALCONE_2007, ZHOU_2017
 
 Delays = Annotated[tuple[Positive, ...], Field(strict=False)]

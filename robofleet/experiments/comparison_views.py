@@ -13,7 +13,7 @@ from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
 Found = Mapping[Key, Compared]
 Case = tuple[str, Callable[[Compared], Drive]]
 _LOST = "lost"
-_LEVEL = 0.02  # closer than this share is level
+_LEVEL_SHARE = 0.02  # closer than this is level
 _SHOWN = ("flow-paper", "flow", "lqr", "osqp", "stanley")
 
 
@@ -186,7 +186,7 @@ def _ranked(found: Found, value: Callable[[Compared], float], what: str, unit: s
     """Yield in words which baselines are better than the flow, that is lower, and by what numbers."""
     ours = value(found["flow"])
     others = [(result.name, value(result)) for key, result in found.items() if key not in {"flow", "flow-paper"}]
-    limit = math.inf if math.isnan(ours) else ours * (1.0 - _LEVEL)
+    limit = math.inf if math.isnan(ours) else ours * (1.0 - _LEVEL_SHARE)
     better = sorted((v, name) for name, v in others if v < limit)
     if not others:
         return

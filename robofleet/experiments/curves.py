@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
 
-Array = NDArray[np.float64]
-
-_SPACING = 0.05  # of the samples [m]: the cubics are then exact to 1e-8 m
+_SAMPLE_SPACING_M = 0.05  # the cubics are then exact to 1e-8 m
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 _NEAREST_STEPS = 20  # each shrinks the distance along the curve by |curvature * lateral error|, about 1e-2
 
@@ -77,7 +75,7 @@ class Reference:
             along = s - breaks[i]
             return np.asarray(turned[i] + along * (begins[i] + along * (ends - begins)[i] / lengths[i] / 2.0))
 
-        count = round(breaks[-1] / _SPACING)
+        count = round(breaks[-1] / _SAMPLE_SPACING_M)
         samples = np.linspace(0.0, breaks[-1], count + 1)
         fine = np.union1d(samples, breaks)  # no step of the quadrature crosses a kink of the curvature
         x = _integral(lambda s: np.cos(heading(s)), fine)
@@ -88,7 +86,7 @@ class Reference:
     @classmethod
     def graph(cls, f: Callable[[Array], Array], slope: Callable[[Array], Array], length: float) -> Self:
         """Return y = f(x) from x = 0 on, by arc length; ``slope`` is f'. ``length`` [m]."""
-        s = np.linspace(0.0, length, round(length / _SPACING) + 1)
+        s = np.linspace(0.0, length, round(length / _SAMPLE_SPACING_M) + 1)
 
         def speed(x: Array) -> Array:
             return np.asarray(np.sqrt(1.0 + slope(x) ** 2))

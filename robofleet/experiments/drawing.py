@@ -9,14 +9,15 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, INK, QUIET, STYLE
-from robofleet.experiments.results import Array, Curve, Figure, Panel
+from robofleet.experiments.results import Curve, Figure, Panel
 
 _LINES = {"solid": "-", "dashed": (0, (4, 3)), "dots": "none"}
 _WIDTH, _HEIGHT = 5.0, 2.9  # of a panel [inch]
 _DPI = 160
 _DIED_AWAY = 0.3  # of the peak
-_LINE = 0.065  # height of a label, as a share of the axes
+_LABEL_HEIGHT = 0.065  # as a share of the axes
 _BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", "#1b6ca8"])
 
 
@@ -100,9 +101,9 @@ def _height(y: Array) -> float:
 def _spread(shares: list[float]) -> list[float]:
     """Return ascending heights, moved apart where they are too close, inside [0, 1] if there is room."""
     for k in range(1, len(shares)):
-        shares[k] = max(shares[k], shares[k - 1] + _LINE)
+        shares[k] = max(shares[k], shares[k - 1] + _LABEL_HEIGHT)
     top = 1.0
     for k in range(len(shares) - 1, -1, -1):
         shares[k] = min(shares[k], top)
-        top = shares[k] - _LINE
+        top = shares[k] - _LABEL_HEIGHT
     return shares

@@ -10,9 +10,10 @@ from pydantic import Field
 from robofleet.config.faults import Complaint
 from robofleet.config.files.parameters import Parameters
 from robofleet.control.flow import FlowSettings
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Model, NonNegative, Positive
 from robofleet.experiments.curves import Reference
-from robofleet.experiments.results import Array, Cell, Curve, Figure, Panel, Table
+from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
 from robofleet.experiments.simulate import Drive, Loop
 
 OTHER_MODELS = "the sources' columns are other models on other roads: no claim of being better rests on them"

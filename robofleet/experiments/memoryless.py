@@ -10,16 +10,14 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
 from robofleet.config.files.parameters import Parameters
 from robofleet.control.flow import Integrator, MemorylessFlow
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Positive
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Result, Table
-
-Array = NDArray[np.float64]
 
 _TIME_CONSTANTS = 10.0  # after so many 1 / alpha the start is forgotten
 

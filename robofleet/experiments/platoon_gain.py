@@ -7,7 +7,6 @@ import math
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.behaviours.platoon import Platoon
@@ -16,14 +15,14 @@ from robofleet.config.tree import Config
 from robofleet.control import wheels
 from robofleet.control.path import Path
 from robofleet.control.platoon import INPUTS, PlatoonLaw, PlatoonSettings
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Model, Positive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-Array = NDArray[np.float64]
 Integrator = Literal["exact", "euler"]
 INTEGRATORS: tuple[Integrator, Integrator] = ("exact", "euler")
 _CIRCLE_SIDES = 16
-_HEARD = 30.0  # times what is there at a frequency at which nobody shakes
+_SIGNAL_TO_FLOOR = 30.0  # at a frequency at which nobody shakes
 
 
 class GainParameters(Model):
@@ -58,7 +57,7 @@ def robot_gains(parameters: GainParameters, base: Config, integrator: Integrator
     gains: list[float | None] = []
     for periods in parameters.periods:
         amplitude, floor = amplitudes(periods), amplitudes(periods + 1)  # nobody shakes at the next frequency
-        strong = amplitude > _HEARD * floor
+        strong = amplitude > _SIGNAL_TO_FLOOR * floor
         both = strong[1:] & strong[:-1]
         gains.append(float((amplitude[1:] / amplitude[:-1])[both].max()) if both.any() else None)
     return gains

@@ -3,15 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
+from robofleet.core.arrays import Array
 from robofleet.experiments.platoon_gain import INTEGRATORS, Integrator, settings_of
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
 from robofleet.reports.paper import CONTROL_ERROR_MM
 
-Array = NDArray[np.float64]
 Key = tuple[int, Integrator]  # robots, integrator
 
 

@@ -3,10 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from robofleet.core.arrays import Array
 
-Array = NDArray[np.float64]
 Cell = str | float | None  # None: not given by its source
 
 

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.control.flow import FlowSettings, NewtonRaphsonFlow, Plant
 from robofleet.control.flow_step import Slot, Status, layout
 from robofleet.control.prediction import compiled
+from robofleet.core.arrays import Array
 from robofleet.core.errors import RobofleetError
 from robofleet.core.kernels import model
 from robofleet.experiments.curves import Reference
-
-Array = NDArray[np.float64]
 
 _LOST_M = 100.0  # a control error that is never made good
 _LOST = -1

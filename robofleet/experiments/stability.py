@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.config.faults import Complaint
@@ -19,11 +18,11 @@ from robofleet.config.files.parameters import Parameters
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.control.flow import FlowError, FlowSettings, Integrator, NewtonRaphsonFlow, Plant
 from robofleet.control.prediction import compile_plant
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Positive
 from robofleet.experiments.results import Cell, Curve, Figure, Map, Panel, Result, Table
 from robofleet.vehicles.bicycle import FALCONE_2007
 
-Array = NDArray[np.float64]
 Range = Annotated[tuple[Positive, Positive], Field(strict=False)]
 
 _DIFFERENCE = 1e-5

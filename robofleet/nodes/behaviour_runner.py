@@ -20,6 +20,7 @@ Judge = Callable[[int, Callable[[], Decision]], tuple[Decision, bool]]
 
 _BEHAVIOUR_ERRORS = Exception, SystemExit  # whatever a behaviour raises is its own failure
 _BEYOND = 1e6  # [m/s, rad/s] no robot is asked for so much
+_NOBODY = np.empty((0, 3))
 SHARE_OF_TICK = 0.5  # for all groups together; the rest is the filter's, the barrier's and the bus's
 
 
@@ -160,7 +161,7 @@ class BehaviourRunner:
     def _others(self, bodies: Array, seen: Flags) -> Callable[[slice], Array]:
         """Return what tells a group who else is in the arena (M, 3): x, y, body radius [m]."""
         if len(self._crew) == 1 and len(self.failed) == len(bodies):
-            return lambda own: np.empty((0, 3))
+            return lambda own: _NOBODY
         everybody = np.column_stack([bodies[:, :2], self._radii])[seen]
         before = [0, *np.cumsum(seen).tolist()]  # so many of the first were seen
         return lambda own: np.concatenate([everybody[: before[own.start]], everybody[before[own.stop] :]])
@@ -179,8 +180,9 @@ class BehaviourRunner:
         if velocities.shape != (own.stop - own.start, 2):
             self._fail(k, 0, Event.BEHAVIOUR_SHAPE, f"velocities of shape {velocities.shape}")
             return None
-        known = np.abs(velocities) < _BEYOND
-        if not known.all() and (unknown := ~known.all(axis=1) & driving).any():
+        speeds = np.abs(velocities)
+        within = np.maximum.reduce(speeds, None) < _BEYOND  # not so of NaN
+        if not within and (unknown := ~(speeds < _BEYOND).all(axis=1) & driving).any():
             row = int(unknown.argmax())
             self._fail(k, row, Event.BEHAVIOUR_NOT_FINITE, f"a velocity {velocities[row]}")
             return None

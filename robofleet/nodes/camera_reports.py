@@ -110,8 +110,6 @@ class CameraReports:
         if (poses := camera.newer(now_ns)) is None:
             return before
         self._take(0, robots, poses, camera.seq, now_ns)
-        seen = camera.unseen_ns != _NEVER_SEEN
-        robots["unseen_ns"][seen] = camera.unseen_ns[seen]
         return before._replace(
             tracker_ns=now_ns, tracker_epoch=camera.epoch, tracker_build=camera.build, image=camera.seq,
             image_tick=camera.tick,
@@ -230,6 +228,7 @@ def _take_image(  # type: ignore[no-untyped-def]
     for k in range(len(robots)):
         if unseen_ns[k] != _NEVER_SEEN:
             unseen_ns[k] = exposure_ns - measured_ns[k] if missed[k] >= _MISSED_IMAGES else 0
+            robots[k].unseen_ns = unseen_ns[k]  # as far as this camera knows
 
 
 KERNELS = (_take_image,)

@@ -128,7 +128,7 @@ class Controller:
         else:
             self._repeat()
         next_ns = self._grid.instant(self._index + 1)
-        hurries = self._statuses.by_radio or self._statuses.urgent_units()
+        hurries = self._statuses.by_radio or self._statuses.urgent_units
         return min(next_ns, now_ns + URGENT_PERIOD_NS) if hurries else next_ns
 
     def close(self) -> None:
@@ -244,7 +244,7 @@ class Controller:
         newer, statuses = self._statuses.take(), self._statuses
         if self._leases.refused:
             return
-        for unit in (*statuses.urgent_units(), *filter(self._waits, statuses.by_radio.intersection(newer))):
+        for unit in (*statuses.urgent_units, *filter(self._waits, statuses.by_radio.intersection(newer))):
             self._command_unit(unit)
 
     def _waits(self, unit: int) -> bool:
@@ -365,11 +365,13 @@ class Leases:
 
     def update(self) -> None:
         """Ask every unit that is there and of which a robot is not ours, every few ticks."""
-        np.equal(self._held, self._session, out=self.mine)
-        if self.mine.all():
+        held = self._held.tolist()
+        if held.count(self.session) == len(held):
+            self.mine.fill(True)
             self.refused = False
             self._actions = [LeaseAction.ACQUIRE] * len(self._actions)
             return
+        np.equal(self._held, self._session, out=self.mine)
         self.refused = bool((~self.mine & (self._held != 0)).any())
         for number, unit in enumerate(self._statuses.units):
             if self._statuses.newest[number] is None:

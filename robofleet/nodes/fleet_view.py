@@ -56,7 +56,7 @@ class FleetListener:
         self._fleet, news = self._cameras.look(self._robots, self._fleet, now_ns)
         self._fleet = self._fleet._replace(
             now_ns=now_ns,
-            robots=Rows(self._robots.copy()),
+            robots=Rows(self._robots).copied(),
             news=news,
             free_bytes=self._room(),
             operator_ns=operator_ns,

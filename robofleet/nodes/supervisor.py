@@ -1,6 +1,7 @@
 """The supervisor: it owns the run's state and says every 40 ms to every driver whether its wheels may move."""
 
 from collections.abc import Callable
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -153,7 +154,7 @@ class Supervisor:
         radio as soon as their status comes: their permissions are as fresh as can be, and none is said twice.
         """
         requests, statuses = self._requests(), self._listener.statuses
-        urgent_units = statuses.urgent_units()
+        urgent_units = statuses.urgent_units
         between = self._next_ns - _PERIOD_NS <= now_ns < self._next_ns
         if (urgent_units or statuses.by_radio) and between and not requests:
             self._listener.hear_robots(now_ns)
@@ -203,8 +204,7 @@ class Supervisor:
 
     def _requests(self) -> list[Request]:
         """Take what was asked since the last step; what makes nothing move comes last, so no order undoes it."""
-        orders = [request for _ in range(_MOST_REQUESTS) if (request := self._orders()) is not None]
-        safe = [request for _ in range(_MOST_REQUESTS) if (request := self._safe_requests()) is not None]
+        orders, safe = ([*islice(iter(take, None), _MOST_REQUESTS)] for take in (self._orders, self._safe_requests))
         for request in safe:
             if request.payload not in SAFE:
                 self._replies.append((request, f"refused: only {SAFE_WORDS} are for everybody: ask as an operator"))
@@ -221,7 +221,7 @@ class Supervisor:
             self._say(line)
 
     def _wakes_ns(self, now_ns: int) -> int:
-        urgent = self._listener.statuses.urgent_units()
+        urgent = self._listener.statuses.urgent_units
         return min(self._next_ns, now_ns + URGENT_PERIOD_NS) if urgent else self._next_ns
 
     def close(self) -> None:
@@ -352,7 +352,7 @@ class Supervisor:
         causes: dict[int, Happening] = {}
         for happening in self._standing:
             causes.setdefault(happening.robot, happening)
-        before, states = self._states, np.zeros_like(self._states)
+        before, states = self._states, np.zeros(len(self._ids), RUN_STATE.item_dtype)
         if self._checks is not None:
             states["stroke"] = [self._checks.stroke(row) for row in range(len(self._ids))]
         self._permitted = self._fastest(states["stroke"])
@@ -484,7 +484,7 @@ class BusyNews:
 
     def due(self, memory: busy.BusyState, view: FleetView) -> BusyMachine | None:
         """Return the message that is due now; None before anybody was late."""
-        if not memory.worst or view.machine is None or view.now_ns < self._due_ns:
+        if view.machine is None or view.now_ns < self._due_ns or not memory.worst:
             return None
         self._due_ns = view.now_ns + (_STOPPED_NEWS_PERIOD_NS if self._cause else _NEWS_PERIOD_NS)
         self._seq += 1

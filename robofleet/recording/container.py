@@ -21,7 +21,6 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
-    McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
@@ -44,7 +43,7 @@ class _Written:
     definitions: int = 0  # how many of the schemas and channels
     counts: Counter[int] = field(default_factory=Counter)  # of messages, by channel
     times: tuple[int, ...] = ()  # first and last log time [ns]
-    indexes: dict[Opcode, tuple[bytes, ...]] = field(default_factory=dict)
+    indexed: int = 0  # how many of the index's entries
 
 
 class Container:
@@ -57,6 +56,7 @@ class Container:
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._definitions: list[bytes] = []
+        self._index: list[tuple[Opcode, bytes]] = []  # of attachments, metadata and chunks
         self._waiting: list[Waiting] = []
         self._written = _Written()
         self.waiting_bytes = 0
@@ -88,15 +88,14 @@ class Container:
             return
         was, messages = self._written, self._waiting
         block = bytearray() if was.size else bytearray(self._start)
-        indexes = defaultdict(tuple[bytes, ...], was.indexes)
+        del self._index[was.indexed :]  # of a write that failed
         for record in records:
             data = encode(record)
-            kind, index = _index(record, was.size + len(block), len(data))
-            indexes[kind] += (encode(index),)
+            self._index.append(_index(record, was.size + len(block), len(data)))
             block += data
         if messages:
             chunk, chunk_index = encode_chunk(self._definitions[was.definitions :], messages, was.size + len(block))
-            indexes[Opcode.CHUNK_INDEX] += (encode(chunk_index),)
+            self._index.append((Opcode.CHUNK_INDEX, encode(chunk_index)))
             block += chunk
         times = *was.times, *map(itemgetter(2), messages)
         written = _Written(
@@ -105,7 +104,7 @@ class Container:
             len(self._definitions) if messages else was.definitions,
             was.counts + Counter(map(itemgetter(0), messages)),
             (min(times), max(times)) if times else (),
-            indexes,
+            len(self._index),
         )
         # No call between these: an interrupt leaves both or none.
         self._written = written
@@ -130,25 +129,25 @@ class Container:
 
     def _summary(self) -> dict[Opcode, Sequence[bytes]]:
         was = self._written
-        attachments, records, chunks = (
-            was.indexes.get(kind, ()) for kind in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.CHUNK_INDEX)
-        )
+        indexes = defaultdict[Opcode, list[bytes]](list)
+        for kind, entry in self._index[: was.indexed]:
+            indexes[kind].append(entry)
         statistics = Statistics(
-            attachment_count=len(attachments),
+            attachment_count=len(indexes[Opcode.ATTACHMENT_INDEX]),
             channel_count=len(self._channels),
             channel_message_counts=dict(was.counts),
-            chunk_count=len(chunks),
+            chunk_count=len(indexes[Opcode.CHUNK_INDEX]),
             message_count=was.counts.total(),
             message_start_time=min(was.times, default=0),
             message_end_time=max(was.times, default=0),
-            metadata_count=len(records),
+            metadata_count=len(indexes[Opcode.METADATA_INDEX]),
             schema_count=len(self._schemas),
         )
         return {
             Opcode.SCHEMA: [*map(encode, self._schemas)],
             Opcode.CHANNEL: [*map(encode, self._channels)],
             Opcode.STATISTICS: [encode(statistics)],
-            **{kind: list(index) for kind, index in was.indexes.items()},
+            **indexes,
         }
 
     def _put(self, block: bytes | bytearray) -> int:
@@ -165,9 +164,9 @@ class Container:
         return end
 
 
-def _index(record: Attachment | Metadata, at: int, length: int) -> tuple[Opcode, McapRecord]:
+def _index(record: Attachment | Metadata, at: int, length: int) -> tuple[Opcode, bytes]:
     """Return a record's entry in the index, for its place in the file and its length [bytes]."""
     if isinstance(record, Metadata):
-        return Opcode.METADATA_INDEX, MetadataIndex(at, length, record.name)
+        return Opcode.METADATA_INDEX, encode(MetadataIndex(at, length, record.name))
     size, times = len(record.data), (record.log_time, record.create_time)
-    return Opcode.ATTACHMENT_INDEX, AttachmentIndex(at, length, *times, size, record.name, record.media_type)
+    return Opcode.ATTACHMENT_INDEX, encode(AttachmentIndex(at, length, *times, size, record.name, record.media_type))

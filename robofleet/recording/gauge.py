@@ -13,9 +13,10 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from robofleet.behaviours import described
-from robofleet.behaviours.interface import Array, Behaviour, Measure, Past, Team, scale, with_unit
+from robofleet.behaviours.interface import Behaviour, Measure, Past, Team, scale, with_unit
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.valid_json import dumps
 
 Figures = dict[str, Any]

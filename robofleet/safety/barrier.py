@@ -38,14 +38,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
 from robofleet.safety import deadlock, solid_rows
 from robofleet.safety.distances import Body, Keepout, believed_for, from_edge
 from robofleet.safety.neighbours import around, sorted_into_cells
 from robofleet.vehicles import differential_drive, solids
-
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
 
 LEFT_ALONE, CHANGED, NO_ANSWER = 0, 1, 2
 

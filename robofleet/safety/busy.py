@@ -84,8 +84,8 @@ def watch(memory: BusyState, phase: Phase, view: FleetView) -> BusyState:
         return memory
     now_ns, contended_ns = view.now_ns, view.machine.contended_ns
     heard_ns = (now_ns, view.controller_ns, view.tracker_ns, *(robot.heard_ns for robot in view.robots))
-    before = memory.heard or ((NEVER, 0),) * len(heard_ns)
-    own_ns = now_ns - before[SUPERVISOR][0] if before[SUPERVISOR][0] != NEVER else 0
+    before = memory.heard or ((NEVER, contended_ns),) * len(heard_ns)
+    own_ns = now_ns - before[SUPERVISOR][0]
     turns = view.machine.turns
     turns_then = memory.turns if len(memory.turns) == len(turns) else turns
     late, unexplained = [], []
@@ -150,8 +150,7 @@ def step(
         if comes_back and status.phase is Phase.HOLD:
             return memory, status
         if comes_back:
-            held = status.phase if status.phase in MOVING else status.held
-            return memory._replace(held_ns=now_ns, fresh_ns=NEVER), RunStatus(Phase.HOLD, *happening, held)
+            return memory._replace(held_ns=now_ns, fresh_ns=NEVER), RunStatus(Phase.HOLD, *happening, status.phase)
     if status.phase is Phase.HOLD and not changes and _stops(happening.event):
         return memory._replace(held_ns=NEVER), after  # an operator, or something that somebody has to look at
     if after.phase is not status.phase:

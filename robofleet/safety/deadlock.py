@@ -16,10 +16,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
-
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
 
 OBSTACLE = -1  # in a robot's place: what holds another one
 MEMORY, TOLD = 10, 7  # of a robot: whole numbers; pose at a window's start, what was commanded since, where it stayed

@@ -65,6 +65,7 @@ _NAMED = sum(_FAULTS) + _PRESSED
 _NOBODY = np.uint64(0)  # as a session, or as the boot of a driver
 _INFEASIBLE = 2  # of RobotView.filtered
 _ROUNDING_M = 1e-9
+_MOST = 32  # conditions of one robot: more than its rules
 
 
 BODY = np.dtype((np.record, [("radius", "<f8"), ("max_speed", "<f8"), ("elsewhere", "?")]))
@@ -119,10 +120,12 @@ def watch(
     sessions = memory.sessions if started else np.ascontiguousarray(rows["session"])
     since_ns = memory.since_ns if phase is memory.phase else now_ns
     (length, width), bodies = settings.arena, settings.bodies
-    conditions = _of_robots(
-        rows, Rows.of(before.robots).array, sessions, bodies, *settings.outlines, length / 2.0, width / 2.0,
+    found = np.empty((_MOST * len(rows), 3))  # conditions: event, robot, detail
+    count = _of_robots(
+        found, rows, Rows.of(before.robots).array, sessions, bodies, *settings.outlines, length / 2.0, width / 2.0,
         settings.build, now_ns, int(phase), phase in MOVING,
     )  # fmt: skip
+    conditions = ((Event(int(event)), int(robot), detail) for event, robot, detail in found[:count].tolist())
     lasting_ns, rolling, robots = _over_time(conditions, memory, view, settings.body_radius)
     memory = MonitorState(view, phase, since_ns, sessions, lasting_ns, rolling)
     return memory, (
@@ -232,13 +235,14 @@ _rests, _counts, _is_seen_standing = map(kernel, (rests, runaway.counts, runaway
 
 @kernel
 def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each rule
-    rows, before, sessions, bodies, edges, rings, half_length, half_width, build, now_ns, phase, moving
+    found, rows, before, sessions, bodies, edges, rings, half_length, half_width, build, now_ns, phase, moving
 ):
-    """Yield the conditions that hold: event, robot, detail; in the order in which they are told of a robot.
+    """Fill ``found`` with the conditions that hold, in the order in which they are told of a robot; return how many.
 
     A bystander only stands there. Its e-stop stops the run as everybody's, and so do wheels that turn by themselves;
     what else it says of itself, its driver and the arena's edge concern nobody.
     """
+    n = 0
     for k in range(len(rows)):
         r, b, body = rows[k], before[k], bodies[k]
         driven, idle, counts = r.driven != 0, phase == Phase.IDLE, _counts(r)
@@ -246,59 +250,69 @@ def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each r
         # its driver; a radio comes back, and then the run goes on
         reports = driven and r.heard_ns != NEVER
         if reports and now_ns - r.heard_ns > SILENT_NS:
-            yield Event.LINK_LOST if body.elsewhere else Event.DRIVER_SILENT, k, 0.0
+            n = _add(found, n, Event.LINK_LOST if body.elsewhere else Event.DRIVER_SILENT, k, 0.0)
         if reports and b.boot_id not in (_NOBODY, r.boot_id):
-            yield Event.LINK_LOST if body.elsewhere else Event.DRIVER_RESTARTED, k, 0.0
+            n = _add(found, n, Event.LINK_LOST if body.elsewhere else Event.DRIVER_RESTARTED, k, 0.0)
         if reports and r.build != build:
-            yield Event.OTHER_BUILD, k, 0.0
+            n = _add(found, n, Event.OTHER_BUILD, k, 0.0)
         if reports and r.session != sessions[k]:
-            yield Event.LINK_LOST if body.elsewhere and r.session == _NOBODY else Event.LEASE_LOST, k, 0.0
+            gone = body.elsewhere and r.session == _NOBODY
+            n = _add(found, n, Event.LINK_LOST if gone else Event.LEASE_LOST, k, 0.0)
 
         # what it says of itself
         # What was short is over when the status comes, but its latch stays. In IDLE the latch is what a reset clears.
         pressed = r.faults & _PRESSED != 0 or (r.latch == Latch.WIRED_STOP and not idle)
         if pressed:
-            yield Event.WIRED_STOP, k, 0.0
+            n = _add(found, n, Event.WIRED_STOP, k, 0.0)
         turns = r.latch == Latch.RUNAWAY and not (idle and _rests(r))
         if turns or (driven and not counts and _is_seen_standing(r)):
-            yield Event.RUNAWAY, k, 1.0 if turns else 0.0
+            n = _add(found, n, Event.RUNAWAY, k, 1.0 if turns else 0.0)
         faulty = driven and r.faults & ~_PRESSED != 0
         if faulty:
-            yield Event.ROBOT_FAULT, k, float(r.faults)
+            n = _add(found, n, Event.ROBOT_FAULT, k, float(r.faults))
         drilled = r.latch == Latch.DRILL and phase == Phase.ARMED
         if driven and r.latch != Latch.NONE and not (pressed or turns or faulty or drilled):
             # before a start a latch waits for its reset, and in an emergency stop it is what was asked for
             past = r.latch == Latch.EMERGENCY_STOP and not idle and phase != Phase.ESTOP
-            yield Event.STOPPED_AT_GATE if past else Event.GATE_LATCHED, k, float(r.latch)
+            n = _add(found, n, Event.STOPPED_AT_GATE if past else Event.GATE_LATCHED, k, float(r.latch))
         if driven and 0.0 <= r.battery < LOWEST_BATTERY:
-            yield Event.BATTERY_LOW, k, r.battery
+            n = _add(found, n, Event.BATTERY_LOW, k, r.battery)
 
         # a pose where it cannot have driven, off by its own body: exchanged tags are further apart than that
         jump = math.hypot(r.x - b.x, r.y - b.y)
         if b.seen_ns != NEVER and jump > body.radius + body.max_speed * abs(r.seen_ns - b.seen_ns) / _S:
-            yield Event.POSE_JUMPED if driven else Event.BYSTANDER_MOVED, k, jump
+            n = _add(found, n, Event.POSE_JUMPED if driven else Event.BYSTANDER_MOVED, k, jump)
 
         # where it is; where it was seen long ago says nothing of the walls
         lost, seen = r.unseen_ns >= LOST_NS, driven and r.seen_ns != NEVER
         late = seen and not lost and (r.unseen_ns >= UNSEEN_NS or r.lost != 0)
         if seen and lost and r.camera_out != 0:  # where only that camera looks it stands, and the others drive
-            yield Event.CAMERA_OUT, k, r.camera_out - 1.0
+            n = _add(found, n, Event.CAMERA_OUT, k, r.camera_out - 1.0)
         if lost and r.camera_out == 0 and (seen or not driven):
-            yield Event.TAG_LOST if driven else Event.BYSTANDER_LOST, k, 0.0
+            n = _add(found, n, Event.TAG_LOST if driven else Event.BYSTANDER_LOST, k, 0.0)
         if late:
-            yield Event.TAG_LATE, k, 0.0
+            n = _add(found, n, Event.TAG_LATE, k, 0.0)
         if seen and not lost and not late and _is_outside(r, body, edges, rings, half_length, half_width):
-            yield Event.OUTSIDE_ARENA, k, 0.0
+            n = _add(found, n, Event.OUTSIDE_ARENA, k, 0.0)
 
         # what becomes of its commands
         if driven and moving and r.filtered == _INFEASIBLE:
-            yield Event.FILTER_INFEASIBLE, k, 0.0
+            n = _add(found, n, Event.FILTER_INFEASIBLE, k, 0.0)
         if driven and moving and counts and _is_stalled(r):  # of one that counts nothing nobody knows it
-            yield Event.WHEEL_STALLED, k, 0.0
+            n = _add(found, n, Event.WHEEL_STALLED, k, 0.0)
         if driven and moving and r.blocked != 0:
-            yield Event.DEADLOCKED, k, 0.0
+            n = _add(found, n, Event.DEADLOCKED, k, 0.0)
         if driven and moving and r.failed != 0:
-            yield Event.BEHAVIOUR_RAISED, k, float(r.failed)
+            n = _add(found, n, Event.BEHAVIOUR_RAISED, k, float(r.failed))
+    return n
+
+
+@kernel
+def _add(found, n, event, robot, detail):  # type: ignore[no-untyped-def]
+    if n >= len(found):
+        raise IndexError("a robot has more conditions than there are rows")
+    found[n, 0], found[n, 1], found[n, 2] = event.value, robot, detail
+    return n + 1
 
 
 @kernel
@@ -327,7 +341,13 @@ def _of_pairs(rows, bodies):  # type: ignore[no-untyped-def]
     for k in range(n):
         x[k] = rows[k].x if rows[k].seen_ns != NEVER else math.inf
         widest = max(widest, bodies[k].radius)
-    order = np.argsort(x)
+    order = np.empty(n, np.int64)
+    for k in range(n):
+        at = k
+        while at > 0 and x[order[at - 1]] > x[k]:
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = k
     for i in range(n):
         if math.isinf(x[order[i]]):
             break
@@ -346,5 +366,7 @@ KERNELS = (_of_robots, _of_pairs)
 def compile_kernels() -> None:
     """Compile, or load from the cache, by a look at one robot."""
     rows, bodies = np.zeros(1, ROBOT), np.zeros(1, BODY)
-    [*_of_robots(rows, rows, np.zeros(1, np.uint64), bodies, *outlines(()), 1.0, 1.0, 0, 1, 0, False)]
+    _of_robots(
+        np.empty((_MOST, 3)), rows, rows, np.zeros(1, np.uint64), bodies, *outlines(()), 1.0, 1.0, 0, 1, 0, False
+    )
     [*_of_pairs(rows, bodies)]

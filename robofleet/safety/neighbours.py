@@ -7,13 +7,9 @@ for. Where that is not finite, or a point is not, everybody is everybody's neigh
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.kernels import kernel
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Indices = NDArray[np.int64]
 
 _MARGIN = 1.0 + 1e-9  # of the distance: beyond any rounding
 _NOBODY = -1

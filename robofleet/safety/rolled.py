@@ -80,5 +80,6 @@ def gain_fault(leg: Leg) -> Diagnosis | None:
 
 
 def _furthest(wheels: Wheels, expected: Wheels) -> float:
-    """Return the ratio that is furthest from 1."""
-    return max((a / b for a, b in zip(wheels, expected, strict=True)), key=lambda ratio: abs(ratio - 1.0))
+    """Return the ratio that is furthest from 1, of the wheels of which anything is expected."""
+    ratios = (a / b for a, b in zip(wheels, expected, strict=True) if b)
+    return max(ratios, key=lambda ratio: abs(ratio - 1.0), default=1.0)

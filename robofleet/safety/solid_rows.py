@@ -5,12 +5,10 @@ convex: the solid's nearest point is among them, and what lies behind a corner d
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import solids
-
-Array = NDArray[np.float64]
 
 _LEAST = 1e-9  # of a row [m/s]
 

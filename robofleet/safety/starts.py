@@ -20,6 +20,7 @@ _LOOK_S, _STEP_S = 25.0, 0.2
 _SETTLED_S = 6.0  # all at their places for so long: nobody comes in another's way any more
 _ARRIVED_M = 0.03
 _ROOM_M = 0.04  # between two bodies that hinder each other
+_ANYWHERE = -1  # as an index of the path: not known yet
 
 
 class Ways(NamedTuple):
@@ -64,7 +65,7 @@ def judge(ways: Ways, poses: tuple[Pose, ...]) -> Judgement:
     reach = radii[:, None] + radii[None, :] + _ROOM_M
     together, arrived = np.zeros((n, n)), np.zeros(n)
     first = _places(ways, at)
-    near, waypoint = np.full(n, -1), np.full(n, -1)
+    near, waypoint = np.full(n, _ANYWHERE), np.full(n, _ANYWHERE)
     away, order = np.hypot(*(ways.points[first] - at).T), _order(ways, at, int(first[0]))
     for k in range(round(_LOOK_S / _STEP_S)):
         near = _nearest(ways, at, near)
@@ -88,31 +89,31 @@ def judge(ways: Ways, poses: tuple[Pose, ...]) -> Judgement:
 def _places(ways: Ways, at: Array) -> NDArray[np.int64]:
     """Return each robot's place at first: the law begins at the path's beginning, or where its leader stands."""
     begins = math.dist(ways.points[0], at[0]) <= ways.spacing / 2.0
-    places = [0 if begins else int(_nearest(ways, at[:1], np.array([-1]))[0])]
+    places = [0 if begins else int(_nearest(ways, at[:1], np.array([_ANYWHERE]))[0])]
     for _ in at[1:]:
         places.append(int(ways.behind[places[-1]]))
     return np.array(places)
 
 
 def _nearest(ways: Ways, at: Array, near: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the index of the path's point nearest to each robot's, within half a side of ``near`` (-1: anywhere)."""
+    """Return the index of the path's point nearest to each robot's, within half a side of ``near``."""
     count = len(ways.points)
     gaps = at[:, None] - ways.points[None]
     squared = gaps[..., 0] ** 2 + gaps[..., 1] ** 2
     beyond = np.abs(_lap(np.arange(count)[None] - near[:, None], count)) > count / ways.sides / 2
-    return np.asarray(np.where(beyond & (near[:, None] >= 0), np.inf, squared).argmin(axis=1))
+    return np.asarray(np.where(beyond & (near[:, None] != _ANYWHERE), np.inf, squared).argmin(axis=1))
 
 
 def _advanced(before: NDArray[np.int64], waypoint: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return the places, none behind where it was before (-1: nowhere)."""
-    return np.where((before >= 0) & (_lap(waypoint - before, count) < 0), before, waypoint)
+    """Return the places, none behind where it was before."""
+    return np.where((before != _ANYWHERE) & (_lap(waypoint - before, count) < 0), before, waypoint)
 
 
 def _order(ways: Ways, at: Array, leader: int) -> tuple[int, ...]:
     """Return the robots by where they stand along the path, the foremost first."""
-    nearest = _nearest(ways, at, np.full(len(at), -1))
+    nearest = _nearest(ways, at, np.full(len(at), _ANYWHERE))
     ahead = _lap(nearest - leader, len(ways.points))
-    return tuple(int(i) for i in np.argsort(-ahead, kind="stable"))
+    return tuple(int(i) for i in np.argsort(-ahead))
 
 
 def _lap(steps: NDArray[np.int64], count: int) -> NDArray[np.int64]:

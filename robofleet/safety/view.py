@@ -102,6 +102,10 @@ class Rows(Sequence[RobotView]):
         """Yield them in their order."""
         return map(_robot, self.array.tolist())
 
+    def copied(self) -> "Rows":
+        """Return the robots as they are now; through bytes, since numpy copies records field by field."""
+        return Rows(np.ndarray(len(self.array), ROBOT, bytearray(self.array.tobytes())))
+
     @classmethod
     def of(cls, robots: Sequence[RobotView]) -> "Rows":
         """Return robots as rows; rows are returned as they are."""

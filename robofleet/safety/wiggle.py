@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.safety.rolled import Leg, Pose, Wheels, gain_fault, mean_of, rolled, wiring_fault
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import FleetView, RobotView
-
-Array = NDArray[np.float64]
 
 
 class Stroke(NamedTuple):
@@ -289,9 +288,7 @@ def _next(state: Wiggle, view: FleetView) -> Wiggle:
     first, last = (LEFT, RIGHT) if state.on_the_spot else (FORTH, BACK)
     strokes = tuple(first if this == forth else last if this == back else STAND for forth, back in state.rounds)
     tried = {row: _start(state, row, view.robots[row]) for row, stroke in enumerate(strokes) if stroke}
-    return replace(
-        state, round=this, strokes=strokes, tried=tried, since_ns=view.now_ns, rest_tick=None if tried else view.tick
-    )
+    return replace(state, round=this, strokes=strokes, tried=tried, since_ns=view.now_ns, rest_tick=None)
 
 
 def _start(state: Wiggle, row: int, robot: RobotView) -> Start:

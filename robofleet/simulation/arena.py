@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.bus.messages import UNIT_TRUTH
+from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
-
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
 
 NOBODY = -1  # as a row: a robot of which nothing is kept
 _BEYOND = 1e9  # any arena [m], any heading [rad]: such a truth is none
@@ -95,7 +93,7 @@ def poses_at(stamps: Instants, samples: Array, count: Instants, instants_ns: Ins
 
 @kernel
 def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
-    """See ``TruthHistory.told_at``."""
+    """See ``TruthHistory.reported_at``."""
     poses, capacity = np.full((len(stamps), 3), np.nan), stamps.shape[1]
     for n in range(len(stamps)):
         if count[n] > 0 and instant_ns - stamps[n, (count[n] - 1) % capacity] <= _BEYOND_NS:

@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Image
 from robofleet.simulation.draw import BLUR_PX, cells, centres, draw, renew
 from robofleet.simulation.floor import WIDEST, Floor
 from robofleet.tracking.camera import CameraGeometry, Lens
 from robofleet.tracking.tags.targets import Target
 
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Boxes = NDArray[np.int64]
 

@@ -19,14 +19,14 @@ Array32 = NDArray[np.float32]
 
 BLUR_PX = math.sqrt(0.5**2 + 1.0 / 12.0)  # standard deviation: lens, and a pixel's square
 
-_BODY = 70.0  # grey of a robot in full light
+_BODY_GREY = 70.0  # of a robot in full light
 _MARGIN = 1.1  # around a robot: the scale at its edge is not that of its middle
 _RAMP = math.sqrt(20.0)  # width of a smooth step [standard deviations of its blur]
 _MOTION_PX = 0.7  # what moves further during an exposure is drawn at several instants
 _MOST_INSTANTS = 64
 _CHUNK = 128  # pixels of a row that are drawn at once: how much of each is tag, where that is on its print,
 _COLUMN, _ROW, _COVER, _LIGHT = _CHUNK, 2 * _CHUNK, 3 * _CHUNK, 4 * _CHUNK  # how much is robot, and its grey times that
-_RIM = 2  # white cells around a print
+_RIM_CELLS = 2  # white, around a print
 _FINE = 64  # steps of a normal distribution's tail, a standard deviation; after five nothing is left
 _NORMAL = np.array([0.5 - 0.5 * math.erf(k / _FINE / math.sqrt(2.0)) for k in range(5 * _FINE)], np.float32)
 
@@ -55,7 +55,7 @@ def draw(  # type: ignore[no-untyped-def]
     """Blend the prints ``seen``, and bodies below them, into an image; ``boxes`` (N, 4) become theirs."""
     exposure, line_time = shutter
     instants = np.empty((_MOST_INSTANTS, 6), np.float32)
-    paper = side / 2 + side / (black.shape[1] - 2 * _RIM)
+    paper = side / 2 + side / (black.shape[1] - 2 * _RIM_CELLS)
     boxes[:] = 0
     for n in seen:
         u, v = _centre(camera, poses[n], offsets[n], heights[n])
@@ -129,7 +129,7 @@ def _robot(  # type: ignore[no-untyped-def]
     exposure, line_time, black, side, sigma, paper, body_radius,
 ):  # fmt: skip
     """Blend a robot, the mean of its ``instants``, into the disc in ``box`` that it can reach."""
-    room, count = np.empty(5 * _CHUNK, np.float32), black.shape[0] - 2 * _RIM
+    room, count = np.empty(5 * _CHUNK, np.float32), black.shape[0] - 2 * _RIM_CELLS
     for i in range(box[1], box[3]):
         if line_time > 0.0:
             _place(pose, velocity, tag_offset, (i - v) * line_time, exposure, instants)
@@ -172,7 +172,7 @@ def _shape(  # type: ignore[no-untyped-def]
         room[j] = tag
         room[_COLUMN + j], room[_ROW + j] = middle + a * per_cell, middle - b * per_cell
         room[_COVER + j] += tag + body
-        room[_LIGHT + j] += body * np.float32(_BODY)
+        room[_LIGHT + j] += body * np.float32(_BODY_GREY)
 
 
 @image_kernel
@@ -224,7 +224,7 @@ def _beyond(at, per_blur):  # type: ignore[no-untyped-def]
 
 def cells(tag: int, family: str) -> Array32:
     """Return a tag (C, C), of 36h11 (12, 12), for ``draw``."""
-    return np.pad(1.0 - pattern(tag, family), _RIM).astype(np.float32)
+    return np.pad(1.0 - pattern(tag, family), _RIM_CELLS).astype(np.float32)
 
 
 KERNELS = (renew, draw, centres)  # that are called from Python

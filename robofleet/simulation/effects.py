@@ -5,11 +5,10 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
+from robofleet.core.arrays import Image
 
-Image = NDArray[np.uint8]
 Effect = Callable[[Image, float], None]  # image (H, W), time since the run began [s]
 
 _PATCH_PX = 90  # of the projector's pattern

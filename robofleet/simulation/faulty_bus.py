@@ -23,10 +23,10 @@ _STAMPED: dict[Topic, ListLayout[Any]] = {
     TRUTH: UNIT_TRUTH,
     TICK: TICK_RECORD,
 }  # by these stamps a simulated world and its camera are timed
-_HELD = 1024  # messages of one subscription
+_MOST_HELD = 1024  # messages of one subscription
 _APART_NS = 30_000  # between messages that were held back: what a router needs for each
-_AGAIN_NS = MS  # after a message its copy comes
-_P99 = 2.3263  # standard deviations
+_COPY_AFTER_NS = MS
+_P99_SIGMA = 2.3263
 
 
 class FaultyBus:
@@ -142,7 +142,7 @@ class _FaultySubscription:
     ) -> None:
         self._schedule, self._topic, self._fate, self._ahead_ns = schedule, topic, fate, ahead_ns
         self._wake: Wake = wake or (lambda _: None)
-        self._coming: deque[tuple[int, bytes]] = deque(maxlen=_HELD)
+        self._coming: deque[tuple[int, bytes]] = deque(maxlen=_MOST_HELD)
         self._held: list[tuple[int, int, bytes]] = []  # when it is there, in which order, what
         self._order = count()
         self.arrival_ns = 0
@@ -150,7 +150,7 @@ class _FaultySubscription:
 
     def put(self, arrival_ns: int, payload: bytes) -> None:
         """Take what the network brings, from any thread."""
-        self.dropped += len(self._coming) == _HELD
+        self.dropped += len(self._coming) == _MOST_HELD
         self._coming.append((arrival_ns, payload))
         self._wake(arrival_ns)
 
@@ -170,7 +170,7 @@ class _FaultySubscription:
             if not self._schedule.begun:
                 self._schedule.hear(self._topic, payload, arrival_ns)
             for release_ns, what in self._fate.of(arrival_ns, payload):
-                if len(self._held) < _HELD:
+                if len(self._held) < _MOST_HELD:
                     heapq.heappush(self._held, (release_ns, next(self._order), what))
                     if release_ns > now_ns:
                         self._wake(release_ns)
@@ -246,12 +246,12 @@ class _Fate:
 
     def _late(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
         median_s, p99_s = injection.fault.median_s, injection.fault.p99_s
-        late_s = median_s * (p99_s / median_s) ** (self._rng.standard_normal() / _P99)
+        late_s = median_s * (p99_s / median_s) ** (self._rng.standard_normal() / _P99_SIGMA)
         return [(arrival_ns + round(late_s * S), payload)]
 
     def _duplicated(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
         twice = self._rng.random() < injection.fault.share
-        return [(arrival_ns, payload), (arrival_ns + _AGAIN_NS, payload)][: 1 + twice]
+        return [(arrival_ns, payload), (arrival_ns + _COPY_AFTER_NS, payload)][: 1 + twice]
 
     def _reordered(self, injection: Injection, arrival_ns: int, payload: bytes) -> list[tuple[int, bytes]]:
         before, self._behind = self._behind, None

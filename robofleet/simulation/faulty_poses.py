@@ -13,7 +13,7 @@ from robofleet.tracking.cameras.watch import CameraWatch
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.sources import Feed, Frame, Lost, Observation, PoseSource
 
-_APART_M = 0.5  # of a tag's two prints
+_PRINTS_APART_M = 0.5  # of a tag's two prints
 
 
 class FaultyFeed:
@@ -129,7 +129,7 @@ class FaultyPoses:
         return seen._replace(poses=tuple(pose for pose in seen.poses if pose.tag != tag))
 
     def _twice(self, injection: Injection, seen: Observation, now_ns: int) -> Observation:
-        self._news.say(TrackerEvent.TAG_TWICE, self._tags[injection.fault.robot], _APART_M, now_ns)
+        self._news.say(TrackerEvent.TAG_TWICE, self._tags[injection.fault.robot], _PRINTS_APART_M, now_ns)
         return self._dropout(injection, seen, now_ns)._replace(refused=seen.refused + 2)
 
     def _noise(self, injection: Injection, seen: Observation, _now_ns: int) -> Observation:

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array, Image
+
 Array32 = NDArray[np.float32]
 
 BLACK, WHITE = 30.0, 215.0  # greys of print and paper in full light: assumed, and in the range of a laboratory

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from robofleet.core.clock import MS, S
 
-_MOST = 65536  # bytes taken at once
-_BITS = 10  # a byte, with its start and its stop bit
+_MOST_BYTES_AT_ONCE = 65536
+_BITS_A_BYTE = 10  # with start and stop bit
 
 
 class SerialLine:
@@ -56,7 +56,7 @@ class SerialLine:
             return b""
         self.open = True
         try:
-            return os.read(self._master, _MOST)
+            return os.read(self._master, _MOST_BYTES_AT_ONCE)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -80,7 +80,7 @@ class Wire:
     """
 
     def __init__(self, baud: int) -> None:
-        self._byte_ns = _BITS * S / baud
+        self._byte_ns = _BITS_A_BYTE * S / baud
         self._free_ns = 0.0  # when the last byte will be through
         self._chunks: deque[tuple[int, bytes]] = deque()
 

@@ -87,8 +87,9 @@ class World:
         """Take what the drivers said since the last call."""
         for stream, rows in self._streams:
             for _, _, payload in stream.drain():
-                if (truth := UNIT_TRUTH.arrays(payload)) is not None:
-                    self._history.take(rows, int(truth[0]["stamp_ns"][0]), truth[1])
+                if (message := UNIT_TRUTH.view(payload)) is not None:
+                    truth, robots = message
+                    self._history.take(rows, truth.stamp_ns, robots)
 
     def moving(self, instants_ns: NDArray[np.int64], half_ns: int) -> tuple[Array, Array]:
         """Return poses (N, 3) and velocities (N, 3) at instants (N,); NaN of a robot that has not spoken yet."""
@@ -213,13 +214,13 @@ class VirtualPoses:
         if not n:
             return ()
         self._world.update()
-        noise = (self._sigma * self._rng.standard_normal((n, 3))).tolist()
+        noise = self._sigma * self._rng.standard_normal((n, 3))
         dropped = (self._rng.random(n) < self._dropout).tolist()
-        true = self._world.reported_at(exposure_ns).tolist()
+        poses = (self._world.reported_at(exposure_ns) + noise).tolist()
         return tuple(
-            TagPose(tag, 0, 0, pose[0] + error[0], pose[1] + error[1], pose[2] + error[2])
-            for tag, pose, error, drop in zip(self._world.tags, true, noise, dropped, strict=True)
-            if not (drop or math.isnan(pose[0]))
+            TagPose(tag, 0, 0, x, y, psi)
+            for tag, (x, y, psi), drop in zip(self._world.tags, poses, dropped, strict=True)
+            if not (drop or math.isnan(x))
         )
 
 

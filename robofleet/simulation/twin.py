@@ -11,15 +11,15 @@ from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_line import Ledger, TwinTroubles
 from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.simulation.serial_line import SerialLine, Wire
-from robofleet.vehicles.body import SimulatedBody
 from robofleet.vehicles.interface import STOP
+from robofleet.vehicles.plant import Plant
 from robofleet.vehicles.readings import SensorReading, TruePose
 from robofleet.vehicles.sensors import SimulatedSensors
 
 Others = Callable[[], Sequence[tuple[TruePose, float]]]  # where other robots are, and their bodies' radii [m]
 
 _UNOPENED_NS = 10 * MS  # nothing tells when the host opens the port: it is looked at so often
-_BUFFER = 64  # bytes that wait for a firmware that hangs
+_BUFFER_BYTES = 64  # that wait for a firmware that hangs
 
 
 class Twin:
@@ -31,19 +31,17 @@ class Twin:
     ) -> None:  # fmt: skip
         """Put it there; ``others`` tells the bodies that its distance sensors see."""
         kind = config.robot(robot)
-        simulation = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
-        self._body = SimulatedBody(simulation, now_ns)
-        self.hardware, spare = (
-            Hardware(simulation.drive, simulation.imperfections, self._body.plant) for _ in range(2)
-        )
-        self.radius, self.others = simulation.radius, others
-        if simulation.sensing is not None:
-            self._sensors = SimulatedSensors([0], [simulation.sensing])
+        s = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
+        self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=now_ns, trouble=s.trouble)
+        self.hardware, spare = (Hardware(s.drive, s.imperfections, self._plant) for _ in range(2))
+        self.radius, self.others = s.radius, others
+        if s.sensing is not None:
+            self._sensors = SimulatedSensors([0], [s.sensing])
             self.hardware.sense = self._sense
         make = load("robofleet.twins", str(kind.twin))
         self._firmware: Firmware = make(self.hardware)
         self._target = STOP
-        self._loop_period_ns = round(simulation.imperfections.loop_period * S)
+        self._loop_period_ns = round(s.imperfections.loop_period * S)
         self._loop_ns = now_ns + self._loop_period_ns
         self._to_robot, self._to_host = Wire(self._firmware.baud), Wire(self._firmware.baud)
         self._waiting = b""  # for a firmware that hangs
@@ -58,7 +56,7 @@ class Twin:
 
     def truth(self) -> TruePose:
         """Return the true pose at the last step."""
-        return self._body.plant.truth()
+        return self._plant.truth()
 
     def _sense(self, now_ns: int) -> SensorReading:
         others = self.others()
@@ -73,9 +71,9 @@ class Twin:
             self._line.plug()
         self._listen(now_ns)
         while (at_ns := int(min(self._loop_ns, self._to_robot.next_ns))) <= now_ns:
-            self._body.advance(at_ns)
+            self._plant.advance(at_ns)
             self._run(at_ns)
-        self._body.advance(now_ns)
+        self._plant.advance(now_ns)
         self._line.write(self._to_host.take(now_ns))
         next_ns = int(min(self._loop_ns, self._to_robot.next_ns, self._to_host.next_ns))
         return next_ns if self._line.open else min(next_ns, now_ns + _UNOPENED_NS)
@@ -108,7 +106,7 @@ class Twin:
             self.ledger.loop(now_ns)
         data = self._waiting + self._to_robot.take(now_ns)
         if self._troubles.hangs(now_ns):
-            self._waiting = data[:_BUFFER]
+            self._waiting = data[:_BUFFER_BYTES]
         else:
             self._waiting = b""
             if data:
@@ -127,6 +125,6 @@ class Twin:
         """Let the wheel-speed loops aim at what the firmware has decided."""
         if self.hardware.command != self._target:
             self._target = self.hardware.command
-            self._body.command(self._target)
+            self._plant.write(self._target)
         if self.ledger is not None:
             self.ledger.look(now_ns)

@@ -13,11 +13,11 @@ from robofleet.core.refusal import RefusedError, need_extra
 from robofleet.studies.engine import WORKER_DIED, Engine, Finished, Local, Results, attempt
 
 LOCAL, RAY = "local", "ray"
-_PATIENCE_S = 5.0  # for the address to be reached
-_AGAIN = 1  # tries of a unit whose worker died
+_CONNECT_S = 5.0  # until the address answers
+_RETRIES = 1  # of a unit whose worker died
 _TOKEN = "it may ask for a token: set RAY_AUTH_MODE=token, and RAY_AUTH_TOKEN to the cluster's, in both places"
 _ALL_INTERFACES = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"  # "0": Ray listens on loopback alone, as it does on a Mac
-_AHEAD = 2  # tasks under way for each processor of the cluster
+_TASKS_A_CPU = 2  # under way, of the cluster
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -33,13 +33,13 @@ class Cluster:
         """See ``Engine``."""
         import ray  # noqa: PLC0415 - an extra
 
-        task: Any = ray.remote(num_cpus=1, max_retries=_AGAIN)(attempt)
+        task: Any = ray.remote(num_cpus=1, max_retries=_RETRIES)(attempt)
         kept = ray.put(work)
         left = iter(enumerate(items))
         under_way: dict[Any, int] = {}
         try:
             while True:
-                while len(under_way) < _AHEAD * self.jobs and (unit := next(left, None)) is not None:
+                while len(under_way) < _TASKS_A_CPU * self.jobs and (unit := next(left, None)) is not None:
                     under_way[task.remote(kept, unit[1])] = unit[0]
                 if not under_way:
                     return
@@ -111,7 +111,7 @@ def _reach(address: str) -> None:
     if not host or not port.isdecimal() or int(port) > 65535:
         raise RefusedError(f"--on: ray://{address} is no address: write ray://HOST:PORT, as ray://10.0.0.5:10001")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE_S).close()
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S).close()
     except OSError as error:
         why = error.strerror or str(error)
         start = f"`ray start --head --ray-client-server-port={port}` starts one there"

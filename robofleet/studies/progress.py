@@ -11,7 +11,7 @@ from robofleet.config.files.yamlfile import printable
 from robofleet.core.clock import S, stopwatch_ns
 
 _LINE_NS = 10 * S
-_WINDOW_S = 600.0  # of the rate that the time left is told by
+_RATE_WINDOW_S = 600.0  # of the estimate of the time left
 
 
 class Bar:
@@ -58,7 +58,7 @@ def bar(what: str, total: int, done: int = 0) -> Iterator[Bar]:
         TextColumn("left"), TimeRemainingColumn(),
     )  # fmt: skip
     with Progress(
-        *columns, console=(console := Console(stderr=True)), speed_estimate_period=_WINDOW_S,
+        *columns, console=(console := Console(stderr=True)), speed_estimate_period=_RATE_WINDOW_S,
         disable=not console.is_terminal,
     ) as progress:  # fmt: skip
         yield Bar(what, total, done, progress)

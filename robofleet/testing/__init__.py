@@ -1,4 +1,4 @@
-"""What tests of your own need: contracts of drivers and pose sources, a fake driver, a clock, runs in lockstep.
+"""What tests of your own need: contracts of drivers, cameras and pose sources, a fake driver, a clock, lockstep.
 
 ``__all__`` is public. Each name is loaded when it is first used. The contracts need pytest, the rest does not.
 """
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from robofleet.core.clock import SimulatedClock
     from robofleet.testing.behaviours import drive, make, refusals, situation, team
+    from robofleet.testing.camera_contract import CameraContract
     from robofleet.testing.driver_bench import DriverBench, DriverSubject
     from robofleet.testing.driver_contract import DriverContract
     from robofleet.testing.fake_driver import FakeDriver
@@ -17,13 +18,14 @@ if TYPE_CHECKING:
     from robofleet.testing.pose_contract import PoseBench, PoseContract
 
 __all__ = [
-    "DriverBench", "DriverContract", "DriverSubject", "FakeDriver", "LockstepRun", "PoseBench", "PoseContract",
-    "SimulatedClock", "drive", "make", "refusals", "run_lockstep", "situation", "team",
+    "CameraContract", "DriverBench", "DriverContract", "DriverSubject", "FakeDriver", "LockstepRun", "PoseBench",
+    "PoseContract", "SimulatedClock", "drive", "make", "refusals", "run_lockstep", "situation", "team",
 ]  # fmt: skip
 
 _FILES = {
     "robofleet.core.clock": "SimulatedClock",
     "robofleet.testing.behaviours": "drive make refusals situation team",
+    "robofleet.testing.camera_contract": "CameraContract",
     "robofleet.testing.driver_bench": "DriverBench DriverSubject",
     "robofleet.testing.driver_contract": "DriverContract",
     "robofleet.testing.fake_driver": "FakeDriver",
@@ -33,7 +35,7 @@ _FILES = {
 _MODULES = {name: module for module, names in _FILES.items() for name in names.split()}
 _CHECKS = {
     f"robofleet.testing.{file}"
-    for file in ("driver_cost", "driver_lines", "driver_motion", "driver_port", "pose_contract")
+    for file in ("camera_contract", "driver_cost", "driver_lines", "driver_motion", "driver_port", "pose_contract")
 }
 
 

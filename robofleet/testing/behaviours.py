@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.behaviours.interface import Array, Behaviour, Decision, Flow, Past, Pose, Situation, Team
+from robofleet.behaviours.interface import Behaviour, Decision, Flow, Past, Pose, Situation, Team
+from robofleet.core.arrays import Array
 from robofleet.safety.distances import Body, Keepout
 from robofleet.vehicles.differential_drive import (
     DifferentialDrive,

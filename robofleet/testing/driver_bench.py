@@ -21,7 +21,7 @@ from robofleet.drivers.dead_man import DeadMan
 from robofleet.nodes.unit import driver_settings
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
-from robofleet.testing import serial_world
+from robofleet.testing.serial_world import shared, unread
 from robofleet.vehicles.differential_drive import DifferentialDrive, wheels_from_body
 from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, DriverReading, WheelSpeeds
 from robofleet.vehicles.readings import TruePose
@@ -119,7 +119,7 @@ class DriverBench:
         with ExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory())
             stack.enter_context(patch.dict(os.environ, {"XDG_RUNTIME_DIR": folder}))
-            stack.enter_context(serial_world.shared(lambda: self.now_ns, self._pass_while_waiting))
+            stack.enter_context(shared(lambda: self.now_ns, self._pass_while_waiting))
             # A dead man counts real seconds, and here none pass: without a sign of life it does not watch.
             stack.enter_context(patch.object(DeadMan, "sign", lambda _: None))
             self.port = twin_port(self.config.arena.name, "r1")
@@ -238,7 +238,7 @@ class DriverBench:
         Returns:
             How many bytes wait at the robot's end of the line.
         """
-        return 0 if self.twin is None else serial_world.unread(self.port)
+        return 0 if self.twin is None else unread(self.port)
 
     def give_up(self) -> None:
         """Close the driver."""

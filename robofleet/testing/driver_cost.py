@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from robofleet.core.clock import S
-from robofleet.testing import serial_world
 from robofleet.testing.driver_bench import LOOP_NS, DriverBench, DriverSubject
 from robofleet.testing.driver_motion import cruise, on_the_line
+from robofleet.testing.serial_world import open_descriptors
 from robofleet.vehicles.interface import DriverError, WheelSpeeds
 
 LOOPS = 200
@@ -124,4 +124,4 @@ def _belongings() -> tuple[set[Any], ...]:
     """Return this process's descriptors, threads and children."""
     tasks = Path(f"/proc/{os.getpid()}/task").iterdir()
     children = {child for task in tasks for child in (task / "children").read_text().split()}
-    return set(serial_world.open_descriptors()), set(threading.enumerate()), children
+    return set(open_descriptors()), set(threading.enumerate()), children

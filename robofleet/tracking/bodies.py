@@ -12,8 +12,8 @@ from robofleet.core.clock import MS, S
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.offset import centre_from_tag
 
-_LOST_NS = 100 * MS  # without a pose, before it is told
-_REPEATS = 5  # of one pose, bit by bit, in a row: a measured one has noise
+_LOST_AFTER_NS = 100 * MS  # without a pose
+_MOST_REPEATS = 5  # of one pose, bit by bit, in a row: a measured one has noise
 _LEAST_LENGTH = 0.5  # of a quaternion: 1, but for rounding; 0: no pose
 
 
@@ -108,9 +108,9 @@ class FleetBodies:
         """Return whether a pose is a new measurement: some systems repeat the last one of a body that they lost."""
         seen.repeats = seen.repeats + 1 if body == seen.last else 0
         seen.last = body
-        return not self._noisy or seen.repeats < _REPEATS
+        return not self._noisy or seen.repeats < _MOST_REPEATS
 
     def _miss(self, seen: _Seen, instant_ns: int) -> None:
-        if not seen.lost and seen.tracked_ns is not None and instant_ns - seen.tracked_ns >= _LOST_NS:
+        if not seen.lost and seen.tracked_ns is not None and instant_ns - seen.tracked_ns >= _LOST_AFTER_NS:
             seen.lost = True
             self._news.add(Notice(TrackerEvent.BODY_LOST, seen.tag, (instant_ns - seen.tracked_ns) / S))

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robofleet.config.calibrated import CameraModel
+from robofleet.core.arrays import Array
 from robofleet.tracking.projection import flat
 
-Array = NDArray[np.float64]
 Lens = Literal["pinhole", "fisheye"]
 
 # A step of the fixed-point iteration shrinks its error by about the distortion: 40 reach rounding.

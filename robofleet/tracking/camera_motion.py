@@ -8,13 +8,11 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
 
-Array = NDArray[np.float64]
-
-_ARM = 0.01  # of the cross that stands for a tag's heading [m]
+_CROSS_ARM_M = 0.01  # of the cross that stands for a tag's heading
 
 
 def corrected(geometry: CameraGeometry, state: Array) -> CameraGeometry:
@@ -61,12 +59,12 @@ def pose_covariance(geometry: CameraGeometry, points: Array, covariance: Array) 
 
 def _crosses(points: Array) -> Array:
     """Return four points (L, 4, 3) around each."""
-    cross: Array = points[:, None] + _ARM * np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    cross: Array = points[:, None] + _CROSS_ARM_M * np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
     return cross
 
 
 def _poses(moved: Array) -> Array:
     """Return how poses (L, 3, K) move whose crosses' points (L, 4, 2, K) do."""
     east, north = moved[:, 0] - moved[:, 2], moved[:, 1] - moved[:, 3]
-    turned = (east[:, 1] - north[:, 0]) / (4.0 * _ARM)
+    turned = (east[:, 1] - north[:, 0]) / (4.0 * _CROSS_ARM_M)
     return np.concatenate([moved.mean(1), turned[:, None]], axis=1)

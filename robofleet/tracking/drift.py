@@ -21,13 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Flags
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import corrected, pose_covariance, sensitivity
 from robofleet.tracking.events import Notice, TrackerEvent
 from robofleet.tracking.tags.tracker import TagSighting
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Covariances of the camera: rotation [rad] about world x, y, z, shift along x, y [m], log focal length.
 _WANDER = np.diag([1.5e-6, 1.5e-6, 1.5e-6, 1e-6, 1e-6, 1e-6]) ** 2  # from image to image, by warming: 5 mm/min
@@ -39,7 +37,7 @@ _SHAKEN_MORE = 4.0  # a surprise raises them by so much at most
 _VIBRATION_GAIN = 0.1
 # Standard deviations of a landmark's x, y [m], psi [rad].
 _SURVEY = np.array([5e-4, 5e-4, math.radians(1.0)])
-_NOISE = np.array([1e-4, 1e-4, 3e-3])  # of a sighting, supposed until it is known
+_INITIAL_NOISE = np.array([1e-4, 1e-4, 3e-3])  # of a sighting
 _LEAST_NOISE = np.array([3e-5, 3e-5, 5e-4])
 _MOST_NOISE = np.array([1e-3, 1e-3, 2e-2])
 _NOISE_GAIN = 0.05
@@ -48,13 +46,13 @@ _MEDIAN = 0.6745 * math.sqrt(2.0)  # of the magnitude of the difference of two s
 _GATE, _SURVEY_GATE = 6.0**2, 4.0**2  # squared distance from which a landmark disagrees
 _LEARNT = 20  # sightings, of a landmark's own offset, and more if the camera shakes
 _LEAST_FREE = 0.2  # share of a sighting's variance that its image's camera must leave to tell its noise
-_CALM = 2  # images in agreement, after which a knock is over
+_CALM_IMAGES = 2  # in agreement, after which a knock is over
 _LOST = 30  # images in a row that are not explained, after which the camera is given up
 _FAR_OFF = 3  # the same, if the landmarks are out of bounds
-_OFF = 10  # images, of a landmark that moved itself
-_BACK = 30  # images until it is believed again
+_OFF_IMAGES = 10  # of a landmark that moved itself
+_BACK_IMAGES = 30  # until it is used again
 _STALE = 5e-5  # change of a landmark's place that is worth a new geometry [m]
-_REPORTED = 1e-3  # change worth telling [m]
+_REPORTED_M = 1e-3  # least change that is reported
 _TOLERATED = 4e-3  # error up to which an image is believed to show what a knock did [m]
 _BOUND = 0.02  # of the camera's height: largest correction on the floor, 50 mm of 2.5 m, or about a degree
 _ONE, _NOTHING = np.eye(6), np.zeros((6, 6))
@@ -98,7 +96,7 @@ class DriftMonitor:
         self._vibration: Array = _REST  # variances
         self._shaken = np.zeros(6)  # what the newest image has of its own
         self._uncertainty: Array = np.zeros((6, 6))  # of that image's camera
-        self._noise: Array = _NOISE
+        self._noise: Array = _INITIAL_NOISE
         self._before = np.full((n, 3), np.nan)
         self._own = np.zeros((n, 3))  # what a landmark is off by itself
         self._learnt = np.zeros(n)  # from how many sightings
@@ -106,7 +104,7 @@ class DriftMonitor:
         self._unknown = np.tile(_SURVEY**2, (n, 1))  # variance besides
         self._gate = np.full(n, _SURVEY_GATE)
         self._off = np.zeros(n, dtype=np.int64)  # images in which it disagreed: _OFF and more, it moved
-        self._calm, self._lost, self._given_up = _CALM, 0, False
+        self._calm, self._lost, self._given_up = _CALM_IMAGES, 0, False
         self._worst = 0.0  # of a landmark since the camera is lost [m]
         self._reported = np.zeros((n, 2))  # corrections told last
 
@@ -118,15 +116,15 @@ class DriftMonitor:
         before, residual = self.geometry, self._residuals(sightings)
         self._shaken, self._uncertainty = np.zeros(6), self._covariance + np.diag(self._vibration)
         offset = residual - self._own
-        voters = ~np.isnan(offset[:, 0]) & (self._off < _OFF)
+        voters = ~np.isnan(offset[:, 0]) & (self._off < _OFF_IMAGES)
         variance = self._noise**2 * self._share + self._unknown
         self.floor_seen = bool(np.count_nonzero(voters))
         if not self.floor_seen:  # landmarks that moved themselves may lie where they were again
             surprise = offset - self._seen(self._state)
             agree = self._distance(surprise, variance, self._covariance + np.diag(self._vibration)) < 1.0
             return before, self._blame(surprise, agree)
-        if self._calm < _CALM and self._agrees(offset, variance, voters, *self._home):
-            (self._state, self._covariance), self._calm = self._home, _CALM
+        if self._calm < _CALM_IMAGES and self._agrees(offset, variance, voters, *self._home):
+            (self._state, self._covariance), self._calm = self._home, _CALM_IMAGES
         if self._agrees(offset, variance, voters, self._state, self._covariance):
             happenings = self._followed(residual, offset, variance, voters)
         else:
@@ -161,7 +159,7 @@ class DriftMonitor:
             # Those that hardly agree count less. With fewer than three, what they do not show would wander by noise.
             weight = known / np.fmax(4.0 * distance, 1.0)
             self._correct(surprise, variance, weight, self._covariance + _WANDER if count >= 3 else _NOTHING)
-        if self._calm < _CALM:
+        if self._calm < _CALM_IMAGES:
             return happenings
         before = self.geometry
         notices = self._settled()
@@ -218,13 +216,13 @@ class DriftMonitor:
         if prior is not _NOTHING:
             self._state = self._state + prior @ pull
             self._covariance = prior - prior @ known @ prior
-        if self._calm >= _CALM:  # a step of expectation maximization
+        if self._calm >= _CALM_IMAGES:  # a step of expectation maximization
             grown = self._vibration**2 * (pull**2 - np.diag(known))
             self._vibration = np.maximum(self._vibration + _VIBRATION_GAIN * grown, _REST)
 
     def _knocked(self, offset: Array, variance: Array, voters: Flags) -> tuple[Notice, ...]:
         """Try what most landmarks agree on; without it the state remains. It is believed when it is calm."""
-        if self._calm >= _CALM:
+        if self._calm >= _CALM_IMAGES:
             self._home = self._state, self._covariance
         self._calm = 0
         self._state, self._covariance = self._home
@@ -271,14 +269,14 @@ class DriftMonitor:
     def _blame(self, surprise: Array, agree: Flags) -> tuple[Notice, ...]:
         """Count how long a landmark has been elsewhere than the camera explains."""
         distance = np.hypot(surprise[:, 0], surprise[:, 1])
-        elsewhere = ~agree & (distance > _REPORTED)
+        elsewhere = ~agree & (distance > _REPORTED_M)
         if not np.count_nonzero(elsewhere) and not np.count_nonzero(self._off):
             return ()
-        moved = self._off >= _OFF
-        self._off = np.where(elsewhere, np.where(moved, _OFF + _BACK, self._off + 1), self._off)
+        moved = self._off >= _OFF_IMAGES
+        self._off = np.where(elsewhere, np.where(moved, _OFF_IMAGES + _BACK_IMAGES, self._off + 1), self._off)
         self._off = np.where(agree, np.maximum(self._off - 1, 0), self._off)
-        fresh = np.flatnonzero((self._off >= _OFF) & ~moved)
-        self._off[fresh] = _OFF + _BACK
+        fresh = np.flatnonzero((self._off >= _OFF_IMAGES) & ~moved)
+        self._off[fresh] = _OFF_IMAGES + _BACK_IMAGES
         return tuple(Notice(TrackerEvent.TAG_JUMPED, self._tags[row], float(distance[row])) for row in fresh)
 
     def _learn(self, residual: Array, agree: Flags) -> None:
@@ -303,7 +301,7 @@ class DriftMonitor:
         largest = float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if largest > _BOUND * self._calibrated.position[2]:
             return self._give_up(largest)
-        report = self._given_up or float(np.abs(shift - self._reported).max()) > _REPORTED
+        report = self._given_up or float(np.abs(shift - self._reported).max()) > _REPORTED_M
         self.trusted, self._given_up = True, False
         self.geometry, self._state = geometry, np.zeros(6)
         if not report:

@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_WIDEST = 1280  # [px]
+_WIDEST_PX = 1280
 _QUALITY = 80
 
 
 def picture_size(width: int, height: int) -> tuple[int, int]:
     """Return width and height of the picture of an image of that size [px]: the image's, or a whole part of it."""
-    part = -(-width // _WIDEST)  # by whole numbers of pixels: three times as fast
+    part = -(-width // _WIDEST_PX)  # by whole numbers of pixels: three times as fast
     return width // part, height // part
 
 

@@ -6,11 +6,9 @@ A camera is one row of numbers here; ``flat`` makes it.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import infinite_kernel
-
-Array = NDArray[np.float64]
 
 _PINHOLE, _FISHEYE = 0.0, 1.0
 _COEFFICIENTS = 14

@@ -11,9 +11,9 @@ import math
 from dataclasses import astuple, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
+
 Numbers = tuple[float, float, float, float, float, float]
 
 

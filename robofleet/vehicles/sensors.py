@@ -9,11 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.vehicles.readings import SensorReading, TruePose
-
-Array = NDArray[np.float64]
 
 GYRO, ACCELEROMETER, MAGNETOMETER, HEADING = 1, 2, 4, 8  # which of them a robot has, added up
 _PARTS = (GYRO, slice(0, 3)), (ACCELEROMETER, slice(3, 6)), (MAGNETOMETER, slice(6, 9)), (HEADING, slice(9, 10))

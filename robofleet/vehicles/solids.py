@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 CIRCLE_SIDES = 24  # of a disc that is drawn, or seen by rays

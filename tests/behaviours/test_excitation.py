@@ -6,8 +6,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from robofleet.testing.behaviours import ARENA, TICK
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
-from tests.behaviours.excited import ARENA, RADIUS, TICK, Excited
+from tests.behaviours.excited import RADIUS, Excited
 from tests.robots import GTERNAL
 
 # as configs/platoon.yaml has them: the nearest two are 0.19 m apart

@@ -26,9 +26,9 @@ def team(n: int) -> Team:
     return replace(groups.team(config, config.groups[0]), rng=np.random.default_rng(0))
 
 
-def made(goals: Poses, of: Team | None = None, **more: Any) -> GoTo:
+def made(goals: Poses, group: Team | None = None, **more: Any) -> GoTo:
     named = {f"r{k}": {"x_m": x, "y_m": y, "heading_deg": math.degrees(psi)} for k, (x, y, psi) in enumerate(goals, 1)}
-    return GoTo(GoTo.Settings.model_validate({"goals": named, **more}), of or team(len(goals)))
+    return GoTo(GoTo.Settings.model_validate({"goals": named, **more}), group or team(len(goals)))
 
 
 class Floor:
@@ -54,9 +54,9 @@ class Floor:
             assert decision.hold is Event.BEHAVIOUR_NO_WAY
             self.holds.append(self.t)
         u = np.zeros((n, 2))
-        for i, asked in enumerate(decision.velocities.tolist()):
+        for i, velocity in enumerate(decision.velocities.tolist()):
             d, psi = team.drives[i], float(self.poses[i, 2])
-            wheels = wheels_from_body(*asked, d.wheel_radius, d.wheel_base)
+            wheels = wheels_from_body(*velocity, d.wheel_radius, d.wheel_base)
             ratio = feasible_ratio(*wheels, d.wheel_radius, d.max_wheel_speed, d.max_speed) * self.driving[i]
             turning = [ratio * wheel if abs(ratio * wheel) >= self.starts_rad_s else 0.0 for wheel in wheels]
             v, omega = body_from_wheels(*turning, d.wheel_radius, d.wheel_base)
@@ -133,10 +133,10 @@ def test_nobody_is_named_where_all_are_at_their_goals() -> None:
 
 def recorded(figures: Sequence[Any]) -> Past:
     """Return what became of a group of which nothing but its figures, (K, 3, N), is known."""
-    told = np.array(figures, dtype=np.float64)
-    ticks, robots = len(told), told.shape[2]
+    columns = np.array(figures, dtype=np.float64)
+    ticks, robots = len(columns), columns.shape[2]
     nowhere, known = np.full((ticks, robots, 3), np.nan), np.zeros(robots, dtype=np.bool_)
-    values = {figure.name: told[:, k] for k, figure in enumerate(GoTo.figures)}
+    values = {figure.name: columns[:, k] for k, figure in enumerate(GoTo.figures)}
     counts = np.ones(ticks, dtype=np.bool_)
     t = np.arange(ticks) * 0.033
     return Past(
@@ -282,7 +282,7 @@ def test_with_the_plants_errors_and_the_barrier_all_arrive(seed: int) -> None:
 
 
 def refused(behaviour: GoTo) -> list[tuple[str, str]]:
-    return [(one.key, one.message) for one in behaviour.refusals()]
+    return [(refusal.key, refusal.message) for refusal in behaviour.refusals()]
 
 
 def broken(behaviour: GoTo) -> list[str]:

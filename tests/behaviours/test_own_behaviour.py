@@ -111,5 +111,5 @@ def test_drivers_and_cameras_are_found_there_too(tmp_path: Path) -> None:
 
 
 def test_means_keep_the_sign_of_a_figure_and_its_largest_is_a_magnitude() -> None:
-    told = statistics(np.array([[1.0, -4.0], [2.0, np.nan]]))
-    assert told == {"mean": -0.3333, "max": 4.0, "per_robot_mean": [1.5, -4.0]}
+    figures = statistics(np.array([[1.0, -4.0], [2.0, np.nan]]))
+    assert figures == {"mean": -0.3333, "max": 4.0, "per_robot_mean": [1.5, -4.0]}

@@ -22,12 +22,12 @@ SITUATION = Situation(
 SILENT_S = 0.15
 
 
-def decided(age: float, own: list[float], told: list[bool], kind: WishKind = WishKind.BODY) -> np.ndarray:
+def decided(age: float, own: list[float], commanded: list[bool], kind: WishKind = WishKind.BODY) -> np.ndarray:
     values = np.column_stack([np.full(N, 0.1), np.full(N, 0.5), own])
     wish = Wish(
         kind=kind,
-        values=np.where(np.array(told)[:, None], values, 0.0),
-        told=np.array(told),
+        values=np.where(np.array(commanded)[:, None], values, 0.0),
+        told=np.array(commanded),
         order=0,
         age=age,
         epoch=1,
@@ -42,9 +42,9 @@ AGES = st.lists(st.floats(-TEAM.tick, 1.0), min_size=N, max_size=N)
 
 
 @given(st.floats(0.0, 0.5), AGES, st.lists(st.booleans(), min_size=N, max_size=N))
-def test_a_robot_does_what_is_fresh_and_stands_else(age: float, own: list[float], told: list[bool]) -> None:
-    for row, velocity in enumerate(decided(age, own, told)):
-        fresh = told[row] and age + own[row] <= SILENT_S
+def test_a_robot_does_what_is_fresh_and_stands_else(age: float, own: list[float], commanded: list[bool]) -> None:
+    for row, velocity in enumerate(decided(age, own, commanded)):
+        fresh = commanded[row] and age + own[row] <= SILENT_S
         if abs(age + own[row] - SILENT_S) > 1e-6:
             assert velocity == pytest.approx((0.1, 0.5) if fresh else (0.0, 0.0))
 

@@ -1,10 +1,13 @@
 """A person's commands: limited, as long as they are fresh; the others follow the way of the robot ahead."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robofleet import testing
 from robofleet.behaviours.interface import Situation, Wish, WishKind
 from robofleet.behaviours.teleop import Teleop
 from robofleet.bus.keys import STATUS, key
@@ -24,25 +27,18 @@ SPEEDS = st.floats(-10.0, 10.0)
 
 
 def situation(poses: np.ndarray, wish: Wish | None = None) -> Situation:
-    return Situation(
-        t=0.0,
-        poses=poses,
-        driving=np.ones(N, np.bool_),
-        disturbance=np.zeros((N, 2)),
-        others=np.empty((0, 3)),
-        wish=wish,
-    )
+    return replace(testing.situation(poses), wish=wish)
 
 
 def wish(v: float, omega: float, age: float = 0.0, own: float = 0.0, kind: WishKind = WishKind.BODY) -> Wish:
-    values, told = np.zeros((N, 3)), np.arange(N) == 0
+    values, is_commanded = np.zeros((N, 3)), np.arange(N) == 0
     values[0] = v, omega, own
-    return Wish(kind=kind, values=values, told=told, order=0, age=age, epoch=1, seq=1)
+    return Wish(kind=kind, values=values, told=is_commanded, order=0, age=age, epoch=1, seq=1)
 
 
-def body(behaviour: Teleop, poses: np.ndarray, its: Wish | None) -> np.ndarray:
+def body(behaviour: Teleop, poses: np.ndarray, newest: Wish | None) -> np.ndarray:
     """Return v and omega of the first robot."""
-    x, y = behaviour.decide(situation(poses, its)).velocities[0]
+    x, y = behaviour.decide(situation(poses, newest)).velocities[0]
     cos, sin = np.cos(poses[0, 2]), np.sin(poses[0, 2])
     return np.array([x * cos + y * sin, (y * cos - x * sin) / L])
 
@@ -62,9 +58,9 @@ def test_a_command_that_is_too_old_counts_for_nothing(age: float, own: float) ->
         assert done.any() == (age + own < SETTINGS.silent_s)
 
 
-@pytest.mark.parametrize("its", [None, *(wish(0.05, 0.1, kind=kind) for kind in WishKind if kind not in MOVES)])
-def test_without_a_command_everybody_stands(its: Wish | None) -> None:
-    assert not strung_out(its).any()
+@pytest.mark.parametrize("newest", [None, *(wish(0.05, 0.1, kind=kind) for kind in WishKind if kind not in MOVES)])
+def test_without_a_command_everybody_stands(newest: Wish | None) -> None:
+    assert not strung_out(newest).any()
 
 
 def test_after_a_command_that_is_too_old_everybody_stands() -> None:
@@ -72,23 +68,23 @@ def test_after_a_command_that_is_too_old_everybody_stands() -> None:
     assert strung_out(wish(0.05, 0.1, SETTINGS.silent_s)).any(axis=1).all()
 
 
-def strung_out(its: Wish | None) -> np.ndarray:
+def strung_out(newest: Wish | None) -> np.ndarray:
     """Return the velocities of robots that are twice their spacing apart, and on each other's ways."""
     behaviour, poses = Teleop(SETTINGS, TEAM), np.zeros((N, 3))
     poses[:, 0] = -2.0 * SETTINGS.spacing_m * np.arange(N)
-    behaviour.decide(situation(poses, its))
-    return behaviour.decide(situation(poses, its)).velocities
+    behaviour.decide(situation(poses, newest))
+    return behaviour.decide(situation(poses, newest)).velocities
 
 
 @pytest.mark.parametrize("row", range(N))
 def test_the_one_robot_that_is_driven_out_crawls_and_no_other_follows(row: int) -> None:
-    values, told = np.zeros((N, 3)), np.arange(N) == row
+    values, is_commanded = np.zeros((N, 3)), np.arange(N) == row
     values[row] = 5.0, 0.0, 0.0
     poses = np.column_stack([-0.5 * np.arange(N), np.zeros((N, 2))])
     behaviour = Teleop(SETTINGS, TEAM)
     behaviour.decide(situation(poses))
     decision = behaviour.decide(
-        situation(poses, Wish(kind=WishKind.RESCUE, values=values, told=told, order=1, age=0.0, epoch=3, seq=7))
+        situation(poses, Wish(kind=WishKind.RESCUE, values=values, told=is_commanded, order=1, age=0.0, epoch=3, seq=7))
     )
     assert decision.velocities[row] == pytest.approx([SETTINGS.crawl_m_s, 0.0])
     assert not np.delete(decision.velocities, row, axis=0).any()
@@ -103,11 +99,11 @@ def test_followers_take_the_way_of_the_robot_ahead_and_stop_behind_it() -> None:
     errors, trails = [], []
     for lead in leads:
         poses = np.column_stack([points - [L, 0.0], np.zeros(N)])
-        told = behaviour.decide(situation(poses, wish(0.0, 0.0)))
-        told.velocities[0] = lead
-        errors.append(told.figures["following_error"][1:])
+        decision = behaviour.decide(situation(poses, wish(0.0, 0.0)))
+        decision.velocities[0] = lead
+        errors.append(decision.figures["following_error"][1:])
         trails.append(points.copy())
-        points = points + tick * told.velocities
+        points = points + tick * decision.velocities
     gaps = np.hypot(*np.diff(points, axis=0).T)
     assert errors[-1] == pytest.approx(0.0, abs=1e-3)
     assert gaps[0] <= SETTINGS.spacing_m + 1e-6
@@ -147,8 +143,12 @@ def test_in_a_run_nobody_moves_before_the_first_command() -> None:
 
     def tap(message: tuple[str, bytes]) -> None:
         full, payload = message
-        if run.status.phase is Phase.RUNNING and full in statuses and (its := UNIT_STATUS.decode(payload)) is not None:
-            outputs.extend((gate.left_output_rad_s, gate.right_output_rad_s) for gate in its.robots)
+        if (
+            run.status.phase is Phase.RUNNING
+            and full in statuses
+            and (status := UNIT_STATUS.decode(payload)) is not None
+        ):
+            outputs.extend((gate.left_output_rad_s, gate.right_output_rad_s) for gate in status.robots)
 
     run.bus.tap(tap)
     assert run.run() == ("completed", None)

@@ -93,9 +93,9 @@ class Alone(Generic[M]):
         """Bytes of the message of a unit of one robot."""
         return self.layout.dtype(1).itemsize
 
-    def part(self, message: M, place: int = 0) -> Any:
+    def part(self, message: M, row: int = 0) -> Any:
         """Return the robot's part of the unit's message; ``place``: in its unit."""
-        own = {**dict.fromkeys(self._item._fields, place), **message._asdict()}
+        own = {**dict.fromkeys(self._item._fields, row), **message._asdict()}
         return self._item(*(own[name] for name in self._item._fields))
 
     def whole(self, message: M, parts: Sequence[Any]) -> bytes:
@@ -106,12 +106,12 @@ class Alone(Generic[M]):
         """Return the payload of the unit's message."""
         return self.whole(message, (self.part(message),))
 
-    def of(self, payload: bytes, place: int) -> M | None:
+    def of(self, payload: bytes, row: int) -> M | None:
         """Return what a unit's message says of one of its robots; None where it says nothing, or nobody can read it."""
-        said: Any = self.layout.decode(payload)
-        for k, part in enumerate(said.robots if said is not None else ()):
-            if getattr(part, "place", k) == place:
-                values = {**said._asdict(), **part._asdict()}
+        message: Any = self.layout.decode(payload)
+        for k, part in enumerate(message.robots if message is not None else ()):
+            if getattr(part, "place", k) == row:
+                values = {**message._asdict(), **part._asdict()}
                 return self._make(*(values[name] for name in self._make._fields))
         return None
 

@@ -64,14 +64,14 @@ class Bus:
         stack.callback(self.operator.close)
         self.stranger = session(endpoint)
         stack.callback(self.stranger.close)
-        self.witness = session(endpoint)
-        stack.callback(self.witness.close)
+        self.probe = session(endpoint)
+        stack.callback(self.probe.close)
 
-    def forge(self, full: str, reply: bytes | None, heard: list[bytes]) -> Any:
+    def forge(self, full: str, reply: bytes | None, requests: list[bytes]) -> Any:
         """Let the stranger answer a key as the only one who is asked; without a reply it swallows what it hears."""
 
         def put(query: zenoh.Query) -> None:
-            heard.append(b"" if query.payload is None else bytes(query.payload))
+            requests.append(b"" if query.payload is None else bytes(query.payload))
             if reply is not None:
                 query.reply(query.key_expr, reply)
             held.append(query)  # it is never ended
@@ -108,14 +108,14 @@ def ask(bus: ZenohBus, serve: Callable[[], None], what: bytes = b"hold") -> byte
 def test_a_stranger_who_answers_for_the_supervisor_is_not_believed(bus: Bus, what: bytes, forged: bytes | None) -> None:
     """Nor does he keep the request from it, by saying that he alone knows all answers."""
     stolen: list[bytes] = []
-    heard: list[bytes] = []
+    requests: list[bytes] = []
     queryable = bus.forge(key("lab", on(what), "supervisor"), forged, stolen)
-    serve = answering(serving(bus.supervisor), heard, b"refused: so says the supervisor")
+    serve = answering(serving(bus.supervisor), requests, b"refused: so says the supervisor")
     for _ in range(5):
         stolen.clear()
-        heard.clear()
+        requests.clear()
         assert ask(bus.operator, serve, what) == b"refused: so says the supervisor"
-        assert set(heard) == {what}
+        assert set(requests) == {what}
     assert queryable is not None
 
 
@@ -124,10 +124,13 @@ def test_a_flood_of_those_who_may_only_look_takes_no_place_of_an_operators_reque
     """Nor of anybody's emergency stop."""
     arrived: list[int] = []
     topic = SAFE_REQUEST if what == ESTOP else on(what)
-    takes = {its: bus.supervisor.serve(its, "supervisor", arrived.append) for its in (SAFE_REQUEST, REQUEST)}
+    takes = {
+        request_topic: bus.supervisor.serve(request_topic, "supervisor", arrived.append)
+        for request_topic in (SAFE_REQUEST, REQUEST)
+    }
     until(lambda: arrived, lambda: bus.operator.ask(topic, "supervisor", what))
     before, flood = len(arrived), key("lab", SAFE_REQUEST, "supervisor")
-    until(lambda: len(arrived) > before + 40, lambda: bus.witness.get(flood, lambda _: None, payload=b"hold"))
+    until(lambda: len(arrived) > before + 40, lambda: bus.probe.get(flood, lambda _: None, payload=b"hold"))
     request = takes[topic]()
     assert request is not None and request.payload == what
     waiting = [request for _ in range(100) if (request := takes[SAFE_REQUEST]()) is not None]
@@ -145,14 +148,14 @@ def test_where_the_supervisor_is_silent_a_strangers_answer_is_named_and_not_beli
 
 
 def test_of_two_who_call_themselves_supervisor_none_is_believed_but_the_request_arrives(bus: Bus) -> None:
-    heard: list[bytes] = []
+    requests: list[bytes] = []
     queryable = bus.forge(key("lab", on(b"hold"), "supervisor"), b"ok", [])
     token = bus.stranger.liveliness().declare_token(alive_key("lab", "supervisor", bus.stranger))
     until(lambda: len(there(bus)) == 2 or None)
-    serve = answering(serving(bus.supervisor), heard, b"ok")
+    serve = answering(serving(bus.supervisor), requests, b"ok")
     with pytest.raises(TimeoutError, match="several processes claim to be the supervisor, so none is believed"):
         ask(bus.operator, serve)
-    assert set(heard) == {b"hold"}
+    assert set(requests) == {b"hold"}
     token.undeclare()
     queryable.undeclare()
     until(lambda: len(there(bus)) == 1 or None)
@@ -160,22 +163,22 @@ def test_of_two_who_call_themselves_supervisor_none_is_believed_but_the_request_
 
 
 def there(bus: Bus) -> list[str]:
-    replies = bus.witness.liveliness().get("rf/lab/alive/supervisor/**")
+    replies = bus.probe.liveliness().get("rf/lab/alive/supervisor/**")
     return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
 
 def test_a_lease_is_asked_of_the_driver_whoever_else_listens(bus: Bus) -> None:
-    heard: list[bytes] = []
+    requests: list[bytes] = []
     queryable = bus.forge(key("lab", LEASE, "r1"), b"granted", [])
-    serve = answering(bus.supervisor.serve(LEASE, "r1"), heard, b"mine")
+    serve = answering(bus.supervisor.serve(LEASE, "r1"), requests, b"mine")
     answers: list[Any] = []
 
     def again() -> None:  # the first ones may find no route yet
         answers.append(bus.operator.ask(LEASE, "r1", b"please"))
         serve()
 
-    assert until(lambda: next((said for answer in answers if (said := answer.take())), None), again) == b"mine"
-    assert set(heard) == {b"please"}
+    assert until(lambda: next((reply for answer in answers if (reply := answer.take())), None), again) == b"mine"
+    assert set(requests) == {b"please"}
     assert queryable is not None
 
 
@@ -239,14 +242,14 @@ def test_a_message_that_is_larger_than_its_topic_allows_comes_to_nobody(bounding
 
 def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allows(bus: Bus) -> None:
     """Whoever listens: these do not look at lengths."""
-    heard: list[tuple[str, int]] = []
-    subscriber = bus.witness.declare_subscriber(
-        "rf/**", zenoh.handlers.Callback(lambda s: heard.append((str(s.key_expr), len(s.payload))), indirect=False)
+    received: list[tuple[str, int]] = []
+    subscriber = bus.probe.declare_subscriber(
+        "rf/**", zenoh.handlers.Callback(lambda s: received.append((str(s.key_expr), len(s.payload))), indirect=False)
     )
     asked_for: list[bytes] = []
     queryable = bus.forge(key("lab", REQUEST, "supervisor"), b"ok", asked_for)
     mark = key("lab", STATE)
-    until(lambda: heard, lambda: bus.stranger.put(mark, b"x"))
+    until(lambda: received, lambda: bus.stranger.put(mark, b"x"))
     expected = set()
     for topic in BOUNDED:
         full = full_key(topic)
@@ -255,12 +258,12 @@ def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allow
         expected.add((full, topic.largest))
     request = key("lab", REQUEST, "supervisor")
     bus.supervisor._session.get(request, lambda _: None, payload=bytes(REQUEST.largest + 1))
-    until(lambda: (mark, 3) in heard or None, lambda: bus.stranger.put(mark, b"end"))
+    until(lambda: (mark, 3) in received or None, lambda: bus.stranger.put(mark, b"end"))
     until(
         lambda: asked_for,
         lambda: bus.supervisor._session.get(request, lambda _: None, payload=bytes(REQUEST.largest)),
     )
-    assert set(heard) - {(mark, 1), (mark, 3)} == expected
+    assert set(received) - {(mark, 1), (mark, 3)} == expected
     assert {len(payload) for payload in asked_for} == {REQUEST.largest}
     assert queryable is not None
     subscriber.undeclare()
@@ -270,15 +273,15 @@ def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allow
 @pytest.mark.parametrize("size", [REQUEST.largest + 1, 40_000_000])
 def test_a_request_that_is_too_large_keeps_nobody_from_the_supervisor(bounding: Bus, size: int) -> None:
     bus = bounding
-    heard: list[bytes] = []
-    serve = answering(serving(bus.supervisor), heard, b"ok")
+    requests: list[bytes] = []
+    serve = answering(serving(bus.supervisor), requests, b"ok")
     assert ask(bus.operator, serve) == b"ok"
     for _ in range(3):
         bus.stranger.get(key("lab", REQUEST, "supervisor"), lambda _: None, payload=bytes(size))
     before_ns = CLOCK.now_ns()
     assert ask(bus.operator, serve, b"resume") == b"ok"
     assert CLOCK.now_ns() - before_ns < 2 * S
-    assert set(heard) == {b"hold", b"resume"}
+    assert set(requests) == {b"hold", b"resume"}
 
 
 def test_keys_that_nobody_knows_come_to_nobody(bus: Bus) -> None:
@@ -315,7 +318,7 @@ def join(endpoint: str, joined: list[ZenohBus]) -> None:
     joined.append(ZenohBus("lab", endpoint, "operator", CLOCK))
 
 
-def connected(endpoint: str, said: bytes) -> socket.socket:
+def connected(endpoint: str, greeting: bytes) -> socket.socket:
     protocol, _, address = endpoint.partition("/")
     connection = socket.socket(socket.AF_INET if protocol == "tcp" else socket.AF_UNIX)
     if protocol == "tcp":
@@ -323,8 +326,8 @@ def connected(endpoint: str, said: bytes) -> socket.socket:
         connection.connect((host, int(port)))
     else:
         connection.connect(address)
-    if said:
-        connection.sendall(said)
+    if greeting:
+        connection.sendall(greeting)
     return connection
 
 
@@ -359,18 +362,19 @@ def test_a_socket_that_a_killed_router_left_is_taken_over_and_one_that_is_served
 
 
 def test_a_flood_of_requests_reaches_nobody_and_another_clients_request_is_heard(bus: Bus) -> None:
-    heard: list[bytes] = []
+    requests: list[bytes] = []
     request = key("lab", REQUEST, "supervisor")
-    queryable = bus.forge(request, b"ok", heard)
-    until(lambda: heard, lambda: bus.supervisor._session.get(request, lambda _: None, payload=b"first"))
-    heard.clear()
+    queryable = bus.forge(request, b"ok", requests)
+    until(lambda: requests, lambda: bus.supervisor._session.get(request, lambda _: None, payload=b"first"))
+    requests.clear()
     began_ns, sent = CLOCK.now_ns(), 3000
     for _ in range(sent):
-        bus.witness.get(request, lambda _: None, payload=b"flood")
+        bus.probe.get(request, lambda _: None, payload=b"flood")
     until(
-        lambda: b"hold" in heard or None, lambda: bus.supervisor._session.get(request, lambda _: None, payload=b"hold")
+        lambda: b"hold" in requests or None,
+        lambda: bus.supervisor._session.get(request, lambda _: None, payload=b"hold"),
     )
     lasted_s = (CLOCK.now_ns() - began_ns) / S
-    assert heard.count(b"flood") <= 500.0 * lasted_s + 2, "of one client, 500 a second"
-    assert heard.count(b"flood") < sent
+    assert requests.count(b"flood") <= 500.0 * lasted_s + 2, "of one client, 500 a second"
+    assert requests.count(b"flood") < sent
     assert queryable is not None

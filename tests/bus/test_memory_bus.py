@@ -56,8 +56,10 @@ def test_a_stream_gives_everything_in_order_and_drops_the_oldest(memory_bus: Mak
         publish(bytes([k]))
     assert stream.drain() == []
     clock.advance_to(5)
-    heard = stream.drain()
-    assert [(full, payload) for _, full, payload in heard] == [("rf/lab/unit/r1/status", bytes([k])) for k in (2, 3, 4)]
+    messages = stream.drain()
+    assert [(full, payload) for _, full, payload in messages] == [
+        ("rf/lab/unit/r1/status", bytes([k])) for k in (2, 3, 4)
+    ]
     assert stream.dropped == 2
     assert stream.drain() == []
 
@@ -87,11 +89,11 @@ def test_a_wake_is_called_with_the_instant_of_the_arrival(memory_bus: MakeBus, c
 
 def test_a_tap_hears_all_at_the_moment_of_saying(memory_bus: MakeBus) -> None:
     bus = memory_bus(1000)
-    heard: list[tuple[str, bytes]] = []
-    bus.tap(heard.append)
+    messages: list[tuple[str, bytes]] = []
+    bus.tap(messages.append)
     bus.publisher(COMMAND, "r1")(b"a")
     bus.publisher(TICK)(b"b")
-    assert heard == [("rf/lab/unit/r1/cmd", b"a"), ("rf/lab/tick", b"b")]
+    assert messages == [("rf/lab/unit/r1/cmd", b"a"), ("rf/lab/tick", b"b")]
 
 
 def test_requests_reach_the_process_that_serves_them(memory_bus: MakeBus, clock: SimulatedClock) -> None:

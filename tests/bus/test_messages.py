@@ -65,9 +65,9 @@ def test_not_a_number_in_any_float_is_refused(layout: AnyLayout, any_of: Message
             struct.pack_into("<d", damaged, at, bad)
             assert layout.decode(bytes(damaged)) is None
             assert not isinstance(layout, ListLayout) or layout.view(bytes(damaged)) is None
-    for one, other in pairwise(places(layout, message)):  # infinities do not cancel out
+    for path, other in pairwise(places(layout, message)):  # infinities do not cancel out
         damaged = bytearray(payload)
-        struct.pack_into("<d", damaged, one, math.inf)
+        struct.pack_into("<d", damaged, path, math.inf)
         struct.pack_into("<d", damaged, other, -math.inf)
         assert layout.decode(bytes(damaged)) is None
 
@@ -114,18 +114,18 @@ def flat(message: Any) -> list[float]:
 @given(st.data())
 def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
     """What a field cannot hold becomes the nearest that it can; what is not a number, the least."""
-    asked = wild(data.draw, data.draw(any_of))
-    payload = layout.encode(asked)
-    said = layout.decode(payload)
-    assert said is not None
-    for wanted, got in zip(flat(asked), flat(said), strict=True):
+    message = wild(data.draw, data.draw(any_of))
+    payload = layout.encode(message)
+    decoded = layout.decode(payload)
+    assert decoded is not None
+    for wanted, got in zip(flat(message), flat(decoded), strict=True):
         if isinstance(wanted, int):
             assert got == wanted or (abs(got) < abs(wanted) and (got == 0 or wanted > 0 or got < 0))
         elif math.isnan(wanted):
             assert got == -1e300
         else:
             assert got == wanted or (math.copysign(1e300, wanted) == got and abs(wanted) > 1e300)
-    assert layout.encode(said) == payload
+    assert layout.encode(decoded) == payload
 
 
 @EXACT
@@ -147,9 +147,9 @@ def test_an_instant_that_no_clock_shows_is_refused(layout: AnyLayout, any_of: Me
 
 def test_a_list_that_is_too_long_is_cut() -> None:
     poses = (TagPose(1, 0, 0, 0.5, 0.5, 0.5),) * 65_540
-    said = FLEET_POSES.decode(FLEET_POSES.encode(FleetPoses(1, 2, 3, 4, 5, 6, 7, 8, 9, poses)))
-    assert said is not None
-    assert len(said.poses) == 65_535
+    decoded = FLEET_POSES.decode(FLEET_POSES.encode(FleetPoses(1, 2, 3, 4, 5, 6, 7, 8, 9, poses)))
+    assert decoded is not None
+    assert len(decoded.poses) == 65_535
 
 
 @EXACT
@@ -160,18 +160,18 @@ def test_parts_that_are_packed_already_are_decoded_too(bad: float, rows: int) ->
     head = (2**32, 1, 2**64, -(2**63) - 1, *range(12))
     payload = TICK_RECORD.encode_parts(head, rows, items.tobytes())
     assert TICK_RECORD.encode_array(head, items) == payload
-    said = TICK_RECORD.decode(payload)
-    assert said is not None
-    assert (said.epoch, said.tick, said.run_tick) == (2**32 - 1, 2**64 - 1, -FURTHEST_NS)
-    assert said.robots[0].x_m == 0.5
+    decoded = TICK_RECORD.decode(payload)
+    assert decoded is not None
+    assert (decoded.epoch, decoded.tick, decoded.run_tick) == (2**32 - 1, 2**64 - 1, -FURTHEST_NS)
+    assert decoded.robots[0].x_m == 0.5
 
 
 @EXACT
 @given(HUGE, st.binary(max_size=9))
 def test_a_picture_is_encoded_too(number: int, jpeg: bytes) -> None:
-    said = PICTURE.decode(PICTURE.encode(Picture(number, number, number, number, number, jpeg)))
-    assert said is not None
-    assert said.jpeg == jpeg
+    decoded = PICTURE.decode(PICTURE.encode(Picture(number, number, number, number, number, jpeg)))
+    assert decoded is not None
+    assert decoded.jpeg == jpeg
 
 
 def test_what_counts_has_64_bits_and_goes_on_where_32_end() -> None:
@@ -227,14 +227,14 @@ def test_a_view_is_what_is_decoded(listed: tuple[ListLayout[Any], Messages], dat
     for _ in range(data.draw(st.integers(0, 2))):  # damaged, or not
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     cut = bytes(payload)[: data.draw(st.integers(len(payload) - 1, len(payload)))]
-    said, viewed = layout.decode(cut), layout.view(cut)
-    assert (said is None) == (viewed is None)
-    if said is not None and viewed is not None:
+    decoded, viewed = layout.decode(cut), layout.view(cut)
+    assert (decoded is None) == (viewed is None)
+    if decoded is not None and viewed is not None:
         head, items = viewed
         listing = next(k for k, value in enumerate(head) if isinstance(value, tuple))
-        assert head[:listing] == said[:listing]
-        assert items.tolist() == [tuple(item) for item in said[listing]]
-        assert items.dtype.names == type(said[listing][0])._fields if said[listing] else not len(items)
+        assert head[:listing] == decoded[:listing]
+        assert items.tolist() == [tuple(item) for item in decoded[listing]]
+        assert items.dtype.names == type(decoded[listing][0])._fields if decoded[listing] else not len(items)
         assert not items.flags.writeable
 
 
@@ -259,12 +259,12 @@ def test_numpy_reads_the_same_values(layout: AnyLayout, any_of: Messages, data: 
 def test_figures_are_kept_whatever_they_are(tick: TickRecord, figures: list[float]) -> None:
     """NaN is a figure that a robot has not."""
     payload = TICK_RECORD.encode(tick._replace(figures=tuple(figures)))
-    said = TICK_RECORD.decode(payload)
-    assert said is not None
+    decoded = TICK_RECORD.decode(payload)
+    assert decoded is not None
     (row,) = np.frombuffer(payload, TICK_RECORD.dtype(len(tick.robots), len(figures)))
-    for kept in (said.figures, row["figures"]):
+    for kept in (decoded.figures, row["figures"]):
         np.testing.assert_array_equal(np.asarray(kept), np.asarray(figures, dtype=float))
-    assert said.robots == tick.robots
+    assert decoded.robots == tick.robots
     assert TICK_RECORD.decode(payload[:-1]) is None
 
 
@@ -276,10 +276,10 @@ def test_a_heads_fields_alone(listed: tuple[ListLayout[Any], Messages], data: st
     count = len(layout.head_dtype.names or ()) - 2  # without version and count
     head, items = message[:count], message[count]
     payload = layout.encode(message)
-    told = layout.decode_head(payload)
-    assert told is not None
-    assert told[:count] == tuple(head)
-    assert all(rest == () for rest in told[count:])
+    decoded_head = layout.decode_head(payload)
+    assert decoded_head is not None
+    assert decoded_head[:count] == tuple(head)
+    assert all(rest == () for rest in decoded_head[count:])
     assert layout.decode_head(payload[:-1]) is None
     assert layout.decode_head(b"\0" + payload[1:]) is None
     packed = np.array([tuple(item) for item in items], dtype=layout.item_dtype).tobytes()
@@ -314,8 +314,8 @@ def test_items_as_arrays_say_what_the_message_says(
     for bad in ((math.nan, 1.0), (math.inf, -math.inf)):
         for at in zip(places(layout, message), places(layout, message)[1:], strict=False):
             damaged = bytearray(payload)
-            for value, place in zip(bad, at, strict=True):
-                struct.pack_into("<d", damaged, place, value)
+            for value, path in zip(bad, at, strict=True):
+                struct.pack_into("<d", damaged, path, value)
             assert layout.arrays(bytes(damaged)) is None
 
 

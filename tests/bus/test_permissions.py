@@ -89,14 +89,14 @@ class Net(NamedTuple):
     endpoint: str
     who: dict[str, Identity]
     authority: Authority
-    witness: zenoh.Session  # of this user, on the socket
+    probe: zenoh.Session  # of this user, on the socket
 
     def joined(self, name: str) -> ZenohBus:
         """Return the bus of somebody on another host."""
         own = Credentials.at(self.authority.folder, name)
-        told = self.authority.entries()[name].newest
-        session = session_id(told) if told.kind == UNIT else None
-        role = name if told.kind == UNIT else told.kind
+        certificate = self.authority.entries()[name].newest
+        session = session_id(certificate) if certificate.kind == UNIT else None
+        role = name if certificate.kind == UNIT else certificate.kind
         return ZenohBus(ARENA, self.endpoint, role, CLOCK, credentials=own, session=session)
 
 
@@ -113,7 +113,7 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     router = open_router(local, network)
     bus = ZenohBus(ARENA, local, "witness", CLOCK)
     try:
-        yield Net(local, beyond, {one.name: one for one in who}, authority, bus._session)
+        yield Net(local, beyond, {identity.name: identity for identity in who}, authority, bus._session)
     finally:
         bus.close()
         router.close()
@@ -147,43 +147,43 @@ class Tried:
 
     def says(self) -> set[str]:
         """Put on every key."""
-        heard: set[str] = set()
-        subscriber = self._net.witness.declare_subscriber("rf/**", _noted(heard))
+        senders: set[str] = set()
+        subscriber = self._net.probe.declare_subscriber("rf/**", _noted(senders))
         expected = allowed(self._who, SAYS)
 
         def said() -> bool:
             for full in KEYS:
                 self._session.put(full, b"said")
-            return heard >= expected
+            return senders >= expected
 
         until(said)
         said()
         self._marked("says")
         subscriber.undeclare()
-        return heard
+        return senders
 
     def hears(self) -> set[str]:
         """Subscribe to every key, and to all at once; the witness puts on each until what may come has come."""
-        heard: set[str] = set()
-        subscribers = [self._session.declare_subscriber(full, _noted(heard)) for full in (*KEYS, "**")]
+        senders: set[str] = set()
+        subscribers = [self._session.declare_subscriber(full, _noted(senders)) for full in (*KEYS, "**")]
         self._marked("hears")
         expected = allowed(self._who, HEARS)
 
         def said() -> bool:
             for full in KEYS:
-                self._net.witness.put(full, b"told")
-            return heard >= expected
+                self._net.probe.put(full, b"told")
+            return senders >= expected
 
         until(said)
         said()
         self._marked("heard")
         for subscriber in subscribers:
             subscriber.undeclare()
-        return heard
+        return senders
 
     def asks(self) -> set[str]:
         """Ask on every key; the witness answers wherever it is asked."""
-        queryable = self._net.witness.declare_queryable("rf/**", lambda query: query.reply(query.key_expr, b"yes"))
+        queryable = self._net.probe.declare_queryable("rf/**", lambda query: query.reply(query.key_expr, b"yes"))
         answered = _all_answers(self._session, allowed(self._who, ASKS))
         queryable.undeclare()
         return answered
@@ -195,7 +195,7 @@ class Tried:
             for full in (*KEYS, "rf/**")
         ]
         self._marked("answers")
-        answered = _all_answers(self._net.witness, allowed(self._who, ANSWERS))
+        answered = _all_answers(self._net.probe, allowed(self._who, ANSWERS))
         for queryable in queryables:
             queryable.undeclare()
         return answered
@@ -205,12 +205,12 @@ class Tried:
         role = driver_role(self._who.name) if self._who.role == UNIT else self._who.role
         full = key(ARENA, ALIVE, f"{role}/{mark}/1")
         token = self._session.liveliness().declare_token(full)
-        assert until(lambda: full in _living(self._net.witness)), f"{self._who.name} may not say that it lives"
+        assert until(lambda: full in _living(self._net.probe)), f"{self._who.name} may not say that it lives"
         token.undeclare()
 
 
-def _noted(heard: set[str]) -> Any:
-    return zenoh.handlers.Callback(lambda sample: heard.add(str(sample.key_expr)), indirect=False)
+def _noted(senders: set[str]) -> Any:
+    return zenoh.handlers.Callback(lambda sample: senders.add(str(sample.key_expr)), indirect=False)
 
 
 def _all_answers(session: zenoh.Session, expected: set[str]) -> set[str]:
@@ -255,12 +255,12 @@ def test_everybody_sees_who_lives_and_nobody_claims_the_place_of_another(net: Ne
     who = net.who[name]
     roles = [*ROLES, *map(driver_role, UNITS)]
     own = driver_role(name) if who.role == UNIT else who.role
-    seen = net.witness.liveliness().declare_token(key(ARENA, ALIVE, "supervisor/witness/1"))
+    seen = net.probe.liveliness().declare_token(key(ARENA, ALIVE, "supervisor/witness/1"))
     bus = net.joined(name)
     try:
         tokens = [bus._session.liveliness().declare_token(key(ARENA, ALIVE, f"{role}/claimed/1")) for role in roles]
-        assert until(lambda: key(ARENA, ALIVE, f"{own}/claimed/1") in _living(net.witness))
-        claimed = {full.split("/")[3] for full in _living(net.witness) if "/claimed/" in full}
+        assert until(lambda: key(ARENA, ALIVE, f"{own}/claimed/1") in _living(net.probe))
+        claimed = {full.split("/")[3] for full in _living(net.probe) if "/claimed/" in full}
         assert claimed == {own}
         assert key(ARENA, ALIVE, "supervisor/witness/1") in _living(bus._session)
         for token in tokens:
@@ -303,26 +303,34 @@ def test_a_script_shadows_no_other_one_and_commands_as_no_person(net: Net) -> No
 
 def test_the_table_gives_to_each_what_it_needs_and_wheels_to_few() -> None:
     who = [*(Identity(unit, UNIT, unit) for unit in UNITS), *(Identity(role, role, role) for role in ROLES)]
-    may = {(one.name, does): allowed(one, does) for one, does in product(who, OPERATIONS)}
+    may = {(identity.name, does): allowed(identity, does) for identity, does in product(who, OPERATIONS)}
     commands, enables = ({key(ARENA, topic, unit) for unit in UNITS} for topic in (COMMAND, ENABLE))
-    assert [one.name for one in who if may[one.name, SAYS] & commands] == ["controller"]
-    assert [one.name for one in who if may[one.name, SAYS] & enables] == ["supervisor"]
+    assert [identity.name for identity in who if may[identity.name, SAYS] & commands] == ["controller"]
+    assert [identity.name for identity in who if may[identity.name, SAYS] & enables] == ["supervisor"]
     request = key(ARENA, REQUEST, "supervisor")
-    assert [one.name for one in who if request in may[one.name, ASKS]] == ["web", "operator"]
+    assert [identity.name for identity in who if request in may[identity.name, ASKS]] == ["web", "operator"]
     for unit, other in (UNITS, UNITS[::-1]):
         assert not {full for does in OPERATIONS for full in may[unit, does] if f"/{other}/" in full}
-    said = {
+    permitted = {
         (name, topic): {full for full in may[name, SAYS] if KEYS[full] is topic} for name, _ in may for topic in TOPICS
     }
-    assert [one.name for one in who if said[one.name, WISH]] == ["script"]
-    assert [one.name for one in who if said[one.name, TELEOP]] == ["web", "operator"], "a person's, and no program's"
-    for one, topic in product(who, (WISH, TELEOP)):
-        senders = {split(full)[1] for full in said[one.name, topic]}
-        assert all(sender.startswith(f"{one.role}/{one.name}/") for sender in senders), "nobody in another's name"
-    assert may["script", SAYS] - said["script", WISH] == {key(ARENA, NOTE, group) for group in NAMES["group"]}
+    assert [identity.name for identity in who if permitted[identity.name, WISH]] == ["script"]
+    assert [identity.name for identity in who if permitted[identity.name, TELEOP]] == ["web", "operator"], (
+        "a person's, and no program's"
+    )
+    for identity, topic in product(who, (WISH, TELEOP)):
+        senders = {split(full)[1] for full in permitted[identity.name, topic]}
+        assert all(sender.startswith(f"{identity.role}/{identity.name}/") for sender in senders), (
+            "nobody in another's name"
+        )
+    assert may["script", SAYS] - permitted["script", WISH] == {key(ARENA, NOTE, group) for group in NAMES["group"]}
     assert {KEYS[full] for full in may["script", ASKS]} == {SAFE_REQUEST}, "a script starts and resumes nothing"
     news = {full for full, topic in KEYS.items() if topic is NEWS}
-    assert [one.name for one in who if may[one.name, SAYS] & news] == ["controller", "tracker"], "who doubts a camera"
+    assert [identity.name for identity in who if may[identity.name, SAYS] & news] == ["controller", "tracker"], (
+        "who doubts a camera"
+    )
     assert may["viewer", SAYS] == set()
-    assert all(may[name, SAYS] == said[name, TELEOP] for name in ("operator", "web")), "in groups that a person drives"
+    assert all(may[name, SAYS] == permitted[name, TELEOP] for name in ("operator", "web")), (
+        "in groups that a person drives"
+    )
     assert all(topic in QUERIES for full in may["viewer", ASKS] for topic in [KEYS[full]])

@@ -34,12 +34,12 @@ class Lab(NamedTuple):
     authority: Authority
     elsewhere: Authority  # of another arena
     robot: Callable[[bytes], None]  # what it says
-    heard: Subscription
+    subscription: Subscription
 
     def hears_the_robot(self) -> bool:
         """Whether the robot's word still arrives."""
-        said = b"%d" % CLOCK.now_ns()
-        return until(lambda: (self.robot(said), self.heard.take() == said)[1])
+        payload = b"%d" % CLOCK.now_ns()
+        return until(lambda: (self.robot(payload), self.subscription.take() == payload)[1])
 
 
 def until(true: Callable[[], bool], within_s: float = 5.0) -> bool:
@@ -53,22 +53,22 @@ def until(true: Callable[[], bool], within_s: float = 5.0) -> bool:
 @pytest.fixture(params=["tls", "quic"])
 def lab(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Lab]:
     authority, elsewhere = (Authority.create(name, tmp_path / name) for name in (ARENA, "hall"))
-    for one in (authority, elsewhere):
-        one.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
-        one.issue("r1", UNIT)
+    for keys in (authority, elsewhere):
+        keys.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
+        keys.issue("r1", UNIT)
     authority.issue("r2", UNIT)
     authority.issue("stolen", UNIT)
     authority.revoke("r2")
     authority.issue("r2", UNIT)
     local, beyond = own_endpoint(), f"{request.param}/127.0.0.1:{free_port()}"
-    who = [one for one in identities(authority) if one.name != "stolen"]  # as after its revocation
+    who = [keys for keys in identities(authority) if keys.name != "stolen"]  # as after its revocation
     network = Network([beyond], Credentials.at(authority.folder, ROUTER), access_control(ARENA, who))
     with closing(open_router(local, network)):
-        told = authority.entries()["r1"].newest
+        certificate = authority.entries()["r1"].newest
         own = Credentials.at(authority.folder, "r1")
         with (
             closing(ZenohBus(ARENA, local, "supervisor", CLOCK)) as here,
-            closing(ZenohBus(ARENA, beyond, "r1", CLOCK, credentials=own, session=session_id(told))) as robot,
+            closing(ZenohBus(ARENA, beyond, "r1", CLOCK, credentials=own, session=session_id(certificate))) as robot,
         ):
             yield Lab(beyond, authority, elsewhere, robot.publisher(STATUS, "r1"), here.newest(STATUS, "r1"))
 
@@ -172,11 +172,11 @@ def test_a_copied_key_on_a_second_host_finds_its_place_taken(lab: Lab) -> None:
         for _ in range(20):
             copy.put("rf/lab/unit/r1/status", b"a lie")
         assert lab.hears_the_robot()
-        assert lab.heard.take() != b"a lie"
+        assert lab.subscription.take() != b"a lie"
 
 
 def test_who_is_revoked_or_speaks_as_another_unit_says_nothing(lab: Lab) -> None:
-    said: list[str] = []
+    lines: list[str] = []
     for name in ("stolen", "r2"):
         own = Credentials.at(lab.authority.folder, name)
         session = session_id(lab.authority.entries()[name].newest)
@@ -185,8 +185,8 @@ def test_who_is_revoked_or_speaks_as_another_unit_says_nothing(lab: Lab) -> None
                 stranger.put("rf/lab/unit/r1/status", b"a lie")
                 stranger.put("rf/lab/unit/r1/cmd", b"a lie")
             assert lab.hears_the_robot()
-            said += [name] * (lab.heard.take() == b"a lie")
-    assert said == []
+            lines += [name] * (lab.subscription.take() == b"a lie")
+    assert lines == []
 
 
 def test_a_certificate_that_has_ended_is_refused(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,10 +203,10 @@ def test_the_link_of_a_certificate_that_ends_is_ended(lab: Lab, monkeypatch: pyt
     """A day's certificate that was made a day ago, but for some seconds."""
     monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=1) + timedelta(seconds=4))
     lab.authority.issue("short", UNIT, days=1)
-    own, told = Credentials.at(lab.authority.folder, "short"), lab.authority.entries()["short"].newest
+    own, certificate = Credentials.at(lab.authority.folder, "short"), lab.authority.entries()["short"].newest
     with closing(opened(lab.endpoint, own)) as ends:
         links = ends.info.routers_zid
         assert links()
-        assert until(lambda: utc_now() > told.not_after, 10)
+        assert until(lambda: utc_now() > certificate.not_after, 10)
         assert until(lambda: not links(), 10)
     assert lab.hears_the_robot()

@@ -87,7 +87,7 @@ def test_a_stream_hears_the_keys_that_were_named_and_no_other(net: Net) -> None:
     foreign = ZenohBus("elsewhere", net.endpoint, "c", CLOCK)
     try:
         publish_foreign, publish_unknown = foreign.publisher(TICK), net.a.publisher(STATUS, "nobody")
-        heard: dict[str, bytes] = {}
+        messages: dict[str, bytes] = {}
 
         def say() -> None:
             publish_foreign(b"not for the lab")
@@ -96,29 +96,29 @@ def test_a_stream_hears_the_keys_that_were_named_and_no_other(net: Net) -> None:
                 publish(full.encode())
 
         def both() -> bool:
-            heard.update((full, payload) for _, full, payload in stream.drain())
-            return len(heard) >= 2
+            messages.update((full, payload) for _, full, payload in stream.drain())
+            return len(messages) >= 2
 
         until(both, say)
-        assert heard == {full: full.encode() for full in publishers}
+        assert messages == {full: full.encode() for full in publishers}
     finally:
         foreign.close()
 
 
 def test_a_full_stream_drops_the_oldest_and_counts_them(net: Net) -> None:
     stream, publish = net.b.stream("rf/lab/unit/r9/cmd", capacity=4), net.a.publisher(COMMAND, "r9")
-    heard: list[bytes] = []
-    net.b.listen(COMMAND, "r9", lambda _, payload: heard.append(payload))
-    witness = net.b.newest(COMMAND, "r9")
-    until(witness.take, lambda: publish(b"route"))
+    requests: list[bytes] = []
+    net.b.listen(COMMAND, "r9", lambda _, payload: requests.append(payload))
+    probe = net.b.newest(COMMAND, "r9")
+    until(probe.take, lambda: publish(b"route"))
     began_ns = CLOCK.now_ns()
     for k in range(30):
         publish(b"%d" % k)
         CLOCK.sleep_until(CLOCK.now_ns() + MS)
-    until(lambda: witness.take() == b"29" or None)
+    until(lambda: probe.take() == b"29" or None)
     arrivals = stream.drain()
     assert [payload for _, _, payload in arrivals] == [b"26", b"27", b"28", b"29"]
-    until(lambda: len(heard) == stream.dropped + 4)
+    until(lambda: len(requests) == stream.dropped + 4)
     instants = [at_ns for at_ns, _, _ in arrivals]
     assert began_ns < instants[0] < instants[-1] <= CLOCK.now_ns()
     assert instants == sorted(instants)
@@ -138,10 +138,10 @@ def asked(bus: ZenohBus, name: str, payload: bytes, serve: Callable[[], None]) -
     raise AssertionError("no answer within 5 s")
 
 
-def answering(take: Callable[[], Request | None], heard: list[bytes], reply: bytes) -> Callable[[], None]:
+def answering(take: Callable[[], Request | None], requests: list[bytes], reply: bytes) -> Callable[[], None]:
     def serve() -> None:
         while (request := take()) is not None:
-            heard.append(request.payload)
+            requests.append(request.payload)
             request.reply(reply)
 
     return serve
@@ -149,17 +149,17 @@ def answering(take: Callable[[], Request | None], heard: list[bytes], reply: byt
 
 def test_a_request_wakes_who_serves_it_and_is_answered_at_once(net: Net) -> None:
     woken: list[int] = []
-    heard: list[bytes] = []
+    requests: list[bytes] = []
     take = net.b.serve(LEASE, "r1", woken.append)
     others = net.b.serve(LEASE, "r2")
     before = CLOCK.now_ns()
-    answer, took_ns = asked(net.a, "r1", b"\x02\0mine", answering(take, heard, b"yes"))
+    answer, took_ns = asked(net.a, "r1", b"\x02\0mine", answering(take, requests, b"yes"))
     assert answer == b"yes"
-    assert set(heard) == {b"\x02\0mine"}
+    assert set(requests) == {b"\x02\0mine"}
     assert woken
     assert all(before < instant_ns <= CLOCK.now_ns() for instant_ns in woken)
     quickest_ns = min(
-        took_ns, *(asked(net.a, "r1", b"\x02\0mine", answering(take, heard, b"yes"))[1] for _ in range(2))
+        took_ns, *(asked(net.a, "r1", b"\x02\0mine", answering(take, requests, b"yes"))[1] for _ in range(2))
     )
     assert quickest_ns < 0.4 * S  # not when the asker gives up
     assert take() is None

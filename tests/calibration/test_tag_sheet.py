@@ -178,8 +178,8 @@ def test_boards(
     inked = [loop for name, loops in named.items() if name.startswith(("chess", "marker")) for loop in loops]
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_250)
     board = cv2.aruco.CharucoBoard(squares, square, marker, dictionary)
-    for name, place in zip(np.ravel(board.getIds()), board.getObjPoints(), strict=True):
-        ends = np.concatenate([place[0, :2] + [x, y], [marker, marker]])
+    for name, object_points in zip(np.ravel(board.getIds()), board.getObjPoints(), strict=True):
+        ends = np.concatenate([object_points[0, :2] + [x, y], [marker, marker]])
         assert extent(named[f"marker-{name}"]) == pytest.approx(ends, abs=2e-3)
     corners, ids, _, markers = cv2.aruco.CharucoDetector(board).detectBoard(picture(paper, inked))
     assert sorted(ids.ravel()) == list(range((squares[0] - 1) * (squares[1] - 1)))
@@ -197,9 +197,9 @@ def test_floor_tags_are_true_to_scale_and_the_survey_shows_where_they_lie(
     out = tmp_path / "floor.svg"
     changes = ("--set", "robots.1.tag=501", "--set", "arena.size_m=[3.2, 2.4]")
     assert run(monkeypatch, "floor", str(LAB), "--out", str(out), "--count", "6", "--side-mm", "80", *changes) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     ids = [500, 502, 503, 504, 505, 506]  # 501 is a robot's
-    survey = yaml.safe_load(re.findall(r"^floor_tags:\n(?:  - .*\n)+", said, re.MULTILINE)[0])
+    survey = yaml.safe_load(re.findall(r"^floor_tags:\n(?:  - .*\n)+", output, re.MULTILINE)[0])
     assert survey == {"floor_tags": [{"tag": tag, "side_m": 0.08, "x_m": None, "y_m": None} for tag in ids]}
     files = sorted(tmp_path.iterdir(), key=lambda file: int(file.stem.partition("-")[2]))
     (size, plan), *prints = map(shapes, files)

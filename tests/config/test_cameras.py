@@ -28,7 +28,7 @@ def test_each_camera_has_a_tracker_whose_camera_is_its_own() -> None:
     for name, view in config.trackers.items():
         assert view.camera.name == name.removeprefix("tracker-")
         assert slices.build(view) == slices.build(config), "every process of a run has one build"
-    commands = [one.command for one in table.processes(config) if one.row is table.TRACKER]
+    commands = [process.command for process in table.processes(config) if process.row is table.TRACKER]
     assert commands == [("tracker", "--camera", "left"), ("tracker", "--camera", "right")]
     assert load_config(EXAMPLE, ["tracker.source=truth"]).trackers.keys() == {"tracker"}
 

@@ -146,7 +146,7 @@ def test_what_looks_like_a_number_is_read_as_that_number_or_refused_with_its_spe
 
 
 @pytest.mark.parametrize(
-    ("content", "place", "message"),
+    ("content", "where", "message"),
     [
         (b"", "1:1", "is empty"),
         (b"# nothing\n", "1:1", "is empty"),
@@ -162,10 +162,10 @@ def test_what_looks_like_a_number_is_read_as_that_number_or_refused_with_its_spe
         (b"[" * 10_000, "1:1", "nested too deeply"),
     ],
 )
-def test_what_is_no_configuration_is_refused(platoon: Path, content: bytes, place: str, message: str) -> None:
+def test_what_is_no_configuration_is_refused(platoon: Path, content: bytes, where: str, message: str) -> None:
     platoon.write_bytes(content)
     (fault,) = faults_of(platoon)
-    assert fault.startswith(f"platoon.yaml:{place}: ")
+    assert fault.startswith(f"platoon.yaml:{where}: ")
     assert message in fault
 
 
@@ -239,8 +239,8 @@ def test_a_mistake_is_reported_at_its_place_in_plain_words(
     platoon.write_text(text)
     faults = faults_of(platoon)
     parent = edited(("  tick_s", "  «tick_s"))[1]  # a key that is not there has its parent's place
-    (place,) = places or parent
-    (fault,) = [fault for fault in faults if fault.startswith(f"platoon.yaml:{place}: {path}: ")]
+    (own_path,) = places or parent
+    (fault,) = [fault for fault in faults if fault.startswith(f"platoon.yaml:{own_path}: {path}: ")]
     assert message in fault
 
 

@@ -14,8 +14,8 @@ from robofleet.config.files.robot_file import load_robot_file
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config
 from tests.endpoints import short_folder
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 LOOPBACK = ["tcp/127.0.0.1:7447", "tcp/127.0.0.2:65535", "tcp/[::1]:7447", "tcp/localhost:0"]
 SOCKET = "unixsock-stream//run/lab/bus.sock"
 

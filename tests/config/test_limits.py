@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,8 +13,8 @@ from robofleet.config.load import ConfigError, load_config
 from robofleet.config.schema import behaviours
 from robofleet.config.tree import Config
 from robofleet.runs.check import load_checked, proofs
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 SCHEMA = Config.model_json_schema()
 BEHAVIOURS = behaviours(SCHEMA["$defs"])
 Node = dict[str, Any]

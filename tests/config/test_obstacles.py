@@ -23,7 +23,7 @@ def refused(file: Path, *overrides: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("override", "place", "words"),
+    ("override", "key", "words"),
     [
         ("arena.obstacles.1={circle: {x_m: -1.3, y_m: 0.55, radius_m: 0.1}}", "robots.0.start", "move r1 or obstacle2"),
         ("arena.obstacles.1.circle={x_m: 1.25, y_m: -0.2, radius_m: 0.35}", "groups.0.settings.goals.r2", "pillar"),
@@ -39,8 +39,8 @@ def refused(file: Path, *overrides: str) -> list[str]:
         ("arena.obstacles.1.circle.radius=0.2", "arena.obstacles.1.circle.radius", "did you mean 'radius_m'?"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_line_that_says_where(override: str, place: str, words: str) -> None:
-    assert [line for line in refused(OURS, override) if f" {place}: " in line and words in line]
+def test_what_cannot_be_is_refused_in_a_line_that_says_where(override: str, key: str, words: str) -> None:
+    assert [line for line in refused(OURS, override) if f" {key}: " in line and words in line]
 
 
 def test_an_obstacle_on_a_platoon_s_path_is_refused() -> None:
@@ -87,7 +87,7 @@ CART = "{name: cart, tag: %s, radius_m: 0.12, start: {x_m: %s, y_m: %s, heading_
 
 
 @pytest.mark.parametrize(
-    ("moving", "place", "words"),
+    ("moving", "key", "words"),
     [
         (CART % (1, 0, 0), "arena.moving.0.tag", "1 is robots.0's already"),
         ("{name: r1, tag: 40, radius_m: 0.12}", "arena.moving.0.name", "r1 is robots.0's already"),
@@ -96,8 +96,8 @@ CART = "{name: cart, tag: %s, radius_m: 0.12, start: {x_m: %s, y_m: %s, heading_
         (CART % (40, 0.9, 0.62), "arena.moving.0.start", "park cart further away"),
     ],
 )
-def test_a_cart_that_cannot_be_is_refused_where_it_is_written(moving: str, place: str, words: str) -> None:
-    assert [line for line in refused(PLATOON, f"arena.moving=[{moving}]") if place in line and words in line]
+def test_a_cart_that_cannot_be_is_refused_where_it_is_written(moving: str, key: str, words: str) -> None:
+    assert [line for line in refused(PLATOON, f"arena.moving=[{moving}]") if key in line and words in line]
 
 
 def test_a_cart_under_a_real_camera_has_a_driver_that_moves_nothing() -> None:

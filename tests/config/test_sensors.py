@@ -1,13 +1,11 @@
 """Sensors in a configuration: what is refused, and what a run's units tell."""
 
-from pathlib import Path
-
 import pytest
 
 from robofleet.config import slices
 from robofleet.config.load import ConfigError, load_config
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 VEHICLE = "robots.1.vehicle.sensors"
 REFUSED = [
     (("robots.1.sensors=true", "robots.1.vehicle=create2"), "robots.1.sensors: its vehicle has no sensors: describe"),
@@ -33,8 +31,8 @@ def test_what_cannot_be_is_refused_in_one_line(changes: tuple[str, ...], line: s
 
 
 def test_units_tell_as_often_as_their_fastest_sensors() -> None:
-    asked = ("drivers.robots_per_process=2", "robots.1.sensors=true", "robots.3.sensors=true")
-    config = load_config(PLATOON, ["tracker.source=truth", *asked, "robots.3.vehicle.sensors.period_s=0.2"])
+    overrides = ("drivers.robots_per_process=2", "robots.1.sensors=true", "robots.3.sensors=true")
+    config = load_config(PLATOON, ["tracker.source=truth", *overrides, "robots.3.vehicle.sensors.period_s=0.2"])
     assert config.sensing == ("r1", "r3")
     assert [slices.sensing_period_ns(config, unit) for unit in config.units] == [33_000_000, 200_000_000]
     assert [slices.sensors(robot) is not None for robot in config.robots] == [False, True, False, True]

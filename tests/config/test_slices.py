@@ -1,13 +1,11 @@
 """What was measured of a robot goes before what is known of its kind; the simulated robot stays what it is."""
 
-from pathlib import Path
-
 import pytest
 
 from robofleet.config import slices
 from robofleet.config.load import load_config
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 MEASURED = "{robot: r1, wheel_radius_m: 0.0158, motor_lag_s: 0.061, delay_s: 0.045}"
 
 

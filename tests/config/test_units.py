@@ -1,14 +1,12 @@
 """Units: which robots share a driver process, and what is refused."""
 
-from pathlib import Path
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robofleet.config.load import ConfigError, load_config
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TRUTH = "tracker.source=truth"
 REAL = "robots.1.driver=gternal"
 

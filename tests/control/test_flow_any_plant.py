@@ -19,8 +19,9 @@ from robofleet.control.flow import (
     integrator_gain,
     point_update,
 )
+from robofleet.core.arrays import Array
 from robofleet.experiments.stability import DOUBLE_INTEGRATOR
-from robofleet.vehicles.bicycle import FALCONE_2007, Array
+from robofleet.vehicles.bicycle import FALCONE_2007
 
 EXACT = settings(deadline=None, derandomize=True, max_examples=60)
 

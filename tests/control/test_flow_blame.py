@@ -50,8 +50,8 @@ def test_function_line_and_cause_are_named(role: str, function: str, source: str
         else:
             f, h = (bad, lambda x: x) if role == "plant.f" else (lambda x, u: u, bad)
             NewtonRaphsonFlow(Plant(f, h, 1, 1), SETTINGS, [0.0])
-    place = f"{FILE}:{line}: `{LINES[line - 1].strip()}`"
-    assert str(error.value).startswith(f"{role}: numba cannot compile {function}: {place}: {cause}")
+    refusal_start = f"{FILE}:{line}: `{LINES[line - 1].strip()}`"
+    assert str(error.value).startswith(f"{role}: numba cannot compile {function}: {refusal_start}: {cause}")
     assert "\n" not in str(error.value)
 
 

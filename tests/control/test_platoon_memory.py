@@ -24,14 +24,14 @@ def is_behind_the_first(platoon: Platoon, path: Path, poses: np.ndarray) -> bool
 
 def test_a_carried_robot_is_found_again(platoon_of: PlatoonOf, line_up: LineUp, platoon_path: Path) -> None:
     platoon = platoon_of(2)
-    here, there = line_up(np.array([0.5, 0.3])), line_up(np.array([1.8, 0.3]))
+    here, other = line_up(np.array([0.5, 0.3])), line_up(np.array([1.8, 0.3]))
     platoon.tick(10.0, here, TWO)
     assert is_behind_the_first(platoon, platoon_path, here)
-    platoon.tick(10.0, there, TWO)
-    assert not is_behind_the_first(platoon, platoon_path, there)  # it is looked for where it was
+    platoon.tick(10.0, other, TWO)
+    assert not is_behind_the_first(platoon, platoon_path, other)  # it is looked for where it was
     platoon.carried(0)
-    platoon.tick(10.0, there, TWO)
-    assert is_behind_the_first(platoon, platoon_path, there)
+    platoon.tick(10.0, other, TWO)
+    assert is_behind_the_first(platoon, platoon_path, other)
 
 
 def test_the_follower_of_a_robot_on_a_crossing_keeps_to_its_branch(

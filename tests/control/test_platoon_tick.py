@@ -128,7 +128,7 @@ def test_moving_the_whole_world_changes_no_wheel(
         world = np.diag([1.0, -1.0]) @ world
     at, derivatives = knots
     here = platoon_of(track=track)
-    there = platoon_of(path=Path.hermite(at @ world + (x, y), derivatives @ world), track=track)
+    shifted = platoon_of(path=Path.hermite(at @ world + (x, y), derivatives @ world), track=track)
     rng = np.random.default_rng(1)
     poses = line_up(SIGMA, np.array([0.1, -0.2, 0.15, 0.25]))
     for k in range(20):
@@ -136,5 +136,5 @@ def test_moving_the_whole_world_changes_no_wheel(
         heading = (-poses[:, 2] if mirrored else poses[:, 2]) + turn
         moved = np.column_stack([poses[:, :2] @ world + (x, y), heading])
         a = here.tick(k * 0.033, poses, ALL)[:, WHEELS]
-        b = there.tick(k * 0.033, moved, ALL)[:, WHEELS]
+        b = shifted.tick(k * 0.033, moved, ALL)[:, WHEELS]
         assert (b[:, ::-1] if mirrored else b) == pytest.approx(a, abs=1e-7)

@@ -72,7 +72,7 @@ def test_a_path_at_a_rate_begins_at_its_parameter() -> None:
     path = Path.hermite(SQUARE, np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]]))
     way, t = Trajectory.path(path, 0.1, 1.5), np.linspace(0.0, 100.0, 301)
     assert way.position(t) == pytest.approx(path.position(1.5 + 0.1 * t))
-    assert np.array([way.at(float(one)) for one in t]) == pytest.approx(way.position(t))
+    assert np.array([way.at(float(instant)) for instant in t]) == pytest.approx(way.position(t))
     assert way.velocity(t) == pytest.approx(0.1 * path.derivative(1.5 + 0.1 * t))
 
 
@@ -107,7 +107,7 @@ def test_the_unicycles_arc_is_what_the_general_prediction_integrates() -> None:
     general = Plant(plant.f, plant.h, plant.n, plant.m, plant.f_x, plant.f_u, plant.h_x)
     settings = FlowSettings(45.0, 0.6, 0.033, prediction_steps=50)
     rng = np.random.default_rng(5)
-    closed, integrated = (NewtonRaphsonFlow(one, settings, (0.1, 0.2)) for one in (plant, general))
+    closed, integrated = (NewtonRaphsonFlow(model, settings, (0.1, 0.2)) for model in (plant, general))
     for omega in (0.0, 1e-5, 0.3, -2.0):
         x, r = rng.uniform(-1.0, 1.0, 5) * [1.0, 1.0, 3.0, 0.02, 0.2], rng.uniform(-1.0, 1.0, 2)
         for flow in (closed, integrated):

@@ -39,8 +39,8 @@ class World:
 
 def plain(world: World) -> str:
     """What Python itself makes of the function now: numba keeps what it compiled."""
-    compiled = {name: one for name, one in world.names.items() if hasattr(one, "py_func")}
-    world.names.update({name: one.py_func for name, one in compiled.items()})
+    compiled = {name: value for name, value in world.names.items() if hasattr(value, "py_func")}
+    world.names.update({name: value.py_func for name, value in compiled.items()})
     found = world.function()(1.5)
     world.names.update(compiled)
     return repr(found.item() if isinstance(found, np.generic) else found)

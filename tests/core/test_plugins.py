@@ -21,3 +21,15 @@ def test_a_module_that_imports_what_has_moved_is_told_where_to_import_it_from(
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(PluginError, match=r"mend line 2 of .*of_yesterday\.py: import it from `robofleet` itself"):
         load("robofleet.poses", "of_yesterday:Poses")
+
+
+def test_an_entry_point_of_before_a_move_says_to_install_its_package_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "old-1.0.dist-info").mkdir()
+    points = "[robofleet.tests_plugins]\nold = robofleet.no_more:Camera\n"
+    (tmp_path / "old-1.0.dist-info" / "entry_points.txt").write_text(points)
+    (tmp_path / "old-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: old\nVersion: 1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PluginError, match=r"No module named 'robofleet.no_more': install its package again"):
+        load("robofleet.tests_plugins", "old")

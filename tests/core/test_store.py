@@ -63,7 +63,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder that two processes have filled at the same time, with a common model and one of each one's own."""
     folder = tmp_path_factory.mktemp("kernels")
     both = [started(MODELS, folder, 2.0, 3.0), started(MODELS, folder, 2.0, 4.0)]
-    assert [[value for value, _ in said(one)] for one in both] == [[3.0, 4.0], [3.0, 5.0]]
+    assert [[value for value, _ in said(table)] for table in both] == [[3.0, 4.0], [3.0, 5.0]]
     return folder
 
 

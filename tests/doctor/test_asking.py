@@ -33,8 +33,8 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, TwinSt
 def test_every_kind_is_known_by_its_answer_and_stands(twins: dict[str, TwinStand]) -> None:
     before = [stand.twin.truth()[:3] for stand in twins.values()]
     found = asking.ask(Needs(), [str(stand.port) for stand in twins.values()])
-    assert [one.says for one in found] == [f"{kind} answers: write `driver: {kind}` for it" for kind in twins]
-    assert {one.mark for one in found} == {Mark.OK}
+    assert [finding.says for finding in found] == [f"{kind} answers: write `driver: {kind}` for it" for kind in twins]
+    assert {finding.mark for finding in found} == {Mark.OK}
     assert [stand.twin.truth()[:3] for stand in twins.values()] == before
 
 

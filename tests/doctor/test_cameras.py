@@ -42,11 +42,11 @@ class Webcam:
                 assert struct.unpack_from("=I", buffer, 4)[0] == 1
                 struct.pack_into("=I32s4s", buffer, 8, 0, b"a format", letters[index].encode())
             elif number == 74:  # v4l2_frmsizeenum
-                mode = [one for one in MODES if one.format.encode() == buffer[4:8]][index]
+                mode = [mode_row for mode_row in MODES if mode_row.format.encode() == buffer[4:8]][index]
                 struct.pack_into("=III", buffer, 8, 1, mode.width, mode.height)
             elif number == 75:  # v4l2_frmivalenum
                 _, letter, width, height = struct.unpack_from("=I4sII", buffer)
-                mode = next(one for one in MODES if one[:3] == (letter.decode(), width, height))
+                mode = next(mode_row for mode_row in MODES if mode_row[:3] == (letter.decode(), width, height))
                 struct.pack_into("=III", buffer, 16, 1, 1000, round(1000 * mode.rates_hz[index]))
         except IndexError:
             raise OSError(errno.EINVAL, "the list has ended") from None

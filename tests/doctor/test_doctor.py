@@ -51,12 +51,12 @@ def test_a_machine_on_which_the_platoon_drives_is_exit_0_and_nothing_is_left_beh
 def test_what_a_configuration_lacks_is_exit_1_with_a_cure_each() -> None:
     result = doctor(CONFIGS / "lab.yaml", "--json")
     assert result.exit_code == 1
-    said = json.loads(result.stdout)
+    report = json.loads(result.stdout)
     assert result.stderr == ""
-    assert (said["works"], said["config"]) == (False, str(CONFIGS / "lab.yaml"))
-    missing = {one["name"]: one for one in said["findings"] if one["mark"] == "missing"}
+    assert (report["works"], report["config"]) == (False, str(CONFIGS / "lab.yaml"))
+    missing = {finding["name"]: finding for finding in report["findings"] if finding["mark"] == "missing"}
     assert set(missing) >= {"r1's port", "r2's port", "r3's port"}
-    assert all(one["cure"] for one in missing.values())
+    assert all(finding["cure"] for finding in missing.values())
 
 
 @pytest.mark.parametrize(
@@ -100,8 +100,10 @@ for arguments in ([], ["--robots", "r1,r2"]):
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
 
     def parts(line: str) -> tuple[int, dict[str, tuple[str, str]]]:
-        code, _, said = line.partition(" ")
-        return int(code), {one["name"]: (one["mark"], one["says"]) for one in json.loads(said)["findings"]}
+        code, _, output = line.partition(" ")
+        return int(code), {
+            finding["name"]: (finding["mark"], finding["says"]) for finding in json.loads(output)["findings"]
+        }
 
     whole, drivers = map(parts, done.stdout.splitlines())
     code, found = whole
@@ -128,8 +130,8 @@ def test_a_check_that_hangs_or_fails_costs_its_own_line() -> None:
     checks = {"slow": hang, "broken": fail, "last": lambda _: iter([ok("last", "fine")])}
     found = examination.examine(Needs(), checks, at_most_s=0.2)
     ended.set()
-    assert [one.name for one in found] == ["first", "slow", "broken", "last"]
-    assert [one.mark for one in found] == [Mark.OK, Mark.WARN, Mark.WARN, Mark.OK]
+    assert [finding.name for finding in found] == ["first", "slow", "broken", "last"]
+    assert [finding.mark for finding in found] == [Mark.OK, Mark.WARN, Mark.WARN, Mark.OK]
     assert "no answer within 0.2 s" in found[1].says
     assert "PermissionError" in found[2].says
 
@@ -144,9 +146,9 @@ def test_a_library_that_hangs_or_ends_its_process_is_told_apart_from_an_answer()
 
 def test_an_old_package_is_missing_and_a_wanted_extra_is_judged_by_the_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     versions = {"numba": "0.60.9"}
-    there = software.version
-    monkeypatch.setattr(software, "version", lambda name: versions.get(name) or there(name))
-    found = {one.name: one for one in software.packages(Needs())}
+    version = software.version
+    monkeypatch.setattr(software, "version", lambda name: versions.get(name) or version(name))
+    found = {package.name: package for package in software.packages(Needs())}
     assert found["packages of lab"].mark is Mark.MISSING
     assert "numba 0.60.9 is installed, and >=0.61 is needed" in found["packages of lab"].says
     assert "pip install" in found["packages of lab"].cure
@@ -154,7 +156,7 @@ def test_an_old_package_is_missing_and_a_wanted_extra_is_judged_by_the_camera(mo
 
 def test_a_driver_whose_package_is_not_there_is_missing() -> None:
     needs = Needs(load_config(CONFIGS / "platoon.yaml", ["robots.1.driver=sparrow:Sparrow"]))
-    found = {one.name: one for one in software.drivers(needs)}
+    found = {driver.name: driver for driver in software.drivers(needs)}
     assert found["driver simulated"].mark is Mark.OK
     assert found["driver sparrow:Sparrow"].mark is Mark.MISSING
     assert "for r2" in found["driver sparrow:Sparrow"].says
@@ -165,12 +167,12 @@ def test_a_disk_without_room_or_a_folder_that_is_not_ours_is_missing(
 ) -> None:
     hour = Needs(load_config(CONFIGS / "platoon.yaml", ["run.duration_s=3600"]))
     monkeypatch.setattr(places.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 500_000_000}))
-    assert [one.mark for one in places.disk(Needs())] == [Mark.OK]
+    assert [finding.mark for finding in places.disk(Needs())] == [Mark.OK]
     (full,) = places.disk(hour)
     assert full.mark is Mark.MISSING
     assert "needs 0.86 GB" in full.says
     monkeypatch.setattr(places.os, "access", lambda *_: False)
-    assert [one.mark for one in (*places.disk(hour), *places.state(hour))] == [Mark.MISSING, Mark.MISSING]
+    assert [finding.mark for finding in (*places.disk(hour), *places.state(hour))] == [Mark.MISSING, Mark.MISSING]
 
 
 def test_a_bus_in_a_folder_of_others_is_missing_with_the_command_that_closes_it(folder: Path) -> None:
@@ -194,7 +196,7 @@ def test_a_container_has_the_share_that_it_was_given(tmp_path: Path) -> None:
 
 def test_priorities_that_are_refused_give_the_lines_to_paste(monkeypatch: pytest.MonkeyPatch) -> None:
     before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
-    assert [one.name for one in computer.priorities(Needs())] == ["priorities"]
+    assert [finding.name for finding in computer.priorities(Needs())] == ["priorities"]
     assert (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)) == before
 
     def refuse(*_: object) -> None:

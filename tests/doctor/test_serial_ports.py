@@ -32,7 +32,7 @@ def ports(tmp_path: Path) -> Iterator[Ports]:
 
 def plugged(monkeypatch: pytest.MonkeyPatch, *adapters: dict[str, Any]) -> None:
     known = {"manufacturer": None, "product": None, "vid": None, "pid": None, "serial_number": None, "location": None}
-    monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(**known | one) for one in adapters])
+    monkeypatch.setattr(list_ports, "comports", lambda: [SimpleNamespace(**known | device) for device in adapters])
 
 
 def adapter(path: str, number: str | None, location: str, **more: Any) -> dict[str, Any]:

@@ -78,14 +78,14 @@ class RoundsUpAtTheLimit(Sparrow):
 class SaysItAgain(Sparrow):
     """As a driver whose polling is as good as a command to its firmware."""
 
-    _told = STOP
+    _newest = STOP
 
     def write(self, wheels: WheelSpeeds) -> None:
-        self._told = wheels
+        self._newest = wheels
         super().write(wheels)
 
     def read(self) -> DriverReading:
-        super().write(self._told)
+        super().write(self._newest)
         return super().read()
 
 
@@ -127,26 +127,26 @@ class BelievesEveryLine(Sparrow):
         *lines, self.rest = (self.rest + self.line.read())[-4096:].split(b"\n")
         for line in lines:
             if line.startswith(b"s "):
-                self.heard = [*self.heard[-9:], (self.now_ns(), *map(int, line.split()[1:4]))]
-        return bool(self.heard)
+                self.reports = [*self.reports[-9:], (self.now_ns(), *map(int, line.split()[1:4]))]
+        return bool(self.reports)
 
 
 class MiscountsBadLines(Sparrow):
     def listen(self) -> bool:
-        before = self.heard[-1:]
-        heard = super().listen()
-        if before and self.heard[-1][0] - before[0][0] > 15_000_000:
+        before = self.reports[-1:]
+        is_heard = super().listen()
+        if before and self.reports[-1][0] - before[0][0] > 15_000_000:
             at_ns, left, right, charge = self.zero
             self.zero = at_ns, left + 500, right, charge
-        return heard
+        return is_heard
 
 
 class NeverMissesIt(Sparrow):
     def listen(self) -> bool:
         super().listen()
-        if self.heard:
-            self.heard[-1] = (self.now_ns(), *self.heard[-1][1:])
-        return bool(self.heard)
+        if self.reports:
+            self.reports[-1] = (self.now_ns(), *self.reports[-1][1:])
+        return bool(self.reports)
 
 
 class WritesIntoTheVoid(Sparrow):
@@ -159,7 +159,7 @@ class ReadsFromTheVoid(Sparrow):
     def listen(self) -> bool:
         with suppress(DriverError):
             super().listen()
-        return bool(self.heard)
+        return bool(self.reports)
 
 
 class SeesNoPlug(WritesIntoTheVoid, ReadsFromTheVoid):
@@ -185,11 +185,11 @@ class ComesBackOnce(Sparrow):
 class GoesOn(Sparrow):
     """Where it was interrupted by a plug."""
 
-    told: ClassVar[dict[str, WheelSpeeds]] = {}
+    commands: ClassVar[dict[str, WheelSpeeds]] = {}
 
     def __init__(self, context: DriverContext) -> None:
         super().__init__(context)
-        self.again = self.told.pop(self.settings.port, None)
+        self.again = self.commands.pop(self.settings.port, None)
 
     def write(self, wheels: WheelSpeeds) -> None:
         self.last = wheels
@@ -204,13 +204,13 @@ class GoesOn(Sparrow):
         try:
             return super().listen()
         except DriverError:
-            self.told[self.settings.port] = self.last
+            self.commands[self.settings.port] = self.last
             raise
 
 
 class GreetsWithoutAStop(Sparrow):
     def write(self, wheels: WheelSpeeds) -> None:
-        if self.heard:
+        if self.reports:
             super().write(wheels)
 
 
@@ -259,8 +259,8 @@ class NamelessWhenBusy(Sparrow):
 
 class MeetsAnybody(Sparrow):
     def listen(self) -> bool:
-        if not self.heard:
-            self.heard = [(self.now_ns(), 0, 0, 0)]
+        if not self.reports:
+            self.reports = [(self.now_ns(), 0, 0, 0)]
         return super().listen()
 
 
@@ -268,7 +268,7 @@ class ShoutsAround(Sparrow):
     """Moves a Create 2: start, full control, wheels."""
 
     def write(self, wheels: WheelSpeeds) -> None:
-        if not self.heard:
+        if not self.reports:
             self.line.write(bytes([128, 132, 145, 0, 100, 0, 100]))
         super().write(wheels)
 

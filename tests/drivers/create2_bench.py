@@ -92,8 +92,8 @@ class Bench:
         """Command the wheels [rad/s], and let the robot hear what is said of it."""
         with patch("os.write", wraps=os.write) as written:
             self.driver.write(WheelSpeeds(left, right))
-        said = any(os.isatty(call.args[0]) for call in written.call_args_list)
-        self.hear(1.0 if said else 0.0)
+        wrote = any(os.isatty(call.args[0]) for call in written.call_args_list)
+        self.hear(1.0 if wrote else 0.0)
 
     def read(self) -> DriverReading:
         reading = self.driver.read()

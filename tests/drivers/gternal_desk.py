@@ -62,8 +62,8 @@ class Desk:
         """Take what was written, waiting so long for it at most, and answer."""
         if self.line.descriptor is None:
             self.line.read()
-        heard = [] if self.line.descriptor is None else [self.line.descriptor]
-        select.select(heard, [], [], seconds)
+        readable = [] if self.line.descriptor is None else [self.line.descriptor]
+        select.select(readable, [], [], seconds)
         self._answer()
 
     def tell(self, driver: GTernal, wheels: WheelSpeeds) -> WheelSpeeds:

@@ -62,7 +62,7 @@ class Robot:
         self.line, self.wheels, self.clock = SerialLine(port), Wheels(), SimulatedClock()
         self.firmware = firmware_on(self.wheels)
         self.wheels.turned = [first, first]
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
         self.on_the_way: Callable[[bytes], bytes] = bytes
         self.on_the_way_back: Callable[[bytes], bytes] = bytes
         self.clock.advance_to(S)
@@ -81,9 +81,9 @@ class Robot:
 
     def listen(self) -> None:
         """Answer what has come."""
-        if said := self.line.read():
-            self.heard.append(said)
-            answer = self.firmware.receive(self.on_the_way(said), self.clock.now_ns())
+        if data := self.line.read():
+            self.received.append(data)
+            answer = self.firmware.receive(self.on_the_way(data), self.clock.now_ns())
             self.line.write(self.on_the_way_back(answer))
 
     def let_pass(self, seconds: float) -> None:
@@ -176,21 +176,21 @@ def executed(firmware: ArduinoBridgeFirmware, wheels: Wheels, data: bytes, now_n
     return targets
 
 
-@pytest.mark.parametrize("told", [(34, 12), (-34, 12), (5, -7), (-120, -101), (0, 9)])
-def test_the_wheels_get_what_they_are_told(bench: Bench, told: Targets) -> None:
-    bench.write(*told)
+@pytest.mark.parametrize("targets", [(34, 12), (-34, 12), (5, -7), (-120, -101), (0, 9)])
+def test_the_wheels_get_what_they_are_told(bench: Bench, targets: Targets) -> None:
+    bench.write(*targets)
     bench.robot.let_pass(FRAME_S)
-    assert bench.robot.wheels.target == told
+    assert bench.robot.wheels.target == targets
 
 
-@pytest.mark.parametrize(("told", "then"), [((34, 12), (35, 13)), ((-120, 101), (-119, 102)), ((5, -7), (0, 0))])
+@pytest.mark.parametrize(("targets", "then"), [((34, 12), (35, 13)), ((-120, 101), (-119, 102)), ((5, -7), (0, 0))])
 def test_of_a_line_cut_anywhere_wheels_get_no_more_than_they_were_told_until_the_next_is_complete(
-    bench: Bench, told: Targets, then: Targets
+    bench: Bench, targets: Targets, then: Targets
 ) -> None:
-    bench.robot.on_the_way = lambda said: b""
-    bench.write(*told)
+    bench.robot.on_the_way = lambda data: b""
+    bench.write(*targets)
     bench.write(*then)
-    first, second = bench.robot.heard[-2:]
+    first, second = bench.robot.received[-2:]
     for kept in range(len(first)):
         wheels = Wheels()
         firmware = firmware_on(wheels)
@@ -199,44 +199,46 @@ def test_of_a_line_cut_anywhere_wheels_get_no_more_than_they_were_told_until_the
         healing = executed(firmware, wheels, second, S)
         assert healing[-1] == then
         for target in healing[:-1]:
-            asked = all(0 <= got * math.copysign(1, most) <= abs(most) for got, most in zip(target, told, strict=True))
-            assert target == before or asked
+            plausible = all(
+                0 <= got * math.copysign(1, most) <= abs(most) for got, most in zip(target, targets, strict=True)
+            )
+            assert target == before or plausible
 
 
 def test_no_single_wrong_bit_makes_a_wheel_faster_than_its_digits(bench: Bench) -> None:
-    for told in itertools.product((-34, 5, 120), repeat=2):
-        bench.write(*told)
-        *_, line = bench.robot.heard
-        for place, bit in itertools.product(range(len(line)), range(8)):
-            spoilt = bytes(byte ^ (1 << bit) if k == place else byte for k, byte in enumerate(line))
+    for targets in itertools.product((-34, 5, 120), repeat=2):
+        bench.write(*targets)
+        *_, line = bench.robot.received
+        for index, bit in itertools.product(range(len(line)), range(8)):
+            spoilt = bytes(byte ^ (1 << bit) if k == index else byte for k, byte in enumerate(line))
             wheels = Wheels()
             firmware = firmware_on(wheels)
             for target in executed(firmware, wheels, spoilt, S):
-                for got, asked in zip(target, told, strict=True):
-                    assert abs(got) < 10 ** len(str(abs(asked))), spoilt
+                for got, speed in zip(target, targets, strict=True):
+                    assert abs(got) < 10 ** len(str(abs(speed))), spoilt
 
 
 def test_a_healthy_line_is_not_doctored(bench: Bench) -> None:
-    bench.robot.heard.clear()
-    for told in ((34, 12), (35, 12), (35, 13)):
-        bench.write(*told)
+    bench.robot.received.clear()
+    for targets in ((34, 12), (35, 12), (35, 13)):
+        bench.write(*targets)
         bench.poll()
-    assert bench.robot.heard == [b"m 34, 12\r", b"e\r", b"m 35, 12\r", b"e\r", b"m 35, 13\r", b"e\r"]
+    assert bench.robot.received == [b"m 34, 12\r", b"e\r", b"m 35, 12\r", b"e\r", b"m 35, 13\r", b"e\r"]
 
 
 def test_rounding_leaves_nothing_behind(bench: Bench) -> None:
     rng = np.random.default_rng(2)
-    asked = np.zeros(2)
-    for told in np.array([6.3, -1.4]) + np.cumsum(rng.normal(0.0, 0.3, (300, 2)), axis=0):
+    mean = np.zeros(2)
+    for targets in np.array([6.3, -1.4]) + np.cumsum(rng.normal(0.0, 0.3, (300, 2)), axis=0):
         before = np.array(bench.robot.wheels.turned)
-        asked += told
-        bench.driver.write(WheelSpeeds(*(told * RAD_S)))
+        mean += targets
+        bench.driver.write(WheelSpeeds(*(targets * RAD_S)))
         bench.robot.hear()
         bench.robot.let_pass(FRAME_S)
         done = np.array(bench.robot.wheels.turned) - before
-        assert np.all(done * told >= 0.0)  # never the other way
-        assert np.all(np.abs(done - told) <= 1.0 + 1e-6)
-    assert np.abs(np.array(bench.robot.wheels.turned) - asked).max() <= 0.5 + 1e-6
+        assert np.all(done * targets >= 0.0)  # never the other way
+        assert np.all(np.abs(done - targets) <= 1.0 + 1e-6)
+    assert np.abs(np.array(bench.robot.wheels.turned) - mean).max() <= 0.5 + 1e-6
 
 
 def test_a_wheel_that_is_told_zero_gets_zero(bench: Bench) -> None:
@@ -248,15 +250,15 @@ def test_a_wheel_that_is_told_zero_gets_zero(bench: Bench) -> None:
 
 
 def test_at_rest_the_line_is_left_free(bench: Bench) -> None:
-    before = len(bench.robot.heard)
+    before = len(bench.robot.received)
     for _ in range(100):
         bench.driver.read()
         bench.driver.write(STOP)
         bench.robot.take(0.005)
         bench.robot.let_pass(0.01)
-    said = b"".join(bench.robot.heard[before:])
-    assert len(said) * 10 <= 0.15 * 57600
-    assert said.count(b"m 0, 0\r") >= 30  # one that was lost is told again soon
+    commands = b"".join(bench.robot.received[before:])
+    assert len(commands) * 10 <= 0.15 * 57600
+    assert commands.count(b"m 0, 0\r") >= 30  # one that was lost is told again soon
 
 
 def test_angles_and_speeds_are_those_of_the_wheels(bench: Bench) -> None:
@@ -298,11 +300,11 @@ def test_a_wrong_digit_is_believed_only_where_the_wheel_can_have_turned_so_far(b
     for _ in range(20):
         bench.poll()
     bench.write(0, 0)
-    said = b"%d %d\r\n" % bench.robot.wheels.counts
+    answer = b"%d %d\r\n" % bench.robot.wheels.counts
     truth = bench.poll()[:2]
     reach = 2.0 * GTERNAL.max_wheel_speed * 0.04  # twice what it may do, in the time of two polls
-    for place, digit in itertools.product(range(len(said) - 2), b"0123456789"):
-        spoilt = said[:place] + bytes([digit]) + said[place + 1 :]
+    for index, digit in itertools.product(range(len(answer) - 2), b"0123456789"):
+        spoilt = answer[:index] + bytes([digit]) + answer[index + 1 :]
         bench.robot.on_the_way_back = lambda _, spoilt=spoilt: spoilt  # type: ignore[misc]
         read = bench.poll()[:2]
         assert max(abs(a - b) for a, b in zip(read, truth, strict=True)) <= reach
@@ -347,10 +349,10 @@ def test_whatever_was_lost_answers_find_their_questions_again(bench: Bench) -> N
         bench.write(34, 12)
         bench.look()
         bench.robot.take(0.01)
-        bench.robot.heard.clear()
+        bench.robot.received.clear()
         bench.write(34, 12)
         reading = bench.poll()
-        assert bench.robot.heard == [b"m 34, 12\r", b"e\r"], losses
+        assert bench.robot.received == [b"m 34, 12\r", b"e\r"], losses
         assert bench.off(reading) <= 0.5
 
 
@@ -393,7 +395,7 @@ def test_a_line_that_is_gone_is_said_at_once(bench: Bench) -> None:
 def test_closing_stops_the_wheels_though_the_first_word_is_lost(bench: Bench) -> None:
     bench.write(34, 12)
     losses = iter([True])
-    bench.robot.on_the_way = lambda said: said[:3] if next(losses, False) else said
+    bench.robot.on_the_way = lambda data: data[:3] if next(losses, False) else data
     with bench.robot.answering():
         bench.driver.close()
     bench.robot.let_pass(FRAME_S)
@@ -436,7 +438,7 @@ def test_what_does_not_speak_the_protocol_is_refused(tmp_path: Path, answer: byt
 def test_a_board_that_starts_is_waited_for(tmp_path: Path) -> None:
     robot = Robot(tmp_path / "r1.tty", 0)
     deaf = iter(range(4))
-    robot.on_the_way = lambda said: b"" if next(deaf, None) is not None else said
+    robot.on_the_way = lambda data: b"" if next(deaf, None) is not None else data
     driver = driver_in_a_hurry(robot, tmp_path / "r1.tty")
     with robot.answering():
         driver.close()

@@ -31,10 +31,10 @@ def bench() -> Iterator[Bench]:
 def test_opening_stops_whatever_it_did_and_returns_when_it_streams() -> None:
     bench = Bench()
     bench.firmware.receive(bytes((128, 132, 145, 0, 200, 0, 200)), 0)
-    said = []
+    frames = []
 
     def overheard(data: bytes) -> bytes:
-        said.append(data)
+        frames.append(data)
         return data
 
     bench.to_robot = overheard
@@ -45,7 +45,7 @@ def test_opening_stops_whatever_it_did_and_returns_when_it_streams() -> None:
         assert reading[:2] == (0.0, 0.0)
         assert reading.battery == pytest.approx(1.0, abs=0.01)
         assert reading.faults == 0
-        assert b"".join(said).lstrip(b"\0").startswith(bytes((145, 0, 0, 0, 0, 128))), "rest is the first thing said"
+        assert b"".join(frames).lstrip(b"\0").startswith(bytes((145, 0, 0, 0, 0, 128))), "rest is the first thing said"
     finally:
         bench.close()
 
@@ -56,18 +56,18 @@ def test_each_wheel_is_told_its_own_speed_to_half_a_millimetre_a_second(
     bench: Bench, left: float, right: float
 ) -> None:
     bench.write(left, right)
-    told = bench.hardware.command
-    assert told == pytest.approx((left, right), abs=0.8 * MM_S)
-    assert max(map(abs, told)) <= CREATE2.max_wheel_speed
+    target = bench.hardware.command
+    assert target == pytest.approx((left, right), abs=0.8 * MM_S)
+    assert max(map(abs, target)) <= CREATE2.max_wheel_speed
     bench.write(0.0, 0.0)
     assert bench.hardware.command == STOP
 
 
 def test_what_it_goes_by_already_is_not_said_again_until_it_goes_by_something_else(bench: Bench) -> None:
-    said: list[bytes] = []
+    writes: list[bytes] = []
 
     def overheard(data: bytes) -> bytes:
-        said.append(data)
+        writes.append(data)
         return data
 
     def drive(ticks: int) -> None:
@@ -80,10 +80,10 @@ def test_what_it_goes_by_already_is_not_said_again_until_it_goes_by_something_el
     bench.to_robot = overheard
     bench.pass_time(0.1, STOP)
     drive(4)
-    assert b"\x91" in b"".join(said)
-    said.clear()
+    assert b"\x91" in b"".join(writes)
+    writes.clear()
     drive(30)
-    assert not b"".join(said)
+    assert not b"".join(writes)
     bench.firmware.receive(bytes((145, 0, 10, 0, 10)), bench.now_ns)  # nobody's command
     drive(3)
     assert bench.hardware.command == pytest.approx(FORWARD, abs=MM_S)
@@ -210,8 +210,8 @@ def test_after_its_end_the_robot_rests_and_is_told_nothing_more(bench: Bench) ->
 
 def test_closing_is_said_again_when_the_robot_has_not_heard_it(bench: Bench) -> None:
     bench.pass_time(0.2, FORWARD)
-    heard = iter([b"", b""])
-    bench.to_robot = lambda data: next(heard, data) if data else data
+    answers = iter([b"", b""])
+    bench.to_robot = lambda data: next(answers, data) if data else data
     bench.close_driver()
     assert bench.hardware.command == STOP
 

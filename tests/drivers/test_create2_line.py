@@ -74,25 +74,25 @@ def test_wherever_a_command_is_cut_it_does_nothing_until_the_next_which_heals_it
 def test_whatever_changed_bytes_make_it_do_it_soon_does_what_it_is_told(
     bench: Bench, broken: WheelSpeeds, garbage: bytes, at: int
 ) -> None:
-    told = WheelSpeeds(4.0, 6.0)
+    wheels = WheelSpeeds(4.0, 6.0)
     whole = written(bench, broken)
     changed = (whole[:at] + garbage + whole[at + len(garbage) :])[: len(whole)]
     if any(opcode in changed for opcode in (7, 133, 173)):  # a reset takes seconds; off, it must be greeted anew
         return
     bench.firmware.receive(changed, bench.now_ns)
     counts = any(opcode in changed for opcode in (140, 148, 149))  # up to 255 bytes that follow are its list
-    readings = bench.pass_time(2.0 if counts else 0.3, told)
+    readings = bench.pass_time(2.0 if counts else 0.3, wheels)
     assert readings[-1].faults == 0
     assert bench.firmware.mode is Mode.SAFE
-    assert bench.hardware.command == pytest.approx(tuple(told), abs=SHORT + 1e-9)
+    assert bench.hardware.command == pytest.approx(tuple(wheels), abs=SHORT + 1e-9)
 
 
 def test_a_wrong_speed_is_answered_within_a_frame_and_a_loop(bench: Bench) -> None:
     bench.pass_time(0.2, WheelSpeeds(4.0, 4.0))
-    told = bench.hardware.command
+    wheels = bench.hardware.command
     bench.firmware.receive(struct.pack(">Bhh", 145, 500, -500), bench.now_ns)
     bench.pass_time(0.03)  # no write: what is read is enough
-    assert bench.hardware.command == told
+    assert bench.hardware.command == wheels
 
 
 def test_an_opcode_that_swallows_what_follows_is_fed_until_it_hears_again(bench: Bench) -> None:

@@ -64,18 +64,18 @@ class Bench:
 
     def hear(self, what: bytes) -> float:
         """Wait until the robot has been told ``what``; returns when [s]."""
-        heard, until = b"", now_s() + PATIENCE_S
-        while what not in heard:
-            assert select.select([self.robot], [], [], until - now_s())[0], f"only {heard!r} came"
-            heard = heard[-len(what) :] + os.read(self.robot, 4096)
+        data, until = b"", now_s() + PATIENCE_S
+        while what not in data:
+            assert select.select([self.robot], [], [], until - now_s())[0], f"only {data!r} came"
+            data = data[-len(what) :] + os.read(self.robot, 4096)
         return now_s()
 
     def silence(self, seconds: float) -> bytes:
         """Return what the robot is told until nothing has come for so long."""
-        heard = b""
+        data = b""
         while select.select([self.robot], [], [], seconds)[0]:
-            heard += os.read(self.robot, 4096)
-        return heard
+            data += os.read(self.robot, 4096)
+        return data
 
     def close(self) -> None:
         self.driver.kill()

@@ -37,12 +37,12 @@ def test_distances_and_heading_come_through_the_line() -> None:
         truth = bench.twin.truth()
         assert abs(turned - bench.config.robots[0].start.psi) > 1.0  # type: ignore[union-attr]
         assert last.reading is not None and last.reading.sensors is not None
-        told = last.reading.sensors
-        np.testing.assert_allclose(told.distances, expected(bench, truth), atol=MM)
-        assert np.isfinite(told.distances).any()
-        assert told.heading is not None
-        assert math.remainder(told.heading - truth.psi, math.tau) == pytest.approx(0.0, abs=DEGREES)
-        assert (told.gyro, told.accelerometer, told.magnetometer) == (None, None, None)
+        sensors = last.reading.sensors
+        np.testing.assert_allclose(sensors.distances, expected(bench, truth), atol=MM)
+        assert np.isfinite(sensors.distances).any()
+        assert sensors.heading is not None
+        assert math.remainder(sensors.heading - truth.psi, math.tau) == pytest.approx(0.0, abs=DEGREES)
+        assert (sensors.gyro, sensors.accelerometer, sensors.magnetometer) == (None, None, None)
 
 
 def test_it_sees_the_other_twins() -> None:
@@ -52,10 +52,10 @@ def test_it_sees_the_other_twins() -> None:
         assert isinstance(bench.twin, Twin)
         bench.twin.others = lambda: [(other, 0.055)]
         driver = bench.make()
-        told = driver.read().sensors
-        assert told is not None
-        np.testing.assert_allclose(told.distances, expected(bench, bench.twin.truth(), other), atol=MM)
-        assert told.distances is not None and told.distances[3] == pytest.approx(0.3 - 0.055 - 0.05, abs=MM)
+        sensors = driver.read().sensors
+        assert sensors is not None
+        np.testing.assert_allclose(sensors.distances, expected(bench, bench.twin.truth(), other), atol=MM)
+        assert sensors.distances is not None and sensors.distances[3] == pytest.approx(0.3 - 0.055 - 0.05, abs=MM)
 
 
 def test_a_firmware_that_does_not_tell_them_is_named() -> None:
@@ -81,6 +81,6 @@ def test_what_it_told_long_ago_is_not_told_again() -> None:
         bench.sensors = replace(bench.sensors, period=0.2)
         bench.make()
         bench.twin.hardware.sense = None  # from now on it answers the lines between
-        told = [moment.reading for moment in bench.drive(WheelSpeeds(2.0, 2.0), 1.0)]
-        assert told[10] is not None and told[10].sensors is not None
-        assert told[-1] is not None and told[-1].sensors is None
+        readings = [moment.reading for moment in bench.drive(WheelSpeeds(2.0, 2.0), 1.0)]
+        assert readings[10] is not None and readings[10].sensors is not None
+        assert readings[-1] is not None and readings[-1].sensors is None

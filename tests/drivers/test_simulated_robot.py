@@ -133,14 +133,14 @@ def test_wheels_that_slip_turn_as_told_and_travel_less() -> None:
 
 
 def test_the_firmware_stops_a_robot_to_which_nobody_speaks() -> None:
-    silent, told = Bench(IDEAL), Bench(IDEAL)
-    for bench in (silent, told):
+    silent, driven = Bench(IDEAL), Bench(IDEAL)
+    for bench in (silent, driven):
         bench.robot.write(WheelSpeeds(5.0, 5.0))
-    told.wait(150 * MS)
-    told.robot.write(WheelSpeeds(5.0, 5.0))
-    told.wait(150 * MS)
+    driven.wait(150 * MS)
+    driven.robot.write(WheelSpeeds(5.0, 5.0))
+    driven.wait(150 * MS)
     silent.wait(300 * MS)
-    assert told.robot.read().left_angle == pytest.approx(1.5)
+    assert driven.robot.read().left_angle == pytest.approx(1.5)
     assert silent.robot.read().left_angle == pytest.approx(1.0, abs=0.11)  # 200 ms and a loop of the firmware
     assert silent.robot.truth()[3:] == (0.0, 0.0)
 

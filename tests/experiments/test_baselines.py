@@ -136,10 +136,10 @@ def test_roll_forward_gives_the_state_at_which_the_input_acts(problem):
 
 
 def test_the_riccati_iteration_finds_the_golden_ratio():
-    one = np.eye(1)
-    assert geometric.lqr(one, one, one)[0] == pytest.approx((math.sqrt(5.0) - 1.0) / 2.0)
+    identity = np.eye(1)
+    assert geometric.lqr(identity, identity, identity)[0] == pytest.approx((math.sqrt(5.0) - 1.0) / 2.0)
     with pytest.raises(ValueError, match="does not settle"):
-        geometric.lqr(2.0 * one, 0.0 * one, one)
+        geometric.lqr(2.0 * identity, 0.0 * identity, identity)
 
 
 def test_the_curvature_feed_forward_leaves_no_error_on_a_circle(problem):
@@ -259,7 +259,7 @@ def test_updates_are_timed_in_turns_and_the_first_turn_is_left_out(problem):
 
     found = comparison.in_turns([Counts("a"), Counts("b")], 0.01 * np.arange(13), np.zeros((13, 6)), 3)
     assert "".join(calls) == "aaabbb" * 4
-    assert [(len(one.warm), len(one.first)) for one in found] == [(6, 3)] * 2
+    assert [(len(timing.warm), len(timing.first)) for timing in found] == [(6, 3)] * 2
 
 
 def test_problem_limits_keep_the_sign(problem):

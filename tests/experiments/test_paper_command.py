@@ -111,8 +111,8 @@ def test_bad_parameters_are_refused_at_their_line_and_column(
     assert len(lines) == 1, result.stderr
     if "«" in new:
         before = text.replace(old, new).split("«")[0]
-        place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
-        assert lines[0] == f"{copy / name}.yaml:{place}: {message}"
+        position = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
+        assert lines[0] == f"{copy / name}.yaml:{position}: {message}"
     assert not (folder / "new").exists()
 
 

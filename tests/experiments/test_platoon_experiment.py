@@ -23,10 +23,10 @@ def test_a_scaled_platoon_can_run(robots: int) -> None:
 def test_the_exact_integrator_does_not_amplify() -> None:
     slow = PARAMETERS.gain.model_copy(update={"robots": 8, "periods": (1, 4, 10, 20)})
     gains = robot_gains(slow.model_copy(update={"period_s": 20.0}), BASE, "exact")
-    heard = [gain for gain in gains if gain is not None]
-    assert len(heard) == 4
-    assert max(heard) <= 1.02  # for the newest u, robot by robot
-    assert min(heard) > 0.9  # nothing was lost either: the sines came through
+    gains_used = [gain for gain in gains if gain is not None]
+    assert len(gains_used) == 4
+    assert max(gains_used) <= 1.02  # for the newest u, robot by robot
+    assert min(gains_used) > 0.9  # nothing was lost either: the sines came through
 
 
 def test_euler_amplifies_what_is_fast() -> None:

@@ -54,23 +54,23 @@ class Viewer:
                 self._take(await self._socket.recv())
                 await self._subscribe()
 
-    def _take(self, said: str | bytes) -> None:
-        if isinstance(said, bytes):
-            if said[0] == _MESSAGE:
-                _, subscription, log_ns = _HEAD.unpack_from(said)
-                self.messages.append(Message(self.channels[subscription]["topic"], log_ns, said[_HEAD.size :]))
-            elif said[0] == _ANSWER:
-                *_, length = _CALLED.unpack_from(said)
-                self.answers.append(json.loads(said[_CALLED.size + length :]))
+    def _take(self, frame: str | bytes) -> None:
+        if isinstance(frame, bytes):
+            if frame[0] == _MESSAGE:
+                _, subscription, log_ns = _HEAD.unpack_from(frame)
+                self.messages.append(Message(self.channels[subscription]["topic"], log_ns, frame[_HEAD.size :]))
+            elif frame[0] == _ANSWER:
+                *_, length = _CALLED.unpack_from(frame)
+                self.answers.append(json.loads(frame[_CALLED.size + length :]))
             return
-        told = json.loads(said)
-        if told["op"] == "advertise":
-            self._new = [channel for channel in told["channels"] if channel["id"] not in self.channels]
-            self.channels.update((channel["id"], channel) for channel in told["channels"])
-        elif told["op"] == "advertiseServices":
-            self.services.update((service["name"], service) for service in told["services"])
-        elif told["op"] == "serviceCallFailure":
-            self.failures.append(told["message"])
+        content = json.loads(frame)
+        if content["op"] == "advertise":
+            self._new = [channel for channel in content["channels"] if channel["id"] not in self.channels]
+            self.channels.update((channel["id"], channel) for channel in content["channels"])
+        elif content["op"] == "advertiseServices":
+            self.services.update((service["name"], service) for service in content["services"])
+        elif content["op"] == "serviceCallFailure":
+            self.failures.append(content["message"])
 
     _new: list[dict[str, Any]] = []  # noqa: RUF012 - replaced, never changed
 

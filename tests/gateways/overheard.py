@@ -21,13 +21,13 @@ class Overheard:
 
     def __init__(self, config: Config) -> None:
         self.config, self.run = config, Lockstep(config)
-        self._said: list[Arrival] = []
+        self._arrivals: list[Arrival] = []
         self._taken, self._keys = 0, set(keys(config))
         self.run.bus.tap(self._hear)
 
     def _hear(self, message: tuple[str, bytes]) -> None:
         if message[0] in self._keys:
-            self._said.append(Arrival(self.now_ns, *message))
+            self._arrivals.append(Arrival(self.now_ns, *message))
 
     @property
     def now_ns(self) -> int:
@@ -36,14 +36,14 @@ class Overheard:
 
     def drain(self) -> list[Arrival]:
         """Return all that was said since the last call."""
-        new = self._said[self._taken :]
-        self._taken = len(self._said)
+        new = self._arrivals[self._taken :]
+        self._taken = len(self._arrivals)
         return new
 
     def recorded(self, file: Path) -> list[Message]:
         """Write the recording of all that was said, and return its messages."""
         with RunLog(file, self.config, epoch_ns=EPOCH_NS) as log:
-            for at_ns, full, payload in self._said:
+            for at_ns, full, payload in self._arrivals:
                 log.add(full, payload, at_ns)
         with file.open("rb") as stream:
             messages = make_reader(stream).iter_messages(log_time_order=False)

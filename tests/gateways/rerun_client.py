@@ -22,10 +22,10 @@ class Saving:
     def __init__(self, url: str, file: Path) -> None:
         command = Path(sys.executable).with_name("rerun")
         self._file, log = file, file.parent / f"{file.name}.log"
-        with log.open("wb") as said:
+        with log.open("wb") as log_file:
             self.process = subprocess.Popen(
                 [str(command), "--new", "--bind", "127.0.0.1", "--save", str(file), url],
-                stdout=said, stderr=said, env=os.environ | {"HOME": str(file.parent)},
+                stdout=log_file, stderr=log_file, env=os.environ | {"HOME": str(file.parent)},
             )  # fmt: skip
 
     def connected(self) -> None:
@@ -61,8 +61,8 @@ class Saving:
 def imported(file: Path) -> Rows:
     """Return what rerun's importer makes of a recording; a message's time of publishing is its log time."""
     rows = _rows(McapReader(file).stream())
-    return {path: [{name: value for name, value in row.items() if name != "message_publish_time"} for row in of]
-            for path, of in rows.items()}  # fmt: skip
+    return {path: [{name: value for name, value in row.items() if name != "message_publish_time"} for row in columns]
+            for path, columns in rows.items()}  # fmt: skip
 
 
 def _rows(chunks: Iterator[Any]) -> Rows:
@@ -70,6 +70,8 @@ def _rows(chunks: Iterator[Any]) -> Rows:
     for chunk in chunks:
         if not chunk.is_static:
             batch = chunk.to_record_batch().drop_columns(["rerun.controls.RowId"])
-            told = [{name: value for name, value in row.items() if value is not None} for row in batch.to_pylist()]
-            rows.setdefault(chunk.entity_path, []).extend(told)
+            batch_rows = [
+                {name: value for name, value in row.items() if value is not None} for row in batch.to_pylist()
+            ]
+            rows.setdefault(chunk.entity_path, []).extend(batch_rows)
     return rows

@@ -40,8 +40,8 @@ def test_the_emergency_stop_waits_for_no_other_request() -> None:
     ask = Asking(bus, WallClock(), CONFIG)
     others = [ask(what) for what in ("hold", "resume", "reset")]
     try:
-        done, said = ask("stop").result(WITHIN_S)
-        assert not done and "stop them by hand" in said, "there is no robot"
+        done, answer = ask("stop").result(WITHIN_S)
+        assert not done and "stop them by hand" in answer, "there is no robot"
         assert not any(other.done() for other in others)
     finally:
         for other in others[1:]:

@@ -29,8 +29,8 @@ from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, Address, compl
 from robofleet.recording.scenes.drawn import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer
 from tests.gateways.overheard import EPOCH_NS, Overheard
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 DEFAULT = DEFAULTS[FOXGLOVE]
 HERE = Address("127.0.0.1", 0)
 KEY = "the operator's key"
@@ -46,30 +46,30 @@ class Seen(NamedTuple):
 
 
 async def looked_at(folder: Path) -> Seen:
-    heard = Overheard(load_config(PLATOON, ["run.duration_s=1"]))
+    overheard = Overheard(load_config(PLATOON, ["run.duration_s=1"]))
     servers: list[Server] = []
 
     def opened(channels: Sequence[Channel]) -> Opened:
-        servers.append(Server(heard.config.arena.name, HERE, None, channels, []))
+        servers.append(Server(overheard.config.arena.name, HERE, None, channels, []))
         return Opened(servers[0], "")
 
-    with closing(Viewers(heard.config, heard, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
+    with closing(Viewers(overheard.config, overheard, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
         (server,) = servers
 
-        async def subscribed(of: Viewer, already: int) -> None:
-            await of.until(lambda: of.channels)
-            while server.subscriptions < already + len(of.channels):
+        async def subscribed(viewer: Viewer, already: int) -> None:
+            await viewer.until(lambda: viewer.channels)
+            while server.subscriptions < already + len(viewer.channels):
                 await asyncio.sleep(0.01)
-            viewers.step(heard.now_ns)
+            viewers.step(overheard.now_ns)
 
         url = f"ws://127.0.0.1:{server.port}"
         async with viewer(url) as first, viewer(url) as second:
             early, late = Viewer(first), Viewer(second)
             await subscribed(early, 0)
-            assert heard.run.run() == ("completed", None)
-            viewers.step(heard.now_ns)
-            viewers.rest(heard.now_ns)
-            recorded = heard.recorded(folder / "run.mcap")
+            assert overheard.run.run() == ("completed", None)
+            viewers.step(overheard.now_ns)
+            viewers.rest(overheard.now_ns)
+            recorded = overheard.recorded(folder / "run.mcap")
             await early.until(lambda: len(early.messages) >= len(recorded))
             await subscribed(late, len(early.channels))
             await late.until(lambda: set(late.counts) >= TOLD_ONCE)
@@ -89,12 +89,12 @@ def test_a_viewer_gets_what_the_recording_gets_message_by_message(seen: Seen) ->
 
 
 def test_channels_are_described_as_in_the_recording(seen: Seen) -> None:
-    told = {channel["topic"]: channel for channel in seen.early.channels.values()}
-    assert told["/fleet"]["encoding"] == told["/fleet"]["schemaEncoding"] == "protobuf"
-    assert told["/fleet"]["schemaName"] == "foxglove.SceneUpdate"
-    assert told["/robots/r1/tick"]["schemaName"] == "robofleet.RobotTick"
-    assert told["rf/platoon/tick"]["schemaEncoding"] == "numpy"
-    assert set(told) >= set(seen.early.counts)
+    channels = {channel["topic"]: channel for channel in seen.early.channels.values()}
+    assert channels["/fleet"]["encoding"] == channels["/fleet"]["schemaEncoding"] == "protobuf"
+    assert channels["/fleet"]["schemaName"] == "foxglove.SceneUpdate"
+    assert channels["/robots/r1/tick"]["schemaName"] == "robofleet.RobotTick"
+    assert channels["rf/platoon/tick"]["schemaEncoding"] == "numpy"
+    assert set(channels) >= set(seen.early.counts)
 
 
 def test_who_comes_late_sees_what_is_told_once_as_it_stands(seen: Seen) -> None:
@@ -108,9 +108,9 @@ def test_who_comes_late_sees_what_is_told_once_as_it_stands(seen: Seen) -> None:
 
 
 def test_a_mark_that_was_taken_away_is_not_shown_to_who_comes_late() -> None:
-    kept, one = RetainedMessages(), SceneEntity(id="group/mark")
-    kept.take("/arena", SceneUpdate(entities=[one, SceneEntity(id="edge")]).SerializeToString())
-    kept.take("/arena", SceneUpdate(deletions=[SceneEntityDeletion(id=one.id)]).SerializeToString())
+    kept, mark = RetainedMessages(), SceneEntity(id="group/mark")
+    kept.take("/arena", SceneUpdate(entities=[mark, SceneEntity(id="edge")]).SerializeToString())
+    kept.take("/arena", SceneUpdate(deletions=[SceneEntityDeletion(id=mark.id)]).SerializeToString())
     left = kept.of("/arena")
     assert left is not None
     assert [entity.id for entity in SceneUpdate.FromString(left).entities] == ["edge"]
@@ -118,34 +118,34 @@ def test_a_mark_that_was_taken_away_is_not_shown_to_who_comes_late() -> None:
 
 @pytest.mark.parametrize("request_", [{}, {"key": "guess"}, {"key": 7}, [], "key", {"key": "é"}])
 def test_a_service_asks_nothing_of_the_run_without_the_operators_key(request_: object) -> None:
-    asked: list[str] = []
-    answers = answered(asked, [("hold", request_)])
+    requests: list[str] = []
+    answers = answered(requests, [("hold", request_)])
     assert [answer["success"] for answer in answers] == [False]
     assert "operator's key" in answers[0]["message"]
-    assert asked == []
+    assert requests == []
 
 
 def test_every_service_asks_the_run_what_it_is_called_and_returns_its_answer() -> None:
-    asked: list[str] = []
-    answers = answered(asked, [(what, {"key": KEY}) for what in SERVICES])
-    assert asked == list(SERVICES)
+    calls: list[str] = []
+    answers = answered(calls, [(what, {"key": KEY}) for what in SERVICES])
+    assert calls == list(SERVICES)
     assert answers == [{"success": True, "message": f"ok {what}"} for what in SERVICES]
 
 
-def answered(asked: list[str], requests: Sequence[tuple[str, object]]) -> list[dict[str, Any]]:
+def answered(calls: list[str], requests: Sequence[tuple[str, object]]) -> list[dict[str, Any]]:
     """Call services of a server that has no run, and return their answers."""
 
     def ask(what: str) -> "Future[Outcome]":
-        asked.append(what)
+        calls.append(what)
         future: Future[Outcome] = Future()
         future.set_result((True, f"ok {what}"))
         return future
 
     async def call(port: int) -> list[dict[str, Any]]:
         async with viewer(f"ws://127.0.0.1:{port}") as socket:
-            one = Viewer(socket)
-            await one.until(lambda: len(one.services) == len(SERVICES))
-            return [await one.call(*request) for request in requests]
+            client = Viewer(socket)
+            await client.until(lambda: len(client.services) == len(SERVICES))
+            return [await client.call(*request) for request in requests]
 
     with closing(Server("nobody", HERE, None, [], services(ask, KEY))) as server:
         return asyncio.run(call(server.port))
@@ -160,15 +160,15 @@ def test_all_servers_of_a_run_have_one_key(tmp_path: Path) -> None:
     assert file.read_bytes() == before and file.stat().st_mode & 0o077 == 0
 
 
-@pytest.mark.parametrize("there", ["another arena's", "another's", "a link", "others read it"])
-def test_a_layout_that_is_not_this_runs_is_not_replaced(there: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", ["another arena's", "another's", "a link", "others read it"])
+def test_a_layout_that_is_not_this_runs_is_not_replaced(content: str, tmp_path: Path) -> None:
     """Beside another computer's arena it stands in the folder that one happens to be in."""
     config, file = load_config(PLATOON), tmp_path / "foxglove.json"
-    if there == "another arena's":
+    if content == "another arena's":
         written(load_config(PLATOON.with_name("ros2.yaml")), tmp_path, asks=True)
-    elif there == "others read it":
+    elif content == "others read it":
         written(config, tmp_path, asks=True)[0].chmod(0o644)
-    elif there == "a link":
+    elif content == "a link":
         file.symlink_to(PLATOON)
     else:
         file.write_text("{}")
@@ -213,8 +213,8 @@ def test_a_port_in_use_is_refused_in_a_line_before_anything_starts(tmp_path: Pat
 
 
 def test_without_the_library_a_line_says_what_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = refusal.find_spec
-    monkeypatch.setattr(refusal, "find_spec", lambda name: None if name == "foxglove" else there(name))
+    find_spec = refusal.find_spec
+    monkeypatch.setattr(refusal, "find_spec", lambda name: None if name == "foxglove" else find_spec(name))
     result = CliRunner().invoke(app, ["run", str(PLATOON), "--foxglove"])
     assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
     assert "this needs foxglove: " in result.stderr and "[foxglove]" in result.stderr

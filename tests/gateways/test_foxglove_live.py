@@ -37,18 +37,20 @@ async def looked_at(run: RealRun) -> Viewer:
     url = address(run)
     async with viewer(url) as sleeping, viewer(url) as dying, viewer(url) as awake:
         sleeping.transport.pause_reading()
-        one, other = Viewer(awake), Viewer(dying)
-        await one.until(lambda: "/fleet" in one.counts and "/references" in one.counts, 120.0)
+        awake_viewer, other = Viewer(awake), Viewer(dying)
+        await awake_viewer.until(
+            lambda: "/fleet" in awake_viewer.counts and "/references" in awake_viewer.counts, 120.0
+        )
         await other.until(lambda: len(other.messages) > 100)
         dying.transport.abort()
         layout = json.loads((run.folder / "foxglove.json").read_text())["configById"]
         request = json.loads(layout["CallService!hold"]["requestPayload"])
-        assert not (await one.call("hold", {"key": "guess"}))["success"]
-        assert (await one.call("hold", request))["success"]
-        assert (await one.call("resume", request))["success"]
+        assert not (await awake_viewer.call("hold", {"key": "guess"}))["success"]
+        assert (await awake_viewer.call("hold", request))["success"]
+        assert (await awake_viewer.call("resume", request))["success"]
         with suppress(ConnectionClosed):
-            await one.until(lambda: False, 120.0)
-        return one
+            await awake_viewer.until(lambda: False, 120.0)
+        return awake_viewer
 
 
 def test_a_viewer_of_a_real_run_gets_what_its_recording_gets(run: RealRun) -> None:
@@ -68,9 +70,9 @@ def test_a_viewer_of_a_real_run_gets_what_its_recording_gets(run: RealRun) -> No
     assert set(live) <= set(recorded)
     for topic, messages in live.items():
         if topic.startswith("rf/"):
-            said, kept = [data for _, data in messages], [data for _, data in recorded[topic]]
-            first, last = kept.index(said[0]), len(kept) - kept[::-1].index(said[-1])
-            assert said == kept[first:last], topic
+            shown, kept = [data for _, data in messages], [data for _, data in recorded[topic]]
+            first, last = kept.index(shown[0]), len(kept) - kept[::-1].index(shown[-1])
+            assert shown == kept[first:last], topic
         elif len(messages) > 30:
             begin, end = messages[0][0], messages[-1][0]
             count = sum(begin <= at <= end for at, _ in recorded[topic])

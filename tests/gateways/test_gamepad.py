@@ -53,8 +53,8 @@ def test_who_has_not_joined_as_an_operator_is_told_so(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, role: str
 ) -> None:
     here(monkeypatch, pad=None)
-    place = ArenaAccess(("quic/127.0.0.1:1",), Credentials.at(tmp_path, "carol"), role)
-    monkeypatch.setattr(command, "run_of", lambda *_: (load_config(SHIPPED / "teleop.yaml"), place))
+    access = ArenaAccess(("quic/127.0.0.1:1",), Credentials.at(tmp_path, "carol"), role)
+    monkeypatch.setattr(command, "run_of", lambda *_: (load_config(SHIPPED / "teleop.yaml"), access))
     refused = CliRunner().invoke(app, ["teleop"])
     assert refused.exit_code == 2
     (line,) = refused.stderr.splitlines()

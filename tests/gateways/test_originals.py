@@ -15,7 +15,7 @@ _WITHIN_MM = 30.0
 
 def _found() -> list[Path]:
     places = [Path(os.environ[name]) for name in _CHECKOUTS if name in os.environ]
-    return [script for place in places for script in scripts(place)]
+    return [script for folder in places for script in scripts(folder)]
 
 
 @pytest.mark.skipif(not _found(), reason=f"no {' and no '.join(_CHECKOUTS)}: name checkouts of its simulator")
@@ -24,6 +24,6 @@ def _found() -> list[Path]:
 def test_a_script_of_theirs_ends_where_theirs_ends(script: Path) -> None:
     checkout = next(parent for parent in script.parents if (parent / "rps").is_dir())
     row = compared(checkout, script)
-    assert row.exit_code == 0, row.said
+    assert row.exit_code == 0, row.output
     assert row.apart_mm < _WITHIN_MM
     assert version(checkout) in (1, 2)

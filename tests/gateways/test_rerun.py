@@ -52,30 +52,30 @@ class Seen:
     """What a viewer was told of a run in lockstep, and what the importer makes of its recording."""
 
     def __init__(self, folder: Path) -> None:
-        heard = Overheard(load_config(OBSTACLES, ["run.duration_s=1"]))
-        shown = blueprint(Recording(heard.config))
+        overheard = Overheard(load_config(OBSTACLES, ["run.duration_s=1"]))
+        shown = blueprint(Recording(overheard.config))
         servers: list[Server] = []
 
         def opened(channels: Sequence[Channel]) -> Opened:
-            servers.append(Server(heard.config.arena.name, HERE, shown, channels))
+            servers.append(Server(overheard.config.arena.name, HERE, shown, channels))
             return Opened(servers[0], "")
 
-        with closing(Viewers(heard.config, heard, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
+        with closing(Viewers(overheard.config, overheard, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
             with closing(Saving(servers[0].url, folder / "early.rrd")) as early:
                 early.connected()
-                assert heard.run.run() == ("completed", None)
-                viewers.step(heard.now_ns)
-                viewers.rest(heard.now_ns + S)  # when what waits for company is due
-                heard.recorded(folder / "run.mcap")
+                assert overheard.run.run() == ("completed", None)
+                viewers.step(overheard.now_ns)
+                viewers.rest(overheard.now_ns + S)  # when what waits for company is due
+                overheard.recorded(folder / "run.mcap")
                 self.recorded = imported(folder / "run.mcap")
                 self.early = early.until(self.is_whole)
             with closing(Saving(servers[0].url, folder / "late.rrd")) as late:
                 self.late = late.until(self.is_whole)
 
-    def is_whole(self, told: Rows) -> bool:
+    def is_whole(self, table: Rows) -> bool:
         """Whether all is there that rerun reads in the recording."""
         drawn = {path: len(rows) for path, rows in self.recorded.items() if not path.startswith("/rf")}
-        return all(len(told.get(path, ())) >= drawn[path] for path in drawn if path not in TEXT)
+        return all(len(table.get(path, ())) >= drawn[path] for path in drawn if path not in TEXT)
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +122,8 @@ def rounded(value: Any) -> Any:
     if isinstance(value, float):
         return "NaN" if math.isnan(value) else round(value, 5) + 0.0
     if isinstance(value, list | tuple):
-        return [rounded(one) for one in value]
-    return {name: rounded(one) for name, one in value.items()} if isinstance(value, dict) else value
+        return [rounded(part) for part in value]
+    return {name: rounded(part) for name, part in value.items()} if isinstance(value, dict) else value
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ def test_a_shape_that_is_taken_away_or_loses_a_part_is_not_shown_any_more(server
     for at, update in enumerate([SceneUpdate(entities=[both]), SceneUpdate(entities=[less]), gone], 1):
         server.tell("/arena", at, update.SerializeToString())
     with closing(Saving(server.url, tmp_path / "told.rrd")) as late:
-        rows = late.until(lambda told: len(told.get("/arena/group/mark", ())) >= 4)["/arena/group/mark"]
+        rows = late.until(lambda seen: len(seen.get("/arena/group/mark", ())) >= 4)["/arena/group/mark"]
     cleared = [row for row in rows if "Clear:is_recursive" in row]
     assert [row[TIMELINE].value for row in cleared] == [2, 3]
     assert not any("Ellipsoids3D:centers" in row for row in rows if row[TIMELINE].value > 1)
@@ -154,13 +154,13 @@ def test_who_comes_late_sees_what_the_limit_of_memory_has_cost(server: Server, t
     server.step(EPOCH_NS)
     server.tell("/arena", EPOCH_NS, SceneUpdate(entities=[SceneEntity(id="edge")]).SerializeToString())
     with closing(Saving(server.url, tmp_path / "early.rrd")) as early:
-        early.until(lambda told: "/arena/edge" in told)
+        early.until(lambda seen: "/arena/edge" in seen)
     for at in range(4000):
         large = SceneEntity(id="large", texts=[TextPrimitive(text=draw.randbytes(2048).hex())])
         server.tell("/arena", EPOCH_NS + at, SceneUpdate(entities=[large]).SerializeToString())
     server.step(again_ns)
     with closing(Saving(server.url, tmp_path / "late.rrd")) as late:
-        rows = late.until(lambda told: "/arena/edge" in told)
+        rows = late.until(lambda seen: "/arena/edge" in seen)
     assert len(rows["/arena/large"]) < 3000, "the limit held"
     assert [row[TIMELINE].value for row in rows["/arena/edge"]] == [again_ns]
 
@@ -200,8 +200,8 @@ def test_a_server_whose_port_is_in_use_says_so() -> None:
 
 
 def test_without_the_package_a_line_says_what_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = refusal.find_spec
-    monkeypatch.setattr(refusal, "find_spec", lambda name: None if name == "rerun" else there(name))
+    find_spec = refusal.find_spec
+    monkeypatch.setattr(refusal, "find_spec", lambda name: None if name == "rerun" else find_spec(name))
     result = CliRunner().invoke(app, ["run", str(OBSTACLES), "--rerun"])
     assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
     assert "this needs rerun: " in result.stderr and "[rerun]" in result.stderr

@@ -39,21 +39,21 @@ def test_a_viewer_of_a_real_run_gets_what_its_recording_gets(run: RealRun, tmp_p
             closing(Saving(url, tmp_path / "sleeping.rrd")) as sleeping,
             closing(Saving(url, tmp_path / "dying.rrd")) as dying,
         ):
-            dying.until(lambda told: "/fleet/r1" in told)
+            dying.until(lambda rows: "/fleet/r1" in rows)
             dying.close()
             sleeping.process.send_signal(signal.SIGSTOP)
             assert run.ended() == 0, run.said
             awake.process.wait(60.0)
-            told = awake.told()
+            rows = awake.told()
         assert run.summary["outcome"] == "completed"
         assert run.nothing_is_left()
     finally:
         run.clean_up()
     recorded = imported(run.folder / "run.mcap")
-    assert {"/fleet/r1", "/fleet/r2", "/arena/platoon/path"} <= set(told)
+    assert {"/fleet/r1", "/fleet/r2", "/arena/platoon/path"} <= set(rows)
     for path in ("/tf", "/robots/r1/pose", "/robots/r2/tick", "/log", "/references/references"):
         count = len(recorded[path.removesuffix("/references")])
-        assert DRAWN * count - 2 <= len(told[path]) <= count / DRAWN + 2, path
+        assert DRAWN * count - 2 <= len(rows[path]) <= count / DRAWN + 2, path
 
 
 def test_a_run_goes_on_whose_server_of_viewers_is_killed(run: RealRun) -> None:

@@ -101,7 +101,7 @@ SCRIPT_1 = (
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return a folder for scripts, in which the stub is as good as installed."""
     for name, text in STUB.items():
         file = tmp_path / "installed" / "rps" / name
@@ -123,9 +123,9 @@ Runs = Callable[..., Result]
 
 
 @pytest.fixture
-def runs(place: Path) -> Runs:
+def runs(folder: Path) -> Runs:
     def run(text: str, *options: str) -> Result:
-        (place / "script.py").write_text(textwrap.dedent(text))
+        (folder / "script.py").write_text(textwrap.dedent(text))
         return CliRunner().invoke(app, ["robotarium", "script.py", "--out", "run", *options])
 
     return run
@@ -152,7 +152,7 @@ def by_the_original(steps: int, law: str = LAW) -> np.ndarray:
 @pytest.mark.filterwarnings("ignore:the matrix subclass")  # np.mat is what scripts of version 1 say
 @pytest.mark.parametrize(("script", "report"), [(SCRIPT_2, "debug: 400 steps"), (SCRIPT_1, "call_at_scripts_end: 400")])
 def test_a_script_of_either_version_runs_and_ends_where_the_original_ends(
-    script: str, report: str, runs: Runs, place: Path
+    script: str, report: str, runs: Runs, folder: Path
 ) -> None:
     result = runs(script)
     poses = told(result)
@@ -163,9 +163,9 @@ def test_a_script_of_either_version_runs_and_ends_where_the_original_ends(
     assert np.hypot(*(last - by_the_original(400))[:2]).max() < 0.03
     assert report in result.stdout
     assert "robofleet: completed, 400 steps of 3 robots" in result.stdout
-    summary = json.loads((place / "run" / "summary.json").read_text())
+    summary = json.loads((folder / "run" / "summary.json").read_text())
     assert (summary["outcome"], len(summary["robots"])) == ("completed", 3)
-    assert (place / "run" / "figure1.png").stat().st_size > 1000
+    assert (folder / "run" / "figure1.png").stat().st_size > 1000
 
 
 @pytest.mark.slow
@@ -176,17 +176,17 @@ def test_ideal_robots_are_on_their_way_where_the_original_has_them(steps: int, r
     assert apart.max() < 0.012  # they begin a tick or two later, with 4 mm a tick
 
 
-def test_two_runs_of_a_script_leave_the_same_trace(runs: Runs, place: Path) -> None:
+def test_two_runs_of_a_script_leave_the_same_trace(runs: Runs, folder: Path) -> None:
     short = SCRIPT_2.replace("range(400)", "range(30)")
     traces = set()
     for out in ("one", "two"):
         assert runs(short, "--quiet", "--out", out).exit_code == 0
-        traces.add(json.loads((place / out / "summary.json").read_text())["trace_hash"])
+        traces.add(json.loads((folder / out / "summary.json").read_text())["trace_hash"])
     assert len(traces) == 1
 
 
 def test_the_sensors_of_version_2_have_its_units_and_signs(runs: Runs) -> None:
-    said = told(
+    values = told(
         runs("""
         import json
         import numpy as np
@@ -208,23 +208,23 @@ def test_the_sensors_of_version_2_have_its_units_and_signs(runs: Runs) -> None:
         print(json.dumps(said | {"ahead": ahead, "psi": float(x[2, 0])}))
     """)
     )
-    distances, ends = np.array(said["ahead"])[1:10].T
+    distances, ends = np.array(values["ahead"])[1:10].T
     seen = distances > 0
     assert seen.sum() >= 5
     assert np.median(distances[seen]) == pytest.approx(0.65, abs=0.06)  # from 5 cm ahead of the axle to the wall
     assert np.median(ends[seen]) == pytest.approx(0.5, abs=0.06)
-    assert said["get_distances"][0][0] == -1  # nothing behind it
-    assert said["get_accelerations"][2][0] == pytest.approx(-9.8, abs=0.3)
-    assert said["get_gyros"][2][0] == pytest.approx(0.2, abs=0.05)
-    assert said["get_magnetic_fields"][2][0] == pytest.approx(-39.9, abs=25)  # microtesla
-    assert said["get_orientations"][0] == pytest.approx(np.degrees(said["psi"]), abs=3)
-    turns = np.array(said["get_encoders"])[:, 0] / (28 * 100.37)
+    assert values["get_distances"][0][0] == -1  # nothing behind it
+    assert values["get_accelerations"][2][0] == pytest.approx(-9.8, abs=0.3)
+    assert values["get_gyros"][2][0] == pytest.approx(0.2, abs=0.05)
+    assert values["get_magnetic_fields"][2][0] == pytest.approx(-39.9, abs=25)  # microtesla
+    assert values["get_orientations"][0] == pytest.approx(np.degrees(values["psi"]), abs=3)
+    turns = np.array(values["get_encoders"])[:, 0] / (28 * 100.37)
     wished = 60 * 0.033 * (0.1 + np.array([-1, 1]) * 0.2 * 0.105 / 2) / 0.016 / (2 * np.pi)
     assert turns == pytest.approx(wished, rel=0.12)  # left, right; wheels are off by some per cent, and begin late
 
 
 def test_errors_are_counted_as_the_original_counts_them(runs: Runs) -> None:
-    said = told(
+    values = told(
         runs("""
         import json
         import numpy as np
@@ -248,13 +248,13 @@ def test_errors_are_counted_as_the_original_counts_them(runs: Runs) -> None:
         print(json.dumps({"errors": r._errors, "twice": twice, "early": early}))
     """)
     )
-    assert said["errors"]["exceeded_actuator_limits"] == 7
-    assert "once" in said["twice"]
-    assert "before" in said["early"]
+    assert values["errors"]["exceeded_actuator_limits"] == 7
+    assert "once" in values["twice"]
+    assert "before" in values["early"]
 
 
 def test_version_1_counts_each_robots_collisions(runs: Runs) -> None:
-    said = told(
+    values = told(
         runs("""
         import json
         import numpy as np
@@ -269,14 +269,14 @@ def test_version_1_counts_each_robots_collisions(runs: Runs) -> None:
         print(json.dumps(r._errors))
     """)
     )
-    assert said["collision"] == {"0": 5, "1": 5}  # their points 25 mm ahead are 130 mm apart
-    assert "boundary" not in said
+    assert values["collision"] == {"0": 5, "1": 5}  # their points 25 mm ahead are 130 mm apart
+    assert "boundary" not in values
 
 
 def test_random_starts_are_drawn_as_the_original_draws_them_and_a_new_robotarium_is_a_new_run(
-    runs: Runs, place: Path
+    runs: Runs, folder: Path
 ) -> None:
-    said = told(
+    values = told(
         runs(
             """
         import json
@@ -295,9 +295,9 @@ def test_random_starts_are_drawn_as_the_original_draws_them_and_a_new_robotarium
     """.replace("json.dumps(found)", 'json.dumps({"found": found})')
         )
     )["found"]
-    for drawn, stood in np.array(said):
+    for drawn, stood in np.array(values):
         assert np.abs(drawn - stood).max() < 0.02
-    assert {folder.name for folder in place.glob("run*")} == {"run", "run-2"}
+    assert {run_folder.name for run_folder in folder.glob("run*")} == {"run", "run-2"}
 
 
 MOVE = """
@@ -335,18 +335,18 @@ def test_bad_input_ends_with_a_line_and_exit_code_2(text: str, options: list[str
     assert len(result.stderr.splitlines()) <= SHOWN or "Traceback" in result.stderr or "no Python" in words
 
 
-def test_a_script_that_raises_shows_its_own_traceback_and_ends_its_run(runs: Runs, place: Path) -> None:
+def test_a_script_that_raises_shows_its_own_traceback_and_ends_its_run(runs: Runs, folder: Path) -> None:
     result = runs(TWO + "    1 / 0\n")
     assert result.exit_code == 1
     assert result.stderr.count('File "') == 1  # its own line, and none of ours
     assert result.stderr.strip().splitlines()[-1] == "script.py ended by ZeroDivisionError: division by zero"
-    assert json.loads((place / "run" / "summary.json").read_text())["outcome"] == "stopped"
+    assert json.loads((folder / "run" / "summary.json").read_text())["outcome"] == "stopped"
 
 
 def test_without_the_robotariums_package_a_line_says_what_to_install(
-    place: Path, runs: Runs, monkeypatch: pytest.MonkeyPatch
+    folder: Path, runs: Runs, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(place / "installed")])
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(folder / "installed")])
     result = runs(TWO)
     assert (result.exit_code, len(result.stderr.splitlines())) == (2, 1)
     assert "pip install git+https://github.com/robotarium" in result.stderr
@@ -376,21 +376,21 @@ def test_what_names_both_versions_is_asked_about() -> None:
 
 @pytest.mark.usefixtures("alone")
 @pytest.mark.long
-def test_in_real_time_a_script_that_is_late_goes_on(place: Path) -> None:
+def test_in_real_time_a_script_that_is_late_goes_on(folder: Path) -> None:
     goals, near = "[[0.4, -0.5, -0.6], [-0.5, -0.2, 0.4]]", "[[-0.5, 0.5, 0.0], [-0.4, 0.3, 0.3]]"
     law = LAW.replace(goals, near)
     assert law != LAW
-    (place / "script.py").write_text(
+    (folder / "script.py").write_text(
         textwrap.dedent(SCRIPT_2.replace(LAW, law))
         .replace("range(400)", "range(150)")
         .replace("first = None", "import time\nfirst = None")
         .replace("    r.step()", "    r.step()\n    time.sleep(2 * (_ == 20))")
     )
-    env = {**os.environ, "PYTHONPATH": f"{place / 'installed'}:{ROOT}"}
+    env = {**os.environ, "PYTHONPATH": f"{folder / 'installed'}:{ROOT}"}
     command = [sys.executable, "-m", "robofleet", "robotarium", "script.py", "--real-time", "--out", "run"]
-    done = subprocess.run(command, cwd=place, env=env, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     poses = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
     assert np.hypot(*(np.array(poses["last"]) - by_the_original(150, law))[:2]).max() < 0.03
     assert re.search(r"the run was held and went on \d times?\b", done.stdout)
-    assert json.loads((place / "run" / "summary.json").read_text())["outcome"] == "completed"
+    assert json.loads((folder / "run" / "summary.json").read_text())["outcome"] == "completed"

@@ -54,9 +54,9 @@ def test_the_next_run_of_an_arena_is_another_one(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setenv(variable, str(folder / name))
     places = [ArenaAccess(CONFIG.bus.endpoint, None, OPERATOR, tmp_path / name) for name in ("this", "next")]
     with claimed(CONFIG, tmp_path / "this"):
-        assert [is_over(CONFIG, place) for place in places] == [False, True]
+        assert [is_over(CONFIG, run_place) for run_place in places] == [False, True]
     with claimed(CONFIG, tmp_path / "next"):
-        assert [is_over(CONFIG, place) for place in places] == [True, False]
+        assert [is_over(CONFIG, run_place) for run_place in places] == [True, False]
 
 
 class Said:
@@ -65,15 +65,15 @@ class Said:
     dropped = 0
 
     def __init__(self, epochs: Sequence[int]) -> None:
-        self._said = [Arrival(at * S, STATES, state(epoch)) for at, epoch in enumerate(epochs, 1)]
-        self.told: list[bytes] = []
+        self._arrivals = [Arrival(at * S, STATES, state(epoch)) for at, epoch in enumerate(epochs, 1)]
+        self.states: list[bytes] = []
 
     def drain(self) -> list[Arrival]:
-        said, self._said = self._said, []
-        return said
+        arrivals, self._arrivals = self._arrivals, []
+        return arrivals
 
     def tell(self, topic: str, _log_ns: int, message: bytes) -> None:
-        self.told += [message] if topic == STATES else []
+        self.states += [message] if topic == STATES else []
 
     def step(self, log_ns: int) -> None:
         pass
@@ -83,11 +83,11 @@ class Said:
 
 
 def test_viewers_see_nothing_of_the_next_run() -> None:
-    said, served = Said([1, 1, 2, 2]), Served(lambda: False, 0)
+    source, served = Said([1, 1, 2, 2]), Served(lambda: False, 0)
 
     def opened(_: Sequence[Channel]) -> Opened:
-        return Opened(said, "")
+        return Opened(source, "")
 
-    with closing(Viewers(CONFIG, said, served, opened, 0)) as viewers:
+    with closing(Viewers(CONFIG, source, served, opened, 0)) as viewers:
         viewers.step(4 * S)
-    assert said.told == [state(1)] * 2 and served.is_over(4 * S)
+    assert source.states == [state(1)] * 2 and served.is_over(4 * S)

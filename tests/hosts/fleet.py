@@ -99,12 +99,14 @@ class Fleet:
         the checks before the start rightly refuse a robot that travels further than it should. Then it is started anew.
         """
         for attempt in ("", "-2", "-3"):
-            run, its = self.run(file, name + attempt, *words, *(["--reset"] if attempt else [])), name + attempt
-            said = partial(self.log, its)
-            assert wait(lambda run=run, its=its: self.tells(its, "running") or run.poll() is not None, 150), said()
+            run, run_name = self.run(file, name + attempt, *words, *(["--reset"] if attempt else [])), name + attempt
+            log = partial(self.log, run_name)
+            assert wait(
+                lambda run=run, run_name=run_name: self.tells(run_name, "running") or run.poll() is not None, 150
+            ), log()
             if run.poll() is None:
-                return run, its
-            assert "it travels" in said(), said()
+                return run, run_name
+            assert "it travels" in log(), log()
         raise AssertionError("three starts were refused")
 
     def phase(self) -> str:

@@ -141,17 +141,19 @@ def lap() -> dict[str, Any]:
         page = subprocess.Popen(looking, stdout=subprocess.PIPE, text=True)
         stack.callback(page.kill)
         daemons = {robot: psutil.Process(fleet.daemons[robot].pid) for robot in ROBOTS}
-        daemons = {robot: next(iter(one.children()), one) for robot, one in daemons.items()}
+        daemons = {robot: next(iter(process.children()), process) for robot, process in daemons.items()}
         before = {robot: (network.packets(robot), sum(daemons[robot].cpu_times()[:2])) for robot in ROBOTS}
         began_ns = CLOCK.now_ns()
         CLOCK.sleep_until(began_ns + 15 * S)
         took_s = (CLOCK.now_ns() - began_ns) / S
         used = {}
         for robot, (packets, cpu) in before.items():
-            there, here = (round((b - a) / took_s, 1) for a, b in zip(packets, network.packets(robot), strict=True))
+            from_robot, here = (
+                round((b - a) / took_s, 1) for a, b in zip(packets, network.packets(robot), strict=True)
+            )
             own = daemons[robot]
             used[robot] = {
-                "to_it_per_s": there, "from_it_per_s": here,
+                "to_it_per_s": from_robot, "from_it_per_s": here,
                 "cpu_percent": round(100 * (sum(own.cpu_times()[:2]) - cpu) / took_s, 1),
                 "memory_mb": round(own.memory_info().rss / 1e6, 1),
                 "own_memory_mb": round(own.memory_full_info().uss / 1e6, 1),
@@ -207,7 +209,9 @@ def cut(seconds: list[float]) -> list[dict[str, Any]]:
         run.send_signal(signal.SIGINT)
         run.wait(60)
         stopped = _stopped_ms(read(network["lab"].folder / "cut"), "r2")
-        return [{**one, "zero_after_nonce_ms": ms} for one, ms in zip(found, stopped + [None] * 9, strict=False)]
+        return [
+            {**figures, "zero_after_nonce_ms": ms} for figures, ms in zip(found, stopped + [None] * 9, strict=False)
+        ]
 
 
 def _back(network: Network, fleet: Fleet) -> dict[str, Any]:
@@ -236,14 +240,14 @@ def laboratory_dies() -> dict[str, Any]:
         fleet = Fleet(network, ROBOTS, stack)
         run = fleet.run(file, "first", *_TRUTH)
         begun(fleet, run, "first")
-        there = [psutil.Process(run.pid), *psutil.Process(run.pid).children(recursive=True)]
-        twins = [one for one in there if "twins" in one.cmdline()]  # they are the robots
-        for one in there:
-            if one not in twins:
-                one.kill()
+        processes = [psutil.Process(run.pid), *psutil.Process(run.pid).children(recursive=True)]
+        twins = [process for process in processes if "twins" in process.cmdline()]  # they are the robots
+        for process in processes:
+            if process not in twins:
+                process.kill()
         CLOCK.sleep_until(CLOCK.now_ns() + S)
-        for one in twins:
-            one.kill()
+        for process in twins:
+            process.kill()
         run.wait(20)
         live, began_ns = all(daemon.poll() is None for daemon in fleet.daemons.values()), CLOCK.now_ns()
         again = fleet.run(file, "second", *_TRUTH, "--reset")
@@ -286,18 +290,18 @@ def stop(times: int, driving: int) -> dict[str, Any]:
             begun(fleet, run, f"stop{number}")
             stopped("driving")
             run.wait(60)
-        told = {
+        figures = {
             robots: {"times": len(ms), "median_ms": float(np.median(ms)), "worst_ms": max(ms)}
             for robots, ms in took.items()
             if ms
         }
-        return {**told, "failed": failed}
+        return {**figures, "failed": failed}
 
 
 def main() -> None:
     """Measure what is asked for."""
-    told = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    what = told.add_subparsers(dest="what", required=True)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    what = parser.add_subparsers(dest="what", required=True)
     what.add_parser("lap")
     air = what.add_parser("radio")
     air.add_argument("pattern", choices=PATTERNS)
@@ -308,12 +312,13 @@ def main() -> None:
     stops = what.add_parser("stop")
     stops.add_argument("--times", type=int, default=100)
     stops.add_argument("--driving", type=int, default=0)
-    asked = told.parse_args()
+    arguments = parser.parse_args()
     found: dict[str, Callable[[], Any]] = {
-        "lap": lap, "radio": lambda: radio(asked.pattern, asked.laps, asked.seed), "cut": lambda: cut(asked.seconds),
-        "laboratory": laboratory_dies, "stop": lambda: stop(asked.times, asked.driving),
+        "lap": lap, "radio": lambda: radio(arguments.pattern, arguments.laps, arguments.seed),
+        "cut": lambda: cut(arguments.seconds),
+        "laboratory": laboratory_dies, "stop": lambda: stop(arguments.times, arguments.driving),
     }  # fmt: skip
-    print(json.dumps(found[asked.what](), indent=1))
+    print(json.dumps(found[arguments.what](), indent=1))
 
 
 if __name__ == "__main__":

@@ -23,8 +23,8 @@ def unavailable() -> str:
         _ip("netns", "add", probe)
         _ip("netns", "del", probe)
     except (OSError, subprocess.SubprocessError) as error:
-        said = getattr(error, "stderr", "") or str(error)
-        return f"NO NAMESPACES: {said.strip().splitlines()[-1] if said.strip() else 'ip netns does not work'}"
+        reason = getattr(error, "stderr", "") or str(error)
+        return f"NO NAMESPACES: {reason.strip().splitlines()[-1] if reason.strip() else 'ip netns does not work'}"
     return ""
 
 
@@ -52,8 +52,10 @@ class Host:
     def begin(self, *words: str, log: Path) -> "subprocess.Popen[bytes]":
         """Start robofleet here."""
         command = self.command(sys.executable, "-W", "error", "-m", "robofleet", *words)
-        with log.open("wb") as said:
-            return subprocess.Popen(command, env=self.environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+        with log.open("wb") as log_file:
+            return subprocess.Popen(
+                command, env=self.environment, stdin=subprocess.DEVNULL, stdout=log_file, stderr=log_file
+            )
 
 
 class Network:

@@ -119,8 +119,8 @@ def serve(listen: Address, to: Address, pattern: Pattern, seed: int) -> None:
             back.setblocking(False)
             choosing.register(back, selectors.EVENT_READ, address)
             draw = random.Random(f"{seed} {address[0]}")
-            there, here = pattern.losing(draw)
-            clients[address] = back, _Way(there, pattern.jitter_s, draw), _Way(here, pattern.jitter_s, draw)
+            from_client, here = pattern.losing(draw)
+            clients[address] = back, _Way(from_client, pattern.jitter_s, draw), _Way(here, pattern.jitter_s, draw)
         return clients[address]
 
     def pass_on(due: float | None, send: Callable[[], object]) -> None:
@@ -160,6 +160,6 @@ if __name__ == "__main__":
     arguments.add_argument("to", type=_address)
     arguments.add_argument("pattern", choices=PATTERNS)
     arguments.add_argument("--seed", type=int, default=1)
-    told = arguments.parse_args()
+    options = arguments.parse_args()
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))  # it is the air, which no process delays
-    serve(told.listen, told.to, PATTERNS[told.pattern], told.seed)
+    serve(options.listen, options.to, PATTERNS[options.pattern], options.seed)

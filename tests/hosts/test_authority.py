@@ -50,9 +50,9 @@ def shaken(router: Credentials, unit: Credentials | None, address: str = ADDRESS
     for side in (client, server, client, server):
         with suppress(ssl.SSLWantReadError):
             side.do_handshake()
-    told = server.getpeercert()
-    assert told is not None
-    ((name,),) = told["subject"]
+    certificate = server.getpeercert()
+    assert certificate is not None
+    ((name,),) = certificate["subject"]
     return str(name[1])
 
 
@@ -158,7 +158,7 @@ def test_each_revocation_gives_the_next_certificate_another_name(lab: Authority)
     for common_name in ("r1", "r1#2", "r1#3"):
         opened = Authority("lab", lab.folder)  # the register remembers
         assert shaken(at(lab, "router"), at(lab, "r1")) == common_name
-        assert [one.common_name for one in identities(opened)] == [common_name]
+        assert [identity.common_name for identity in identities(opened)] == [common_name]
         opened.revoke("r1")
         assert not at(lab, "r1").key.exists()
         assert identities(Authority("lab", lab.folder)) == []

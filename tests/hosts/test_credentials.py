@@ -88,19 +88,24 @@ def test_a_clock_that_is_off_is_told_as_such(lab: Authority, monkeypatch: pytest
 
 
 def test_a_fifth_of_a_life_before_its_end_a_certificate_is_to_be_renewed() -> None:
-    one = told(days=100)
-    assert [one.ends_soon(START + timedelta(days=day)) for day in (0, 79.9, 80.1, 101)] == [False, False, True, True]
+    certificate = told(days=100)
+    assert [certificate.ends_soon(START + timedelta(days=day)) for day in (0, 79.9, 80.1, 101)] == [
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
 def test_a_session_belongs_to_one_certificate_of_one_name_in_one_arena() -> None:
     each = [told(), told(arena="hall"), told(name="r2"), told(serial="5b")]
-    drawn = [session_id(one) for one in each]
+    drawn = [session_id(session) for session in each]
     assert len({*drawn}) == len(each)
     assert session_id(told()) == session_id(told())
-    for one in drawn:
-        assert len(one) == 32
-        assert {*one} <= {*string.hexdigits.lower()}
-        assert one[0] != "0"
+    for session in drawn:
+        assert len(session) == 32
+        assert {*session} <= {*string.hexdigits.lower()}
+        assert session[0] != "0"
 
 
 def test_a_robot_reads_its_keys_without_the_library_that_makes_them(lab: Authority) -> None:

@@ -17,8 +17,8 @@ from robofleet.core.patterns import driver_role
 from robofleet.nodes.handing import packed
 from robofleet.runs.daemon import Daemon
 from tests.endpoints import own_endpoint
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 CLOCK = WallClock()
 ROBOT = RobotFile(arena="platoon", unit="r1", router=("quic/127.0.0.1:7447",))
 
@@ -37,8 +37,8 @@ class Bench:
             if now_ns >= again_ns:
                 answer, again_ns = self._supervisor.ask(CONFIG, "r1", message), now_ns + S
             self.daemon.step(now_ns)
-            if (said := answer.take()) is not None:
-                return said.decode()
+            if (reply := answer.take()) is not None:
+                return reply.decode()
             CLOCK.sleep_until(CLOCK.now_ns() + 5 * MS)
         raise TimeoutError("the daemon says nothing")
 
@@ -92,8 +92,8 @@ def test_a_run_with_a_driver_that_is_not_here_is_refused_and_the_next_one_taken(
 )
 def test_what_the_robots_own_file_does_not_allow_is_refused(folder: Path, allows: Allowed, refusal: str) -> None:
     with benched(folder, ROBOT.model_copy(update={"allows": allows})) as bench:
-        said = bench.handed(config("simulated"))
-    assert said == f"refused: r1: {folder / 'robot.yaml'} on this robot does not allow {refusal}"
+        answer = bench.handed(config("simulated"))
+    assert answer == f"refused: r1: {folder / 'robot.yaml'} on this robot does not allow {refusal}"
 
 
 def test_what_it_allows_is_taken(folder: Path) -> None:

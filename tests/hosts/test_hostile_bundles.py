@@ -92,13 +92,13 @@ def tree(folder: Path) -> dict[Path, tuple[int, bytes]]:
     }
 
 
-def sound(told: dict[str, str]) -> bool:
+def sound(passport: dict[str, str]) -> bool:
     """Return whether a laboratory may have made this."""
-    names = re.fullmatch(NAME_PATTERN, told["arena"]) and re.fullmatch(NAME_PATTERN, told["name"])
-    common = told["common_name"] == told["name"] or re.fullmatch(
-        r"#[1-9]\d*", told["common_name"].removeprefix(told["name"])
+    names = re.fullmatch(NAME_PATTERN, passport["arena"]) and re.fullmatch(NAME_PATTERN, passport["name"])
+    common = passport["common_name"] == passport["name"] or re.fullmatch(
+        r"#[1-9]\d*", passport["common_name"].removeprefix(passport["name"])
     )
-    return bool(names and common) and told["name"] not in RESERVED and told["kind"] in KINDS
+    return bool(names and common) and passport["name"] not in RESERVED and passport["kind"] in KINDS
 
 
 hostile = st.sampled_from(HOSTILE) | st.text(max_size=8)
@@ -117,11 +117,11 @@ hostile = st.sampled_from(HOSTILE) | st.text(max_size=8)
 def test_a_bundle_that_names_a_path_changes_nothing(
     stranger: Stranger, arena: str, name: str, kind: str, common_name: str | None
 ) -> None:
-    told = {"arena": arena, "name": name, "kind": kind, "common_name": name if common_name is None else common_name}
-    if sound(told):
+    passport = {"arena": arena, "name": name, "kind": kind, "common_name": name if common_name is None else common_name}
+    if sound(passport):
         return
     try:
-        file = bundle(stranger, told)
+        file = bundle(stranger, passport)
     except ValueError:  # no certificate can say that
         return
     before = tree(stranger.desk)
@@ -133,14 +133,14 @@ def test_a_bundle_that_names_a_path_changes_nothing(
 
 def test_such_a_bundle_is_joined_where_it_names_no_path(stranger: Stranger, tmp_path: Path) -> None:
     """What is refused above is refused for its names."""
-    told = {"arena": "lab", "name": "r1", "kind": "viewer", "common_name": "r1#2"}
-    done = CliRunner().invoke(app, ["join", str(bundle(stranger, told)), "--into", str(tmp_path / "robot")])
+    passport = {"arena": "lab", "name": "r1", "kind": "viewer", "common_name": "r1#2"}
+    done = CliRunner().invoke(app, ["join", str(bundle(stranger, passport)), "--into", str(tmp_path / "robot")])
     assert done.exit_code == 0, done.output
 
 
 @pytest.mark.parametrize("what", ["open", "link", "foreign"])
 def test_a_folder_that_is_not_the_keys_alone_is_left_as_it_is(stranger: Stranger, tmp_path: Path, what: str) -> None:
-    told = {"arena": "lab", "name": "r1", "kind": "viewer", "common_name": "r1"}
+    passport = {"arena": "lab", "name": "r1", "kind": "viewer", "common_name": "r1"}
     keys = tmp_path / "robot" / "keys"
     other = tmp_path / "other"
     for folder in (keys, other):
@@ -156,7 +156,7 @@ def test_a_folder_that_is_not_the_keys_alone_is_left_as_it_is(stranger: Stranger
     if what == "foreign":
         os.chown(keys / "lab", 65534, 65534)
     before = tree(tmp_path)
-    done = CliRunner().invoke(app, ["join", str(bundle(stranger, told)), "--into", str(tmp_path / "robot")])
+    done = CliRunner().invoke(app, ["join", str(bundle(stranger, passport)), "--into", str(tmp_path / "robot")])
     assert (done.exit_code, done.stdout) == (2, "")
     assert {"open": "chmod 700", "link": "is not a folder but a link", "foreign": "belongs to somebody else"}[
         what
@@ -168,16 +168,16 @@ def test_a_folder_that_is_not_the_keys_alone_is_left_as_it_is(stranger: Stranger
 @settings(max_examples=60, deadline=None)
 def test_no_passport_says_such_names_wherever_it_is_read(name: str, arena: str) -> None:
     now = utc_now()
-    told: dict[str, Any] = {
+    passport: dict[str, Any] = {
         "arena": arena, "name": name, "kind": "unit", "common_name": name, "serial": "5a",
         "not_before": now.isoformat(), "not_after": now.isoformat(), "addresses": [],
     }  # fmt: skip
     for changed in ({"arena": "lab"}, {"name": "r1", "common_name": "r1"}, {}):
-        said = told | changed
-        if sound(said):
+        changed_passport = passport | changed
+        if sound(changed_passport):
             continue
         with pytest.raises(KeysError):
-            Passport.of(said)
+            Passport.of(changed_passport)
 
 
 def test_what_lies_among_the_keys_is_not_believed_either(tmp_path: Path) -> None:
@@ -188,8 +188,8 @@ def test_what_lies_among_the_keys_is_not_believed_either(tmp_path: Path) -> None
         file.write_text(json.dumps(made.entries()["alice"].newest.plain() | change))
         with pytest.raises(KeysError, match=r"alice\.json: it is damaged"):
             passport("lab", "alice")
-    told = {"arena": "lab", "name": "../alice", "kind": "operator", "router": ["quic/10.0.0.1:7447"]}
-    (made.folder / "joined.json").write_text(json.dumps(told))
+    bundle_passport = {"arena": "lab", "name": "../alice", "kind": "operator", "router": ["quic/10.0.0.1:7447"]}
+    (made.folder / "joined.json").write_text(json.dumps(bundle_passport))
     assert joined() == {}
 
 

@@ -42,12 +42,12 @@ def test_two_runs_on_robots_that_wait_and_an_operator_a_viewer_and_a_cut_link(
         run, name = fleet.drive(file, "first", "--set", "tracker.source=truth")
 
         hosts = yaml.safe_load(said(net["lab"], "hosts", "--json"))["units"]
-        assert [one["unit"] for one in hosts] == list(robots)
-        assert all(one["certificate_ends"] and one["round_trip_ms"] and one["loss"] < 0.5 for one in hosts)
+        assert [host["unit"] for host in hosts] == list(robots)
+        assert all(host["certificate_ends"] and host["round_trip_ms"] and host["loss"] < 0.5 for host in hosts)
 
         seen = yaml.safe_load(said(net["phone"], "hosts", "--json"))["units"]
-        assert [one["unit"] for one in seen] == list(robots)
-        assert all(one["state"] == "drives" and one["round_trip_ms"] for one in seen)
+        assert [host["unit"] for host in seen] == list(robots)
+        assert all(host["state"] == "drives" and host["round_trip_ms"] for host in seen)
 
         assert net["phone"].robofleet("hold").stdout.startswith("ok")
         assert wait(lambda: fleet.tells(name, "held: hold requested"), 20), fleet.log(name)
@@ -110,7 +110,7 @@ def test_a_router_that_stays_shows_robots_that_wait_and_shuts_out_who_is_revoked
 
         def states() -> list[str]:
             found = lab.robofleet("hosts", str(file), "--json")
-            return [one["state"] for one in yaml.safe_load(found.stdout)["units"]] if found.returncode == 0 else []
+            return [host["state"] for host in yaml.safe_load(found.stdout)["units"]] if found.returncode == 0 else []
 
         assert wait(lambda: states() == ["waits", "waits"], 60), fleet.logs["r1"].read_text()
         run = fleet.run(file, "run", "--set", "tracker.source=truth")

@@ -98,9 +98,9 @@ def later(monkeypatch: pytest.MonkeyPatch, days: float) -> None:
 
 
 def names(arena: str = "lab") -> dict[str, dict[str, Any]]:
-    told = json.loads("\n".join(said("keys", "list", arena, "--json")))
-    assert told["arena"] == arena
-    return {row["name"]: row for row in told["names"]}
+    listed = json.loads("\n".join(said("keys", "list", arena, "--json")))
+    assert listed["arena"] == arena
+    return {row["name"]: row for row in listed["names"]}
 
 
 def tree(folder: Path) -> dict[Path, bytes]:
@@ -298,22 +298,22 @@ def test_a_revoked_or_expired_name_gets_no_bundle(lab: Path, desk: Path, monkeyp
 
 def changed(file: Path, change: Callable[[dict[str, Any]], None]) -> Path:
     """Return another bundle: what somebody, or a bad copy, made of it."""
-    told = json.loads(file.read_text())
-    change(told)
+    content = json.loads(file.read_text())
+    change(content)
     other = file.with_name("changed.bundle")
-    other.write_text(json.dumps(told))
+    other.write_text(json.dumps(content))
     return other
 
 
 def test_a_bundle_that_is_damaged_is_refused_wherever_it_is(bundle: Path, desk: Path) -> None:
     text = bundle.read_text()
-    told = json.loads(text)
+    content = json.loads(text)
     for part in ("certificate", "key", "authority"):
-        pem = told[part]
+        pem = content[part]
         half = len(pem) // 2
         other = "A" if pem[half] != "A" else "B"
         for wrong in (pem[:half] + other + pem[half + 1 :], pem[:half], BEGIN + END, ""):
-            file = changed(bundle, lambda told, part=part, wrong=wrong: told.update({part: wrong}))  # type: ignore[misc]
+            file = changed(bundle, lambda content, part=part, wrong=wrong: content.update({part: wrong}))  # type: ignore[misc]
             assert "copy again what `robofleet keys bundle` made" in refused("join", file, "--into", desk / "robot")
     for short in (text[: len(text) // 2], "", "\0" * 100, "x" * 70000, "[]", "{}"):
         (desk / "short.bundle").write_text(short)
@@ -329,16 +329,16 @@ def test_a_bundle_whose_parts_are_not_each_others_is_refused(lab: Path, bundle: 
         {"certificate": (lab / "r2.pem").read_text(), "key": (lab / "r2.key").read_text()},
         {"authority": (lab.parent / "hall" / "authority.pem").read_text()},
     ):
-        file = changed(bundle, lambda told, change=change: told.update(change))  # type: ignore[misc]
+        file = changed(bundle, lambda passport, change=change: passport.update(change))  # type: ignore[misc]
         assert "copy again" in refused("join", file, "--into", desk / "robot")
     for key, value in (("serial", "5a"), ("common_name", "r1#2")):
-        file = changed(bundle, lambda told, key=key, value=value: told["passport"].update({key: value}))  # type: ignore[misc]
+        file = changed(bundle, lambda passport, key=key, value=value: passport["passport"].update({key: value}))  # type: ignore[misc]
         assert "its certificate is of r1" in refused("join", file, "--into", desk / "robot")
     assert not (desk / "robot").exists()
 
 
 def test_a_bundle_of_a_newer_robofleet_names_both_versions(bundle: Path, desk: Path) -> None:
-    file = changed(bundle, lambda told: told.update({"format": 2, "robofleet": "9.8.7", "more": 1}))
+    file = changed(bundle, lambda passport: passport.update({"format": 2, "robofleet": "9.8.7", "more": 1}))
     line = refused("join", file, "--into", desk / "robot")
     assert "robofleet 9.8.7 made it" in line
     assert f"{json.loads(bundle.read_text())['robofleet']} is installed here" in line
@@ -388,12 +388,12 @@ def test_joining_again_brings_new_keys_and_keeps_what_the_robot_allows(lab: Path
     said("keys", "bundle", "lab", "r1", "--router", "tls/lab.example:7447")
     said("join", bundle, "--into", robot, "--max-wheel-speed", "9")
     assert (robot / "keys" / "lab" / "r1.key").read_bytes() == (lab / "r1.key").read_bytes()
-    there = load_robot_file(robot / "robot.yaml")
-    assert there.router == ("tls/lab.example:7447",)
-    assert there.refusal("gternal", "/dev/ttyUSB0", 9.0) is None
-    assert there.refusal("create2", "/dev/ttyUSB0", 9.0) == "the driver create2 (allowed: gternal)"
-    assert there.refusal("gternal", "/dev/ttyUSB1", 9.0) == "the port /dev/ttyUSB1 (allowed: /dev/ttyUSB0)"
-    assert there.refusal("gternal", "/dev/ttyUSB0", 9.1) == "wheels of 9.1 rad/s (allowed: 9)"
+    robot_file = load_robot_file(robot / "robot.yaml")
+    assert robot_file.router == ("tls/lab.example:7447",)
+    assert robot_file.refusal("gternal", "/dev/ttyUSB0", 9.0) is None
+    assert robot_file.refusal("create2", "/dev/ttyUSB0", 9.0) == "the driver create2 (allowed: gternal)"
+    assert robot_file.refusal("gternal", "/dev/ttyUSB1", 9.0) == "the port /dev/ttyUSB1 (allowed: /dev/ttyUSB0)"
+    assert robot_file.refusal("gternal", "/dev/ttyUSB0", 9.1) == "wheels of 9.1 rad/s (allowed: 9)"
 
 
 def test_a_users_own_robot_file_is_not_written_anew_for_nothing(bundle: Path, desk: Path) -> None:
@@ -562,10 +562,10 @@ def as_nobody(act: Callable[[], str]) -> str:
             os.write(theirs, repr(error).encode())
         os._exit(0)
     os.close(theirs)
-    with os.fdopen(ours) as told:
-        said = told.read()
+    with os.fdopen(ours) as pipe:
+        text = pipe.read()
     os.waitpid(child, 0)
-    return said
+    return text
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd here")

@@ -27,7 +27,7 @@ OTHER = f"{ANSI}zenoh::net::routing\x1b[0m\x1b[2m:\x1b[0m Transport returned mul
 
 
 def said_of(lines: list[str], at_s: list[float]) -> list[str]:
-    said: list[str] = []
+    logged: list[str] = []
     times = iter(at_s)
     now = [0]
 
@@ -40,27 +40,27 @@ def said_of(lines: list[str], at_s: list[float]) -> list[str]:
             now[0] = round(next(times) * 1e9)
             return line
 
-    say_refused(Lines("".join(lines)), FewLines(said.append, now_ns))
-    return said
+    say_refused(Lines("".join(lines)), FewLines(logged.append, now_ns))
+    return logged
 
 
 def test_each_refused_link_is_said_with_its_reason_and_nothing_else_is() -> None:
-    said = said_of([NO_CERTIFICATE, OTHER, UNKNOWN], [1, 2, 3])
-    assert said == [
+    lines = said_of([NO_CERTIFICATE, OTHER, UNKNOWN], [1, 2, 3])
+    assert lines == [
         "a link was refused: peer sent no certificates",
         'a link was refused: QUIC acceptor failed: reason: "invalid peer certificate: UnknownIssuer" })',
     ]
 
 
 def test_a_flood_of_them_costs_twenty_lines_a_minute_and_is_counted() -> None:
-    said = said_of([NO_CERTIFICATE] * 1001, [1.0] * 1000 + [62.0])
-    assert len(said) == 20 + 1 + 1
-    assert said[20] == "980 more lines about links were left out"
+    lines = said_of([NO_CERTIFICATE] * 1001, [1.0] * 1000 + [62.0])
+    assert len(lines) == 20 + 1 + 1
+    assert lines[20] == "980 more lines about links were left out"
 
 
 @pytest.mark.parametrize("protocol", ["tls", "quic"])
 def test_who_links_is_named_by_its_certificate(protocol: str, tmp_path: Path) -> None:
-    clock, said = WallClock(), list[str]()
+    clock, lines = WallClock(), list[str]()
     authority = Authority.create("lab", tmp_path / "keys")
     authority.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
     for name in ("r1", "stolen"):
@@ -76,13 +76,13 @@ def test_who_links_is_named_by_its_certificate(protocol: str, tmp_path: Path) ->
 
     def hears(line: str) -> bool:
         end_ns = clock.now_ns() + 5 * S
-        while not any(one.startswith(line) for one in said) and clock.now_ns() < end_ns:
+        while not any(text.startswith(line) for text in lines) and clock.now_ns() < end_ns:
             clock.sleep_until(clock.now_ns() + 5 * MS)
-        return any(one.startswith(line) for one in said)
+        return any(text.startswith(line) for text in lines)
 
     own = session_id(authority.entries()["r1"].newest)
     with closing(open_router(own_endpoint(), network)) as router:
-        router.info.declare_link_events_listener(say_linked(network.permitted, said.append), history=True)
+        router.info.declare_link_events_listener(say_linked(network.permitted, lines.append), history=True)
         with closing(linked("r1", own)):
             assert hears(f"r1 has come, from {protocol}/127.0.0.1:")
         assert hears("r1 has gone")

@@ -46,11 +46,11 @@ class Viewer:
         own = Credentials.at(theirs, name)
         self.bus: ZenohBus = joined(ARENA, endpoint, name, CLOCK, 20.0, credentials=own)
         stack.callback(self.bus.close)
-        self._heard: Subscription = self.bus.newest(STATE)
+        self._states: Subscription = self.bus.newest(STATE)
 
     def hears(self) -> bool:
         """Return whether something came since the last call."""
-        return self._heard.take() is not None
+        return self._states.take() is not None
 
 
 @pytest.fixture

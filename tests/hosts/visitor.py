@@ -24,7 +24,7 @@ def visit(address: str, authority: str, seconds: str) -> dict[str, int]:
     with httpx.Client(verify=trusted, base_url=f"https://{parts.netloc}", follow_redirects=True) as client:
         client.get(f"{parts.path}?{parts.query}").raise_for_status()
         cookies = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
-    told = {"messages": 0, "bytes": 0}
+    counts = {"messages": 0, "bytes": 0}
     origin, live = f"https://{parts.netloc}", f"wss://{parts.netloc}/live"
     with (
         connect(live, ssl=trusted, origin=origin, additional_headers={"Cookie": cookies}) as page,  # type: ignore[arg-type]
@@ -32,9 +32,9 @@ def visit(address: str, authority: str, seconds: str) -> dict[str, int]:
     ):
         while clock.now_ns() < end_ns:
             message = page.recv(timeout=5)
-            told["messages"] += 1
-            told["bytes"] += len(message)
-    return told
+            counts["messages"] += 1
+            counts["bytes"] += len(message)
+    return counts
 
 
 if __name__ == "__main__":

@@ -36,9 +36,9 @@ def fleet_of(robots: int) -> list[str]:
             "id": f"r{k}",
             "tag": k,
             "vehicle": "gternal",
-            "start": dict(zip(("x_m", "y_m", "heading_deg"), place, strict=True)),
+            "start": dict(zip(("x_m", "y_m", "heading_deg"), pose, strict=True)),
         }
-        for k, place in enumerate(places.tolist(), 1)
+        for k, pose in enumerate(places.tolist(), 1)
     ]
     changes = {
         "arena.size_m": [round(3.2 * scale, 2), round(2.0 * scale, 2)],

@@ -83,16 +83,16 @@ class Stand:
         self.hidden: set[str] = set()  # robots whose tags are not seen
         self.stopped: dict[str, float] = {}  # fields of every robot's tick
         self.free_bytes = 1 << 40
-        self.said: list[str] = []
+        self.lines: list[str] = []
         self.others: list[tuple[int, Callable[[], None]]] = []  # what else happens, and how often [ns]
         self.woken: list[int] = []
         self.tick = self._image = self._news = 0
         self.epoch = 3  # of the controller
         arming.step = prove
-        self._heard = {robot: Inbox(bench.bus.newest(ENABLE, robot), ENABLE_LAYOUT.decode) for robot in ROBOTS}
+        self._enables = {robot: Inbox(bench.bus.newest(ENABLE, robot), ENABLE_LAYOUT.decode) for robot in ROBOTS}
         self.node = Supervisor(
             bench.config, bench.bus, bench.clock, self.woken.append, np.random.default_rng(1),
-            free_bytes=lambda: self.free_bytes, attended=attended, say=self.said.append,
+            free_bytes=lambda: self.free_bytes, attended=attended, say=self.lines.append,
             machine=lambda ns: None if contended is None else Machine(round(contended * ns), 6.1, 2, self._counts(ns)),
         )  # fmt: skip
 
@@ -151,7 +151,7 @@ class Stand:
 
     def _talk(self) -> None:
         for name, robot in self.robots.items():
-            if (enable := self._heard[name].take()) is not None:
+            if (enable := self._enables[name].take()) is not None:
                 robot.hear(enable)
             if name not in self.silent:
                 self.bench.say(STATUS, robot.status(self.bench.now_ns, self.build), name)

@@ -72,9 +72,9 @@ def test_only_the_robots_of_the_rounds_up_to_the_faulty_one_ever_turned_a_wheel(
 )
 def test_a_healthy_fleet_is_armed_in_time_round_by_round(change: str, within_s: float) -> None:
     run = armed(change)
-    said = states(run)
-    assert Phase.RUNNING in {state.phase for state in said}
-    wiggled = [state for state in said if state.stage == Stage.WIGGLE]
+    state_rows = states(run)
+    assert Phase.RUNNING in {state.phase for state in state_rows}
+    wiggled = [state for state in state_rows if state.stage == Stage.WIGGLE]
     strokes = dict.fromkeys(tuple(robot.stroke for robot in state.robots) for state in wiggled)
     assert {stroke for each in strokes for stroke in each} == {STAND, FORTH, BACK}
     assert all(robot.permitted == (robot.stroke != STAND) for state in wiggled for robot in state.robots)

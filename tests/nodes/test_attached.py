@@ -166,8 +166,8 @@ def test_a_lost_robot_is_named_in_its_next_status_and_drives_again_after_a_reset
     stand.run(30 * MS)
     assert stand.newest("r1").faults == RobotFault.UNREACHABLE
     assert stand.newest("r1").latch == Latch.DRIVER_FAILED
-    said = capsys.readouterr().err
-    assert "r1: its driver failed: OSError('r1 does not answer')" in said
+    stderr = capsys.readouterr().err
+    assert "r1: its driver failed: OSError('r1 does not answer')" in stderr
     assert wait(lambda: said_after(stand, capsys, "r1 is not there"), 2.0)
     for broken in (fake_driver.unreadable, fake_driver.absent):
         broken.clear()

@@ -1,7 +1,6 @@
 """The barrier in the controller's tick: what it leaves alone, what it changes, and that everybody is told."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,8 @@ from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
 from robofleet.vehicles.differential_drive import body_from_wheels
 from tests.robots import stalls
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TRUTH = "tracker.source=truth"
 CLOSER = "robots.2.start={x_m: -1.463, y_m: 0.116, heading_deg: 50.0}"  # 0.16 m behind r2
 
@@ -44,8 +43,8 @@ def test_the_input_on_record_is_what_the_wheels_are_told(started: Lockstep) -> N
     items, vehicle = run.items, config.robots[0].vehicle
     assert (items["filtered"] > 0).any()
     v, omega = body_from_wheels(items["left_rad_s"], items["right_rad_s"], vehicle.wheel_radius_m, vehicle.wheel_base_m)
-    told = np.hypot(v, config.controller.point_ahead_m * omega)
-    assert np.hypot(items["u_x_m_s"], items["u_y_m_s"]) == pytest.approx(told, abs=1e-9)
+    speeds = np.hypot(v, config.controller.point_ahead_m * omega)
+    assert np.hypot(items["u_x_m_s"], items["u_y_m_s"]) == pytest.approx(speeds, abs=1e-9)
 
 
 def test_behind_a_robot_that_stalls_bodies_stay_apart() -> None:

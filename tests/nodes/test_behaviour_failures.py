@@ -55,9 +55,9 @@ def test_its_group_stands_at_once_and_the_run_is_held(how: str, event: Event, ro
     out = tmp_path / "run"
     ran = CliRunner().invoke(app, ["run", str(SWIRL), "--lockstep", *options(how), "--out", str(out)])
     assert ran.exit_code == 1
-    told = ran.stderr
-    assert f"group failing, {robot}: Broken returned" in told
-    assert ("RuntimeError: the law has no solution" in told) == how.startswith("raises")
+    stderr = ran.stderr
+    assert f"group failing, {robot}: Broken returned" in stderr
+    assert ("RuntimeError: the law has no solution" in stderr) == how.startswith("raises")
     summary = json.loads((out / "summary.json").read_text())
     assert summary["outcome"] == "fault"
     assert summary["cause"].startswith(f"{robot}: the behaviour of its group failing ")
@@ -88,8 +88,8 @@ def is_replayed(out: Path) -> None:
 
 def told_to_stand_after_ns(run: Run, since_ns: int) -> int:
     """Return how long it takes until every robot's wheels are told to stand."""
-    told = [(status["stamp_ns"], status["left_told_rad"]) for status in run.statuses]
-    return max(int(stamps[1:][np.diff(angles) != 0.0].max()) - since_ns for stamps, angles in told)
+    commanded = [(status["stamp_ns"], status["left_told_rad"]) for status in run.statuses]
+    return max(int(stamps[1:][np.diff(angles) != 0.0].max()) - since_ns for stamps, angles in commanded)
 
 
 def test_resume_asks_it_again() -> None:

@@ -21,9 +21,9 @@ from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS
+from tests.shipped import PLATOON
 
 Make = Callable[..., Config]
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 TRUTH = "tracker.source=truth"
 GAP_MM = 10.0  # controller.barrier.gap_m
 LOST = "it is a bystander, and the tracker no longer sees it"
@@ -66,10 +66,10 @@ def hand(config: Config, speed: float, at_s: float, duration_s: float) -> str:
     ],
 )
 def test_nobody_hits_a_robot_that_is_parked_on_the_path(platoon_of: Make, how: tuple[str, ...], left_m: float) -> None:
-    place = beside(platoon_of(), 0.5, left_m)
+    pose = beside(platoon_of(), 0.5, left_m)
     fields = {"reality": "simulated"} if how == ("reality",) else {}
     keys = [key for key in how if key != "reality"]
-    s = driven(platoon_of(parked(*place, **fields), "run.duration_s=17", *keys))
+    s = driven(platoon_of(parked(*pose, **fields), "run.duration_s=17", *keys))
     assert (s["robots"], s["bystanders"]) == (["r1", "r2", "r3", "r4"], ["p1"])
     assert s["min_gap_mm"] >= GAP_MM
     assert s["filtered_fraction"] > 0.05, "they did come near"
@@ -115,7 +115,7 @@ def test_who_is_not_seen_for_two_seconds_holds_the_run(platoon_of: Make, hidden_
 
 @pytest.mark.slow_after_first
 @pytest.mark.parametrize(
-    ("place", "fault", "cause"),
+    ("pose", "fault", "cause"),
     [
         ((1.0, 0.0), "{kind: pose_dropout, robot: p1}", "p1: the tracker lost the robot"),
         ((1.0, 0.0), "{kind: wired_stop, robot: p1}", "p1: the robot's own e-stop"),
@@ -123,18 +123,18 @@ def test_who_is_not_seen_for_two_seconds_holds_the_run(platoon_of: Make, hidden_
         ((1.0, 0.0), "{kind: pushed, robot: p1, velocity_m_s: [0.1, 0.0]}", "p1: it is not at rest"),
     ],
 )
-def test_a_fleet_beside_it_is_not_started(platoon_of: Make, place: tuple[float, float], fault: str, cause: str) -> None:
-    s = driven(platoon_of(parked(*place), "run.duration_s=2", TRUTH, f"faults=[{fault}]"))
+def test_a_fleet_beside_it_is_not_started(platoon_of: Make, pose: tuple[float, float], fault: str, cause: str) -> None:
+    s = driven(platoon_of(parked(*pose), "run.duration_s=2", TRUTH, f"faults=[{fault}]"))
     assert (s["outcome"], s["ticks"]) == ("fault", 0)
     assert s["cause"].startswith(cause)
 
 
 @pytest.mark.slow_after_first
-@pytest.mark.parametrize("place", [(1.57, 0.0), (1.0, 0.0)])
+@pytest.mark.parametrize("pose", [(1.57, 0.0), (1.0, 0.0)])
 @pytest.mark.parametrize("fault", ["", "{kind: low_battery, robot: p1}", "{kind: killed, process: driver-p1, at_s: 1}"])
-def test_what_concerns_only_itself_stops_nobody(platoon_of: Make, place: tuple[float, float], fault: str) -> None:
+def test_what_concerns_only_itself_stops_nobody(platoon_of: Make, pose: tuple[float, float], fault: str) -> None:
     """Beyond the arena's edge, its battery empty, its driver gone."""
-    s = driven(platoon_of(parked(*place), "run.duration_s=5", TRUTH, f"faults=[{fault}]"))
+    s = driven(platoon_of(parked(*pose), "run.duration_s=5", TRUTH, f"faults=[{fault}]"))
     assert (s["outcome"], s["stops"]) == ("completed", [])
 
 
@@ -178,11 +178,11 @@ def test_check_accepts_it_where_nobody_comes(platoon_of: Make) -> None:
 
 @pytest.mark.parametrize(("left_m", "refused"), [(0.0, True), (-0.18, True), (-0.2, False)])
 def test_check_refuses_it_too_near_to_the_path(platoon_of: Make, left_m: float, refused: bool) -> None:
-    place = beside(platoon_of(), 0.35, left_m)
-    found = [(at, text) for at, text in refusals(platoon_of(parked(*place))) if "from the path" in text]
+    pose = beside(platoon_of(), 0.35, left_m)
+    found = [(at, text) for at, text in refusals(platoon_of(parked(*pose))) if "from the path" in text]
     assert [at for at, _ in found] == ["robots.4.start"] * refused
     assert all("so park p1 further away" in text for _, text in found)
-    excitation = platoon_of(parked(*place), "groups.0.behaviour=excitation", "groups.0.settings={}")
+    excitation = platoon_of(parked(*pose), "groups.0.behaviour=excitation", "groups.0.settings={}")
     assert not [text for _, text in refusals(excitation) if "from the path" in text], "it follows no path"
 
 

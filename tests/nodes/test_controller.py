@@ -218,8 +218,8 @@ def test_every_robot_of_an_image_has_its_own_mid_exposure(stand: Stand) -> None:
         now_ns = stand.bench.now_ns
         stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, poses), CAMERA)
         stand.next_tick()
-        one, other = stand.newest.robots[:2]
-        assert (one.measured, other.measured) == (float(k > 0), float(k > 0))  # the first echoes no tick
+        first, other = stand.newest.robots[:2]
+        assert (first.measured, other.measured) == (float(k > 0), float(k > 0))  # the first echoes no tick
     unseen_s = stand.node._estimate.predict(stand.bench.now_ns).unseen_s
     assert unseen_s[1] - unseen_s[0] == pytest.approx(8e-3)
 

@@ -36,18 +36,18 @@ def test_a_fleet_runs_on_over_the_end_of_32_bits(platoon_of: Make, near: int) ->
     assert run.advance(60.0, lambda: run.status.phase is Phase.RUNNING)
     run.advance(1.0)
     assert run.status.phase is Phase.RUNNING
-    said, arena = run.recording.messages, run.recording.config.arena.name
+    messages, arena = run.recording.messages, run.recording.config.arena.name
     for full, layout in (
         (key(arena, keys.STATE), RUN_STATE), (key(arena, keys.STATUS, "r1"), ROBOT_STATUS),
         (key(arena, keys.COMMAND, "r1"), WHEEL_COMMAND), (key(arena, keys.ENABLE, "r1"), ENABLE),
         (key(arena, keys.POSES, keys.CAMERA), FLEET_POSES),
     ):  # fmt: skip
-        seqs = [message.seq for payload in said[full] if (message := layout.decode(payload)) is not None]  # type: ignore[attr-defined]
-        assert len(seqs) == len(said[full]), "all of them can be read"
+        seqs = [message.seq for payload in messages[full] if (message := layout.decode(payload)) is not None]  # type: ignore[attr-defined]
+        assert len(seqs) == len(messages[full]), "all of them can be read"
         assert seqs == sorted(seqs)
         assert near < seqs[0] < near + 20
         assert seqs[-1] > near + 20
-    newest = TICK_RECORD.decode(said[key(arena, keys.TICK)][-1])
+    newest = TICK_RECORD.decode(messages[key(arena, keys.TICK)][-1])
     assert newest is not None
     assert newest.command_seq > near + 20
     run.close()
@@ -96,7 +96,7 @@ def test_a_robot_far_beyond_all_numbers_is_a_state_that_can_be_read(platoon_of: 
         run.advance(0.005)
     run.advance(0.5, lambda: run.status.phase is not Phase.RUNNING)
     assert run.status.phase is not Phase.RUNNING
-    said = run.recording.messages[key(arena, keys.STATE)][states:]
-    assert said
-    assert all(RUN_STATE.decode(payload) is not None for payload in said)
+    payloads = run.recording.messages[key(arena, keys.STATE)][states:]
+    assert payloads
+    assert all(RUN_STATE.decode(payload) is not None for payload in payloads)
     run.close()

@@ -120,9 +120,9 @@ def test_one_process_keeps_its_robots_apart(stand: Any) -> None:
     stand.run(S // 2, robot="r2")
     assert moves(stand, "r1") == []
     assert stand.made["r2"].target == FORWARD
-    one, other = stand.newest("r1"), stand.newest("r2")
-    assert (one.gate, other.gate) == (GateStatus.NO_ENABLE, GateStatus.OPEN)
-    assert one.rejected == other.rejected == 0
+    first, other = stand.newest("r1"), stand.newest("r2")
+    assert (first.gate, other.gate) == (GateStatus.NO_ENABLE, GateStatus.OPEN)
+    assert first.rejected == other.rejected == 0
 
 
 def test_a_status_and_the_truth_every_20_ms(bench_of: Make, platoon_of: Make, driver_of: Make) -> None:

@@ -169,13 +169,13 @@ def test_the_disk_is_slow_and_no_other_robot_waits_for_it(
     stand.acquire("r1")
     stand.run(S // 5, robot="r2")
     assert stand.made["r2"].target == FORWARD
-    told: list[Any] = []
-    monkeypatch.setattr(disk, "save", lambda robot, _: told.append((robot, stand.made["r2"].target)))
+    reports: list[Any] = []
+    monkeypatch.setattr(disk, "save", lambda robot, _: reports.append((robot, stand.made["r2"].target)))
     stand.enable("r1", "r2", latch=Latch.EMERGENCY_STOP)
     stand.bench.wait(5 * MS)
     stand.node.step(stand.bench.now_ns)
-    assert [robot for robot, _ in told] == ["r1", "r2"]
-    assert all(wheels.left < FORWARD.left for _, wheels in told)
+    assert [robot for robot, _ in reports] == ["r1", "r2"]
+    assert all(wheels.left < FORWARD.left for _, wheels in reports)
 
 
 @pytest.fixture
@@ -197,8 +197,8 @@ def test_what_is_kept_is_found_again(folder: Path) -> None:
 
 def whole(number: int = 1, epoch: Any = 1, latch: Any = 0, latch_id: Any = 0) -> str:
     """Return a file that says this, whoever wrote it: its checksums are right."""
-    said = {"number": number, "epoch": epoch, "latch": latch, "latch_id": latch_id}
-    half = json.dumps(said | {"check": zlib.crc32(json.dumps(said).encode())})
+    record = {"number": number, "epoch": epoch, "latch": latch, "latch_id": latch_id}
+    half = json.dumps(record | {"check": zlib.crc32(json.dumps(record).encode())})
     return (half[:-1] + ",").ljust(4096) + ('"spare": ' + half + "}").ljust(4096)
 
 
@@ -426,10 +426,10 @@ def test_a_latch_is_said_before_it_is_kept_and_before_the_log(
         stand.acquire("r1")
         stand.bench.run(stand.node, 25 * MS)
         before = len(stand.bench.heard(STATUS, "r1"))
-        told: list[Any] = []
+        order: list[Any] = []
 
-        def stalls(*_: Any, told: list[Any] = told) -> None:
-            told.append(stand.newest("r1").latch)
+        def stalls(*_: Any, order: list[Any] = order) -> None:
+            order.append(stand.newest("r1").latch)
 
         if broken == "disk":
             monkeypatch.setattr(disk, "save", stalls)
@@ -438,7 +438,7 @@ def test_a_latch_is_said_before_it_is_kept_and_before_the_log(
             monkeypatch.setattr(Complaints, "say", stalls)
         stand.enable("r1", latch=Latch.EMERGENCY_STOP)
         stand.bench.run(stand.node, 25 * MS)
-        assert told[0] == Latch.EMERGENCY_STOP
+        assert order[0] == Latch.EMERGENCY_STOP
         assert len(stand.bench.heard(STATUS, "r1")) >= before + 1
 
 

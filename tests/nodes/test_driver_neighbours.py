@@ -58,8 +58,8 @@ def test_a_robot_that_fails_is_latched_alone(stand: Any, fake_driver: Any, how: 
     stand.run(S // 5, robot="r2")
     getattr(fake_driver, how).add("r1")
     drive_both(stand, S // 5)
-    one, other = stand.newest("r1"), stand.newest("r2")
-    assert (one.gate, one.latch, one.latch_id) == (GateStatus.LATCHED, Latch.DRIVER_FAILED, 1)
+    first, other = stand.newest("r1"), stand.newest("r2")
+    assert (first.gate, first.latch, first.latch_id) == (GateStatus.LATCHED, Latch.DRIVER_FAILED, 1)
     assert (other.gate, other.latch) == (GateStatus.OPEN, Latch.NONE)
     assert stand.made["r2"].target == FORWARD
 
@@ -123,8 +123,12 @@ def test_a_fault_stops_its_robot_within_a_loop_and_is_said_until_a_reset(stand: 
     assert (stand.newest("r2").gate, stand.newest("r2").faults) == (GateStatus.OPEN, 0)
     stand.enable("r1", clear=status.latch_id)
     stand.run(S // 5)
-    told = [(its.latch, its.faults) for its in stand.bench.heard(STATUS, "r1") if its.nonce > felt_ns]
-    assert set(told[1:]) == {(Latch.ROBOT_FAULT, fault), (Latch.NONE, 0)}  # never the one without the other
+    states = [
+        (reported_status.latch, reported_status.faults)
+        for reported_status in stand.bench.heard(STATUS, "r1")
+        if reported_status.nonce > felt_ns
+    ]
+    assert set(states[1:]) == {(Latch.ROBOT_FAULT, fault), (Latch.NONE, 0)}  # never the one without the other
     assert stand.newest("r1").gate == GateStatus.OPEN
 
 

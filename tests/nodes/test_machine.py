@@ -84,17 +84,17 @@ WORKS = "import time; print(1, flush=True)\nwhile True: time.sleep(0.01)"
 @pytest.fixture
 def started() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
     """Return what starts a program under a process's command line, and returns when it runs."""
-    there: list[subprocess.Popen[bytes]] = []
+    processes: list[subprocess.Popen[bytes]] = []
 
     def start(program: str, *command: str) -> subprocess.Popen[bytes]:
         process = subprocess.Popen([sys.executable, "-c", program, "robofleet", *command], stdout=subprocess.PIPE)
-        there.append(process)
+        processes.append(process)
         assert process.stdout is not None
         process.stdout.read(1)
         return process
 
     yield start
-    for process in there:
+    for process in processes:
         process.kill()
         process.communicate()
 
@@ -117,7 +117,9 @@ def test_the_processes_of_a_run_are_found_by_their_command_lines_and_their_turns
     monkeypatch.setattr(machine.os, "getppid", os.getpid)
     started(WORKS, "driver", "run.yaml", "--robots", "r2,r3")
     started(WORKS, "controller", "run.yaml")
-    one = started(WORKS, "tracker", "run.yaml", "--camera", "left")  # one of several: whose poses are newest changes
+    tracker = started(
+        WORKS, "tracker", "run.yaml", "--camera", "left"
+    )  # one of several: whose poses are newest changes
     siblings = Siblings(["r1", "r2", "r3"])
     found = siblings(0)
     if not any(found):
@@ -125,7 +127,7 @@ def test_the_processes_of_a_run_are_found_by_their_command_lines_and_their_turns
     assert [turns is not None for turns in found] == [False, True, False, False, True, True]
     assert found[4] == found[5]
     assert turned(lambda: siblings(0)[4], 5) >= 5
-    one.kill()
+    tracker.kill()
     siblings.close()
 
 

@@ -1,7 +1,6 @@
 """Fleets of which a camera sees only some: the others are told beside them, as if it did."""
 
 import json
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,23 +9,18 @@ import numpy as np
 import pytest
 import yaml
 
-from robofleet.bus.keys import CAMERA, POSES, TICK, TRUTH
-from robofleet.bus.messages import TickRecord
 from robofleet.config.load import ConfigError
-from robofleet.core.clock import MS, S
+from robofleet.core.clock import S
 from robofleet.reports.metrics import summary
-from robofleet.runs import table
 from robofleet.runs.check import refusals
 from robofleet.runs.lockstep import Lockstep
-from tests.bus.alone import Truth
+from tests.nodes.tracker_stand import TrackerStand
 from tests.robots import stalls
 
 pytestmark = pytest.mark.long
 
 Make = Callable[..., Any]
 MIXED = Path(__file__).parents[2] / "configs" / "mixed.yaml"
-TICK_NS = 33 * MS
-SPEED = 0.1  # of every robot [m/s]
 VIRTUAL = ["robots.1.reality=simulated", "robots.3.reality=simulated"]  # r2 and r4
 ALONE = f"'{__name__}:Alone'"
 LENS = f"'{__name__}:Lens'"
@@ -40,30 +34,14 @@ class Lens:
     """A camera that exists."""
 
 
-class Floor:
-    """A tracker, and robots that drive straight on from their start."""
-
-    def __init__(self, bench: Any) -> None:
-        self.bench, self.origin_ns = bench, bench.now_ns
-        self.node = bench.made(table.TRACKER)
-
-    def frames(self, ns: int) -> list[Any]:
-        self.bench.run(self.node, ns, (10 * MS, self._truths), (TICK_NS, self._tick))
-        heard: list[Any] = self.bench.heard(POSES, CAMERA)
-        return heard
-
-    def where(self, robot: Any, instant_ns: int) -> tuple[float, float, float]:
-        driven = SPEED * (instant_ns - self.origin_ns) / S
-        psi = robot.start.psi
-        return robot.start.x_m + driven * math.cos(psi), robot.start.y_m + driven * math.sin(psi), psi
-
+class Floor(TrackerStand):
     def errors(self, frames: list[Any]) -> dict[int, np.ndarray]:
         """Return pose minus truth at mid-exposure of each tag's robot, (n, 3)."""
         robots = {robot.tag: robot for robot in self.bench.config.robots}
         return {
             tag: np.array(
                 [
-                    np.subtract(pose[3:], self.where(robot, frame.exposure_ns))
+                    np.subtract(pose[3:], self.pose(robot, frame.exposure_ns))
                     for frame in frames
                     for pose in frame.poses
                     if pose.tag == tag
@@ -71,15 +49,6 @@ class Floor:
             )
             for tag, robot in robots.items()
         }
-
-    def _truths(self) -> None:
-        now_ns = self.bench.now_ns
-        for robot in self.bench.config.robots:
-            self.bench.say(TRUTH, Truth(1, now_ns, *self.where(robot, now_ns), SPEED, 0.0), robot.id)
-
-    def _tick(self) -> None:
-        tick = (self.bench.now_ns - self.origin_ns) // TICK_NS
-        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 11, (), ()))
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +58,7 @@ def floor_of(bench_of: Make, platoon_of: Make) -> Callable[..., Floor]:
 
 def test_robots_in_no_image_are_told_with_each_image_as_of_its_exposure(floor_of: Make) -> None:
     floor = floor_of("tracker.truth={}")
-    frames = floor.frames(S)[3:]
+    frames = floor.run(S)[3:]
     assert len(frames) > 20
     assert all({pose.tag for pose in frame.poses} == {1, 2, 3, 4} for frame in frames)
     errors = floor.errors(frames)
@@ -99,7 +68,7 @@ def test_robots_in_no_image_are_told_with_each_image_as_of_its_exposure(floor_of
 
 def test_they_have_the_noise_and_the_gaps_that_the_configuration_states(floor_of: Make) -> None:
     floor = floor_of("tracker.truth={position_noise_m: 0.002, heading_noise_rad: 0.03, dropout: 0.25}")
-    frames = floor.frames(5 * S)[3:]
+    frames = floor.run(5 * S)[3:]
     errors = floor.errors(frames)
     for tag in (2, 4):
         assert errors[tag].std(axis=0) == pytest.approx([0.002, 0.002, 0.03], rel=0.2)
@@ -109,7 +78,7 @@ def test_they_have_the_noise_and_the_gaps_that_the_configuration_states(floor_of
 
 def test_without_an_image_they_are_gone_too(floor_of: Make) -> None:
     floor = floor_of("camera.simulated={outages: [{kind: stalled, at_s: 0.0, duration_s: 100}]}")
-    assert floor.frames(S) == []
+    assert floor.run(S) == []
 
 
 def test_a_fleet_of_both_drives_as_one_platoon(platoon_of: Make) -> None:
@@ -155,9 +124,9 @@ SIMULATED = "robots.1.reality=simulated"
 def test_a_robot_that_nobody_would_see_is_refused(
     platoon_of: Make, overrides: list[str], path: str, message: str
 ) -> None:
-    ((where, said),) = refusals(platoon_of(*overrides))
+    ((where, refusal),) = refusals(platoon_of(*overrides))
     assert where == path
-    assert message in said
+    assert message in refusal
 
 
 @pytest.mark.parametrize("overrides", [VIRTUAL, [*VIRTUAL, "tracker.source=truth"], ["tracker.source=truth"]])

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
-from robofleet.config.names import SHIPPED
 
 from robofleet.bus.keys import CAMERA, NEWS, POSES, STATE, key
 from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TRACKER_NEWS
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S
 from robofleet.recording.reading import read
@@ -25,7 +25,7 @@ SILENT = "faults=[{kind: camera_stalled, at_s: 1, duration_s: 0.3}]"
 SHORT = "run.duration_s=3", "run.bounds={}"
 
 
-class Told(NamedTuple):
+class Poses(NamedTuple):
     """What a run said of its poses."""
 
     news: list[Any]
@@ -33,49 +33,51 @@ class Told(NamedTuple):
     holds: list[Any]  # words of the supervisor: those with which it held the run
 
 
-def told(recording: Recording) -> Told:
+def told(recording: Recording) -> Poses:
     def said(topic: Any, layout: Any, name: str = "") -> list[Any]:
         return [layout.decode(p) for p in recording.messages.get(key("mocap", topic, name), ())]
 
     states = said(STATE, RUN_STATE)
     holds = [after for before, after in itertools.pairwise(states) if after.phase != before.phase]
-    return Told(
+    return Poses(
         [news for news in said(NEWS, TRACKER_NEWS, CAMERA) if news.event >= E.POSES_SILENT],
         said(POSES, FLEET_POSES, CAMERA),
         [state for state in holds if state.phase == Phase.HOLD],
     )
 
 
-def in_lockstep(*keys: str) -> tuple[dict[str, Any], Told]:
+def in_lockstep(*keys: str) -> tuple[dict[str, Any], Poses]:
     run = Lockstep(load_config(MOCAP, [*SHORT, *keys]))
     outcome, cause = run.run()
     return summary(run.recording, name="mocap", mode="lockstep", outcome=outcome, cause=cause), told(run.recording)
 
 
 def test_a_platoon_drives_by_bodies_without_tags() -> None:
-    s, said = in_lockstep()
+    s, notices = in_lockstep()
     assert s["outcome"] == "completed"
     assert s["control_error_mm"]["mean"] <= 0.5
     assert s["pose_error"]["rms_mm"] <= 0.5
-    stamps = [message.exposure_ns for message in said.poses]
-    assert {later - one for one, later in itertools.pairwise(stamps)} == {10 * MS}
-    assert (said.news, said.holds) == ([], [])
+    stamps = [message.exposure_ns for message in notices.poses]
+    assert {later - before for before, later in itertools.pairwise(stamps)} == {10 * MS}
+    assert (notices.news, notices.holds) == ([], [])
 
 
 @pytest.mark.parametrize("keys", [(), ("tracker.mocap.up=y", "tracker.mocap.origin.heading_deg=90")])
 def test_equal_seeds_give_equal_bytes(keys: tuple[str, ...]) -> None:
-    one, other = (in_lockstep("run.duration_s=1", *keys)[0]["trace_hash"] for _ in range(2))
-    assert one == other
+    first, other = (in_lockstep("run.duration_s=1", *keys)[0]["trace_hash"] for _ in range(2))
+    assert first == other
 
 
-def judged(said: Told) -> None:
+def judged(figures: Poses) -> None:
     """A silence of 0.3 s was named within 0.25 s, and held the run by its name."""
-    silent, back = (next(news for news in said.news if news.event == event) for event in (E.POSES_SILENT, E.POSES_BACK))
+    silent, back = (
+        next(news for news in figures.news if news.event == event) for event in (E.POSES_SILENT, E.POSES_BACK)
+    )
     assert silent.value <= 0.25 < back.value
     assert "no poses for 0.1" in describe(silent.event, silent.tag, silent.value)
-    before_ns = max(message.exposure_ns for message in said.poses if message.exposure_ns < silent.stamp_ns)
+    before_ns = max(message.exposure_ns for message in figures.poses if message.exposure_ns < silent.stamp_ns)
     assert silent.stamp_ns - before_ns <= 0.25 * S
-    assert said.holds[0].cause == Event.POSES_SILENT
+    assert figures.holds[0].cause == Event.POSES_SILENT
 
 
 def test_a_capture_that_is_silent_for_a_moment_is_named_and_the_run_is_held() -> None:
@@ -93,7 +95,7 @@ def test_a_capture_that_is_silent_for_a_moment_is_named_in_a_real_run(real_run: 
 
 def test_a_body_that_is_lost_stops_its_robot_alone() -> None:
     fault = "faults=[{kind: pose_dropout, robot: r4, at_s: 1, duration_s: 0.5}]"
-    s, said = in_lockstep(fault)
+    s, notices = in_lockstep(fault)
     assert s["outcome"] == "completed"
     assert {stop["robot"] for stop in s["stops"]} == {"r4"}
-    assert said.holds == []
+    assert notices.holds == []

@@ -1,15 +1,13 @@
 """Robots with worn wheels, a wide dead band and a sagging battery: the paper's law, and the offset-free one."""
 
-from pathlib import Path
-
 import pytest
 
 from robofleet.config.load import load_config
 from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
 from tests.robots import stalls
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 WORN = ("wheel_gain_error=-0.08", "deadband_rad_s=1.0", "breakaway_rad_s=1.2", "top_speed_sag=0.3")
 
 

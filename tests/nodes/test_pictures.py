@@ -1,6 +1,5 @@
 """Pictures of what the tracker's camera sees: seldom, more while somebody looks, and never before the poses."""
 
-import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -9,38 +8,32 @@ import cv2
 import numpy as np
 import pytest
 
-from robofleet.bus.keys import CAMERA, PICTURE, POSES, SAFE_REQUEST, TICK, TRUTH, key
-from robofleet.bus.messages import TickRecord
-from robofleet.core.clock import MS, S
-from robofleet.runs import table
+from robofleet.bus.keys import CAMERA, PICTURE, POSES, SAFE_REQUEST, key
+from robofleet.core.clock import S
 from robofleet.simulation.faults import Schedule
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraContext, Frame
-from tests.bus.alone import Truth
+from tests.nodes.tracker_stand import TICK_NS, TrackerStand
 
 Make = Callable[..., Any]
-TICK_NS = 33 * MS
 SPEED = 0.2  # of every robot [m/s]
 PX_PER_M = 340.0  # about, at the height of the tags: 2 px from one image to the next
 
 
-class Stand:
-    """A tracker with a camera over robots that drive straight on."""
+class Stand(TrackerStand):
+    """``order``: the keys of all messages, as they came."""
 
     def __init__(self, bench: Any) -> None:
-        self.bench, self.origin_ns = bench, bench.now_ns
         self.order: list[str] = []
-        bench.bus.tap(lambda said: self.order.append(said[0]))
+        bench.bus.tap(lambda message: self.order.append(message[0]))
         faults = Schedule(bench.config, bench.clock) if bench.config.faults else None
         if faults is not None:
             faults.begin(bench.now_ns)
-        self.node = bench.made(table.TRACKER, faults=faults)
+        super().__init__(bench, SPEED, faults=faults)
 
-    def run(self, ns: int) -> list[Any]:
+    def pictures(self, ns: int) -> list[Any]:
         """Let time pass and return every picture so far."""
-        self.bench.run(self.node, ns, (10 * MS, self._truths), (TICK_NS, self._tick))
-        pictures: list[Any] = self.bench.heard(PICTURE, CAMERA)
-        return pictures
+        return self.run(ns, PICTURE)
 
     def ask(self, payload: bytes) -> str:
         answer = self.bench.bus.ask(SAFE_REQUEST, "tracker", payload)
@@ -48,18 +41,6 @@ class Stand:
         reply = answer.take()
         assert reply is not None
         return str(reply.decode())
-
-    def _truths(self) -> None:
-        now_ns = self.bench.now_ns
-        driven = SPEED * (now_ns - self.origin_ns) / S
-        for robot in self.bench.config.robots:
-            psi = robot.start.psi
-            x, y = robot.start.x_m + driven * math.cos(psi), robot.start.y_m + driven * math.sin(psi)
-            self.bench.say(TRUTH, Truth(1, now_ns, x, y, psi, SPEED, 0.0), robot.id)
-
-    def _tick(self) -> None:
-        tick = (self.bench.now_ns - self.origin_ns) // TICK_NS
-        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 11, (), ()))
 
 
 @pytest.fixture
@@ -86,7 +67,7 @@ def tags_in(picture: Any) -> dict[int, np.ndarray]:
 
 @pytest.mark.parametrize("rate_hz", [4])
 def test_pictures_come_at_their_rate(stand_of: Make, rate_hz: int) -> None:
-    pictures = stand_of(f"camera.picture_rate_hz={rate_hz}").run(3 * S)
+    pictures = stand_of(f"camera.picture_rate_hz={rate_hz}").pictures(3 * S)
     assert len(pictures) in (3 * rate_hz, 3 * rate_hz + 1)
     assert [picture.seq for picture in pictures] == list(range(1, len(pictures) + 1))
     apart_ns = np.diff([picture.exposure_ns for picture in pictures][1:])
@@ -120,7 +101,7 @@ def matches(stand: Stand, picture: Any) -> bool:
 @pytest.mark.parametrize(("zoom", "parts"), [(1.0, 1), pytest.param(1.5, 2, marks=pytest.mark.long)])
 def test_a_picture_is_the_image_of_its_exposure(stand_of: Make, zoom: float, parts: int) -> None:
     stand = stand_of(*larger(zoom))
-    picture = stand.run(3 * S // 2)[-1]
+    picture = stand.pictures(3 * S // 2)[-1]
     assert (picture.width, picture.height) == (1280 * zoom, 720 * zoom)
     assert shown(picture).shape == (720 * zoom // parts, 1280 * zoom // parts)
     assert matches(stand, picture)
@@ -129,26 +110,26 @@ def test_a_picture_is_the_image_of_its_exposure(stand_of: Make, zoom: float, par
 def test_a_picture_is_of_its_exposure_also_when_the_poses_are_late(stand_of: Make) -> None:
     late = "faults=[{kind: pose_delay, at_s: 0, duration_s: 9, delay_s: 0.1}]"
     stand = stand_of(late)
-    picture = stand.run(2 * S)[-1]
+    picture = stand.pictures(2 * S)[-1]
     assert matches(stand, picture)
 
 
 def test_the_poses_of_its_image_go_before_a_picture(stand_of: Make) -> None:
     stand = stand_of("camera.picture_rate_hz=30")
-    pictures, arena = stand.run(S), stand.bench.config.arena.name
-    order = [said for said in stand.order if said in (key(arena, POSES, CAMERA), key(arena, PICTURE, CAMERA))]
+    pictures, arena = stand.pictures(S), stand.bench.config.arena.name
+    order = [full for full in stand.order if full in (key(arena, POSES, CAMERA), key(arena, PICTURE, CAMERA))]
     poses = [frame.exposure_ns for frame in stand.bench.heard(POSES, CAMERA)]
     assert len(pictures) > 20
-    for picture, at in zip(pictures, [k for k, said in enumerate(order) if said.endswith("picture")], strict=True):
-        before = sum(not said.endswith("picture") for said in order[:at])
+    for picture, at in zip(pictures, [k for k, full in enumerate(order) if full.endswith("picture")], strict=True):
+        before = sum(not full.endswith("picture") for full in order[:at])
         assert poses[before - 1] == picture.exposure_ns
 
 
 @pytest.mark.slow
 def test_pictures_change_nothing_of_the_poses(stand_of: Make) -> None:
     without, with_pictures = (stand_of(f"camera.picture_rate_hz={rate}") for rate in (0, 30))
-    assert without.run(S) == []
-    assert len(with_pictures.run(S)) > 20
+    assert without.pictures(S) == []
+    assert len(with_pictures.pictures(S)) > 20
 
     def told(stand: Stand) -> list[Any]:
         return [frame._replace(build=0) for frame in stand.bench.heard(POSES, CAMERA)]
@@ -158,10 +139,10 @@ def test_pictures_change_nothing_of_the_poses(stand_of: Make) -> None:
 
 def test_five_a_second_are_shown_for_two_seconds_after_a_request(stand_of: Make) -> None:
     stand = stand_of()
-    stand.run(S)
+    stand.pictures(S)
     asked_ns = stand.bench.now_ns
     assert stand.ask(b"pictures") == "ok"
-    after = [picture.exposure_ns - asked_ns for picture in stand.run(5 * S)]
+    after = [picture.exposure_ns - asked_ns for picture in stand.pictures(5 * S)]
     assert sum(0 <= at < 2 * S for at in after) in (10, 11)
     assert sum(2 * S + TICK_NS <= at < 5 * S for at in after) in (2, 3, 4)
 
@@ -171,7 +152,7 @@ def test_who_asks_again_and_again_goes_on_looking(stand_of: Make) -> None:
     stand = stand_of()
     for _ in range(4):
         stand.ask(b"pictures")
-        pictures = stand.run(S)
+        pictures = stand.pictures(S)
     assert len(pictures) in (19, 20, 21)
 
 
@@ -181,11 +162,11 @@ def test_who_asks_again_and_again_goes_on_looking(stand_of: Make) -> None:
 )
 def test_where_there_are_no_pictures_a_request_is_refused(stand_of: Make, change: str, why: str) -> None:
     stand = stand_of(change)
-    stand.run(S // 2)
+    stand.pictures(S // 2)
     reply = stand.ask(b"pictures")
     assert reply.startswith("refused: ")
     assert why in reply
-    assert stand.run(2 * S) == []
+    assert stand.pictures(2 * S) == []
 
 
 def test_something_else_that_is_asked_is_refused(stand_of: Make) -> None:
@@ -195,7 +176,7 @@ def test_something_else_that_is_asked_is_refused(stand_of: Make) -> None:
 def test_a_camera_that_stalls_shows_nothing_new(stand_of: Make) -> None:
     stand = stand_of("camera.picture_rate_hz=10", "faults=[{kind: camera_stalled, at_s: 1, duration_s: 9}]")
     began_ns = stand.bench.now_ns
-    assert max(picture.exposure_ns for picture in stand.run(2 * S)) <= began_ns + S
+    assert max(picture.exposure_ns for picture in stand.pictures(2 * S)) <= began_ns + S
 
 
 class Hurried:
@@ -221,12 +202,12 @@ def test_an_image_that_is_there_goes_before_a_picture(stand_of: Make) -> None:
     stand = stand_of(f"camera.source='{__name__}:Hurried'", "camera.trigger=free", "camera.noise_gray=0")
     image = np.arange(720 * 1280, dtype=np.uint32).reshape(720, 1280).astype(np.uint8)
     Hurried.given.extend(Frame(image + k, stand.bench.now_ns + k) for k in range(3))
-    said = []
+    order = []
     for _ in range(4):
         before = len(stand.order)
         stand.node.step(stand.bench.now_ns)
-        said += [full.rpartition("/")[2] for full in stand.order[before:]]
-    assert said == ["overhead", "overhead", "overhead", "picture"]
+        order += [full.rpartition("/")[2] for full in stand.order[before:]]
+    assert order == ["overhead", "overhead", "overhead", "picture"]
     (picture,) = stand.bench.heard(PICTURE, CAMERA)
     newest = stand.bench.heard(POSES, CAMERA)[-1]
     assert picture.exposure_ns == newest.exposure_ns, "what was to be shown may be written over by then"

@@ -48,13 +48,13 @@ class Stand:
     """A recorder on a bench that hears what a test says."""
 
     def __init__(self, config: Config, folder: Path) -> None:
-        self.bench, self.heard, self.folder = Bench(config), Everything(), folder
+        self.bench, self.stream, self.folder = Bench(config), Everything(), folder
         self.log = RunLog(folder / FILE, config)
-        self.bench.bus.stream = lambda *_, **__: self.heard  # type: ignore[method-assign]
+        self.bench.bus.stream = lambda *_, **__: self.stream  # type: ignore[method-assign]
         self.node = Recorder(config, self.bench.bus, np.random.default_rng(1), self.log, lambda: b"")
 
     def say(self, full: str, payload: bytes) -> None:
-        self.heard.waiting.append(Arrival(self.bench.now_ns, full, payload))
+        self.stream.waiting.append(Arrival(self.bench.now_ns, full, payload))
 
     def newest(self) -> RecorderStatus:
         return self.bench.heard(RECORDER)[-1]
@@ -68,20 +68,20 @@ def stand(platoon_of: ConfigOf, tmp_path: Path) -> Iterator[Stand]:
 
 
 def test_what_is_said_is_in_the_file_with_its_instant_also_what_came_last(stand: Stand) -> None:
-    said = []
+    messages = []
     for k in range(100):
         full = key("platoon", (STATUS, COMMAND)[k % 2], f"r{k % 4}")
         stand.say(full, b"\x03%d" % k)
-        said.append((full, b"\x03%d" % k))
+        messages.append((full, b"\x03%d" % k))
         if k < 90:
             stand.bench.wait(3 * MS)
             stand.node.step(stand.bench.now_ns)
     stand.node.close()
     kept = read(stand.folder)
     assert kept.count == stand.log.messages == 100
-    assert kept.messages == {full: [p for f, p in said if f == full] for full, _ in said}
-    in_order = sorted((place, payload) for full in kept.messages for place, payload in kept.placed(full))
-    assert [payload for _, payload in in_order] == [payload for _, payload in said]
+    assert kept.messages == {full: [p for f, p in messages if f == full] for full, _ in messages}
+    in_order = sorted((index, payload) for full in kept.messages for index, payload in kept.placed(full))
+    assert [payload for _, payload in in_order] == [payload for _, payload in messages]
 
 
 def test_it_says_how_it_goes_four_times_a_second_and_at_once_when_the_disk_fails(stand: Stand) -> None:
@@ -99,24 +99,27 @@ def test_it_says_how_it_goes_four_times_a_second_and_at_once_when_the_disk_fails
 
 def test_what_its_queue_dropped_is_counted_once(stand: Stand) -> None:
     for dropped in (0, 7, 7, 9):
-        stand.heard.dropped = dropped
+        stand.stream.dropped = dropped
         stand.bench.run(stand.node, S // 2)
         assert stand.newest().dropped == stand.log.dropped == dropped
 
 
 def test_a_lockstep_runs_summary_is_the_same_from_its_file(platoon_of: ConfigOf, tmp_path: Path) -> None:
     config = platoon_of("tracker.source=truth", "run.duration_s=8")
-    told = in_lockstep(config, "platoon", tmp_path, quiet=True).summary
+    lockstep_summary = in_lockstep(config, "platoon", tmp_path, quiet=True).summary
     recording = read(tmp_path)
     outcome = {"outcome": str(recording.outcome), "cause": recording.cause}
-    assert recording.trace_hash == told["trace_hash"] is not None
-    assert summary(recording, name="platoon", mode="lockstep", **outcome) | {"began": told["began"]} == told
-    assert told["recording"]["messages"] > 5000
-    assert (told["outcome"], told["stops"]) == ("completed", [])
+    assert recording.trace_hash == lockstep_summary["trace_hash"] is not None
+    assert (
+        summary(recording, name="platoon", mode="lockstep", **outcome) | {"began": lockstep_summary["began"]}
+        == lockstep_summary
+    )
+    assert lockstep_summary["recording"]["messages"] > 5000
+    assert (lockstep_summary["outcome"], lockstep_summary["stops"]) == ("completed", [])
 
     plain = Lockstep(config)
     plain.run()
-    assert plain.recording.trace_hash == told["trace_hash"], "to keep it changes nothing"
+    assert plain.recording.trace_hash == lockstep_summary["trace_hash"], "to keep it changes nothing"
     assert plain.recording.messages == recording.messages
 
 
@@ -215,11 +218,11 @@ def test_a_flood_of_keys_that_nobody_knows_is_not_recorded_and_kills_nobody(
     with ExitStack() as stack:
         router = open_router(endpoint)
         stack.callback(router.close)
-        heard, saying = (ZenohBus("platoon", endpoint, name, clock) for name in ("recorder", "stranger"))
-        stack.callback(heard.close)
+        recorder_bus, saying = (ZenohBus("platoon", endpoint, name, clock) for name in ("recorder", "stranger"))
+        stack.callback(recorder_bus.close)
         stack.callback(saying.close)
         log = RunLog(tmp_path / FILE, config)
-        recorder = Recorder(config, heard, np.random.default_rng(1), log, lambda: b"")
+        recorder = Recorder(config, recorder_bus, np.random.default_rng(1), log, lambda: b"")
         stack.callback(log.close)
         tick = saying.publisher(TICK)
 

@@ -78,15 +78,15 @@ class Held:
             self._state = state
         for unit, robots in self.config.units.items():
             if full == key(arena, TRUTH, unit) and (truth := UNIT_TRUTH.decode(payload)) is not None:
-                for its in truth.robots:
-                    self.x_m[self.config.ids.index(robots[its.place])] = its.x_m
+                for body in truth.robots:
+                    self.x_m[self.config.ids.index(robots[body.place])] = body.x_m
             if full == key(arena, ENABLE, unit) and (enable := UNIT_ENABLE.decode(payload)) is not None:
-                limits = [its.limit_rad_s for its in enable.robots]
+                limits = [body.limit_rad_s for body in enable.robots]
                 self.limits.update(zip(robots, limits, strict=True))
                 self._judge(enable.phase)
             elif full == key(arena, STATUS, unit) and (status := UNIT_STATUS.decode(payload)) is not None:
-                for robot, its in zip(robots, status.robots, strict=True):
-                    self.wheels[robot] = max(abs(its.left_output_rad_s), abs(its.right_output_rad_s))
+                for robot, body in zip(robots, status.robots, strict=True):
+                    self.wheels[robot] = max(abs(body.left_output_rad_s), abs(body.right_output_rad_s))
 
     def _drive(self, tick: int) -> None:
         if self.stick is None:
@@ -141,8 +141,8 @@ def test_a_robot_stranded_at_the_wall_is_driven_out_and_the_run_goes_on(tmp_path
     assert held.log is not None
     held.log.close()
     assert not held.broken
-    told = stops(Run(held.run.recording))
-    assert any(stop["robot"] == "r1" and "a person no longer drives it out" in stop["cause"] for stop in told)
+    run_stops = stops(Run(held.run.recording))
+    assert any(stop["robot"] == "r1" and "a person no longer drives it out" in stop["cause"] for stop in run_stops)
     assert replay(read(tmp_path), 0.0).equal, "a replay finds every command of the person's"
 
 

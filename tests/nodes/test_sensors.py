@@ -41,11 +41,11 @@ def driven(*changes: str, log: RunLog | None = None) -> Recording:
 def test_who_is_asked_tells_and_nobody_else() -> None:
     recording = driven("robots.1.sensors=true", "robots.3.sensors=true")
     for robot in ("r2", "r4"):
-        said = sensors.columns(recording, robot)
-        assert said.gyro.shape == (len(said.stamp_ns), 3)
-        assert said.distances.shape == (len(said.stamp_ns), 7)
-        assert np.isfinite(said.accelerometer).all()
-        periods = np.diff(said.stamp_ns) * 1e-9
+        values = sensors.columns(recording, robot)
+        assert values.gyro.shape == (len(values.stamp_ns), 3)
+        assert values.distances.shape == (len(values.stamp_ns), 7)
+        assert np.isfinite(values.accelerometer).all()
+        periods = np.diff(values.stamp_ns) * 1e-9
         assert periods.mean() == pytest.approx(0.033, rel=0.01)
         assert periods.max() < 0.041  # it is told in a loop of 10 ms
     assert not len(sensors.columns(recording, "r1").stamp_ns)
@@ -55,16 +55,16 @@ def test_sensors_say_what_is_true() -> None:
     """Of robots without errors, at the instants of the truth: heading, turning, and the nearest robot."""
     recording = driven(*ALL, *EXACT)
     for robot, before in (("r2", "r1"), ("r3", "r2")):
-        said, truth = sensors.columns(recording, robot), recording.of_robot(TRUTH, robot)
-        psi = np.interp(said.stamp_ns, truth["stamp_ns"], np.unwrap(truth["psi_rad"]))
-        off = (said.heading - psi + math.pi) % math.tau - math.pi
+        values, truth = sensors.columns(recording, robot), recording.of_robot(TRUTH, robot)
+        psi = np.interp(values.stamp_ns, truth["stamp_ns"], np.unwrap(truth["psi_rad"]))
+        off = (values.heading - psi + math.pi) % math.tau - math.pi
         assert np.abs(off).max() < 0.01 and np.median(np.abs(off)) < 1e-4  # between two truths it is interpolated
-        turned = np.cumsum(said.gyro[1:, 2] * np.diff(said.stamp_ns) * 1e-9)
+        turned = np.cumsum(values.gyro[1:, 2] * np.diff(values.stamp_ns) * 1e-9)
         assert turned == pytest.approx(psi[1:] - psi[0], abs=0.01)
         ahead = recording.of_robot(TRUTH, before)[-1]
         gap = math.hypot(ahead["x_m"] - truth[-1]["x_m"], ahead["y_m"] - truth[-1]["y_m"])
         # The robot before is within the beams of its three front sensors, or beside them.
-        assert np.nanmin(said.distances[-1, 2:5]) > gap - 0.055 - 0.07
+        assert np.nanmin(values.distances[-1, 2:5]) > gap - 0.055 - 0.07
 
 
 def test_a_run_without_sensors_is_the_run_that_it_was() -> None:
@@ -72,9 +72,9 @@ def test_a_run_without_sensors_is_the_run_that_it_was() -> None:
     plain = config_of()
     without = config_of(*(f"robots.{row}.vehicle.sensors=null" for row in range(4)))
     walled = config_of("arena.walls=[[0, 0, 1, 1]]")
-    asked = config_of(*ALL)
-    assert slices.build(plain) == slices.build(without) == slices.build(walled) != slices.build(asked)
-    assert slices.build(asked) != slices.build(config_of(*ALL, "arena.walls=[]"))
+    with_sensors = config_of(*ALL)
+    assert slices.build(plain) == slices.build(without) == slices.build(walled) != slices.build(with_sensors)
+    assert slices.build(with_sensors) != slices.build(config_of(*ALL, "arena.walls=[]"))
     recording = driven()
     assert not any(full.endswith("/sensors") for full in recording.messages)
     status = key(recording.config.arena.name, STATUS, "r1")
@@ -85,8 +85,8 @@ def test_a_run_without_sensors_is_the_run_that_it_was() -> None:
 def test_the_same_run_again_has_the_same_noise_and_another_seed_another() -> None:
     once, again, other = driven(*ALL), driven(*ALL), driven(*ALL, "run.seed=2")
     assert once.trace_hash == again.trace_hash
-    told = [sensors.columns(recording, "r1").gyro[:50] for recording in (once, other)]
-    assert np.abs(told[0] - told[1]).min() > 0.0
+    gyros = [sensors.columns(recording, "r1").gyro[:50] for recording in (once, other)]
+    assert np.abs(gyros[0] - gyros[1]).min() > 0.0
 
 
 def test_robots_see_walls_and_each_other() -> None:
@@ -102,10 +102,10 @@ def test_robots_see_walls_and_each_other() -> None:
 def test_the_file_of_a_run_has_them(tmp_path: Path) -> None:
     config = config_of(*ALL)
     with RunLog(tmp_path / FILE, config) as log:
-        told = driven(*ALL, log=log)
+        recording = driven(*ALL, log=log)
     kept = read(tmp_path)
-    for mine, its in zip(sensors.columns(kept, "r3"), sensors.columns(told, "r3"), strict=True):
-        np.testing.assert_array_equal(mine, its)
+    for mine, live in zip(sensors.columns(kept, "r3"), sensors.columns(recording, "r3"), strict=True):
+        np.testing.assert_array_equal(mine, live)
     sensors.write_csv(kept, tmp_path / sensors.CSV)
     head, *rows = (tmp_path / sensors.CSV).read_text().splitlines()
     names = head.split(",")

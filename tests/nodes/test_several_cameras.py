@@ -32,5 +32,5 @@ def test_a_knocked_camera_is_named_and_costs_no_accuracy(tmp_path: Path) -> None
     ((camera, sentence),) = news(recording)
     assert camera == "two"
     assert sentence.startswith("camera two sees robots 0.01")
-    its = errors(recording)
-    assert 1e3 * np.linalg.norm(its.off[its.t >= KNOCK_S + 1], axis=-1).max() <= 0.2
+    camera_errors = errors(recording)
+    assert 1e3 * np.linalg.norm(camera_errors.off[camera_errors.t >= KNOCK_S + 1], axis=-1).max() <= 0.2

@@ -80,8 +80,8 @@ def test_a_bodys_fault_is_refused_where_it_would_do_nothing(
 
 @pytest.mark.parametrize("twin", ["gternal", "arduino_bridge"])
 def test_a_touch_is_refused_where_a_twin_feels_nothing(twin: str) -> None:
-    its = f"robots.0.driver={twin}", f"robots.0.twin={twin}", "faults=[{kind: bumper_hit, robot: r1}]"
-    result = robofleet("check", PLATOON, *TRUTH, *(part for key in its for part in ("--set", key)))
+    overrides = f"robots.0.driver={twin}", f"robots.0.twin={twin}", "faults=[{kind: bumper_hit, robot: r1}]"
+    result = robofleet("check", PLATOON, *TRUTH, *(part for key in overrides for part in ("--set", key)))
     assert result.exit_code == 2
     assert "faults.0.kind" in result.stderr
     assert "has no such sensor" in result.stderr

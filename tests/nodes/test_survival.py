@@ -49,8 +49,8 @@ def test_the_platoon_drives_on(lockstep: RunOf, trouble: list[str], measured: fl
 
 def test_a_rolling_shutter_that_nobody_told_of_is_felt(lockstep: RunOf) -> None:
     """The bound above means something: half the image is 5 ms late."""
-    told = lockstep("run.duration_s=3", "camera.model.line_time_s=0.000015")
-    assert told["pose_error"]["rms_mm"] < 0.2
+    figures = lockstep("run.duration_s=3", "camera.model.line_time_s=0.000015")
+    assert figures["pose_error"]["rms_mm"] < 0.2
 
 
 def test_a_knocked_camera_is_corrected_by_floor_tags(lockstep: RunOf) -> None:

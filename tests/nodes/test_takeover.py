@@ -37,13 +37,13 @@ def test_a_robot_that_was_taken_over_and_lost_again_is_only_asked_for() -> None:
         for _ in range(30):
             held.by(session)
             leases.update()
-        asked = set()
+        actions_seen = set()
         while (request := held.served()) is not None:
             message = LEASE_REQUEST.decode(request.payload)
             assert message is not None
             assert message.session == OURS
-            asked.add(message.action)
-        return asked
+            actions_seen.add(message.action)
+        return actions_seen
 
     assert actions(THEIRS) == {LeaseAction.TAKE_OVER}
     assert actions(OURS) == set()
@@ -57,6 +57,6 @@ def test_without_being_told_to_nobody_takes_a_robot_over() -> None:
     leases.update()
     request = held.served()
     assert request is not None
-    asked = LEASE_REQUEST.decode(request.payload)
-    assert asked is not None
-    assert asked.action == LeaseAction.ACQUIRE
+    request_message = LEASE_REQUEST.decode(request.payload)
+    assert request_message is not None
+    assert request_message.action == LeaseAction.ACQUIRE

@@ -1,6 +1,5 @@
 """The tracker's step alone: when it looks, how it says when that was, and whose camera it looks through."""
 
-import math
 import threading
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
@@ -9,51 +8,23 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from robofleet.bus.keys import CAMERA, POSES, TICK, TRUTH
+from robofleet.bus.keys import CAMERA, POSES, TICK
 from robofleet.bus.messages import TickRecord
 from robofleet.core.clock import MS, S
-from robofleet.runs import table
 from robofleet.simulation.scene import scene_renderer
 from robofleet.tracking.sources import CameraContext, Frame
-from tests.bus.alone import Truth
+from tests.nodes.tracker_stand import TICK_NS, TrackerStand
 
 Make = Callable[..., Any]
-TICK_NS = 33 * MS
 LEAD_NS = 18 * MS
-SPEED = 0.1  # of every robot [m/s]
 
 
-class Stand:
-    """A tracker; robots that drive straight on from their start, and a controller that ticks."""
+class Stand(TrackerStand):
+    """``woken`` is set when something wakes the tracker."""
 
     def __init__(self, bench: Any) -> None:
-        self.bench = bench
-        self.origin_ns = bench.now_ns
         self.woken = threading.Event()
-        self.node = bench.made(table.TRACKER, self._wake)
-
-    def run(self, ns: int) -> list[Any]:
-        """Let time pass and return every message of the tracker's so far."""
-        self.bench.run(self.node, ns, (10 * MS, self._truths), (TICK_NS, self._tick))
-        frames: list[Any] = self.bench.heard(POSES, CAMERA)
-        return frames
-
-    def where(self, robot: Any, instant_ns: int) -> tuple[float, float, float]:
-        driven = SPEED * (instant_ns - self.origin_ns) / S
-        psi = robot.start.psi
-        return robot.start.x_m + driven * math.cos(psi), robot.start.y_m + driven * math.sin(psi), psi
-
-    def _wake(self, _instant_ns: int) -> None:
-        self.woken.set()
-
-    def _truths(self) -> None:
-        now_ns = self.bench.now_ns
-        for robot in self.bench.config.robots:
-            self.bench.say(TRUTH, Truth(1, now_ns, *self.where(robot, now_ns), SPEED, 0.0), robot.id)
-
-    def _tick(self) -> None:
-        tick = (self.bench.now_ns - self.origin_ns) // TICK_NS
-        self.bench.say(TICK, TickRecord(1, 1, tick, -1, self.bench.now_ns, *[0] * 11, (), ()))
+        super().__init__(bench, wake=lambda _: self.woken.set())
 
 
 @pytest.fixture
@@ -101,7 +72,7 @@ def test_robots_are_where_they_were_at_mid_exposure(stand_of: Make, source: str,
     for frame in frames:
         for robot, pose in zip(stand.bench.config.robots, sorted(frame.poses), strict=True):
             assert pose.tag == robot.tag
-            x, y, psi = stand.where(robot, frame.exposure_ns)
+            x, y, psi = stand.pose(robot, frame.exposure_ns)
             assert np.hypot(pose.x_m - x, pose.y_m - y) * 1e3 < mm
             assert pose.psi_rad == pytest.approx(psi, abs=0.02)
 

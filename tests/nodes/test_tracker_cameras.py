@@ -55,8 +55,8 @@ class Stand:
     def __init__(self, bench: Any, renderer: SceneRenderer) -> None:
         self.bench = bench
         self.woken = threading.Semaphore(0)
-        self._said: list[tuple[str, bytes]] = []
-        bench.bus.tap(self._said.append)
+        self._messages: list[tuple[str, bytes]] = []
+        bench.bus.tap(self._messages.append)
         self.node = bench.made(table.TRACKER, self._wake)
         self._renderer = renderer
 
@@ -79,7 +79,7 @@ class Stand:
     def news(self) -> list[tuple[TrackerEvent, float]]:
         """Every event of the camera so far, with its value."""
         wanted = key(self.bench.config.arena.name, NEWS, CAMERA)
-        messages = [TRACKER_NEWS.decode(payload) for said, payload in self._said if said == wanted]
+        messages = [TRACKER_NEWS.decode(payload) for full, payload in self._messages if full == wanted]
         assert [message.seq for message in messages] == list(range(1, len(messages) + 1))
         return [(TrackerEvent(m.event), m.value) for m in messages if m.event >= TrackerEvent.CAMERA_STALLED]
 
@@ -130,9 +130,9 @@ def test_an_unplugged_camera_is_news_without_an_image_and_comes_back(
     assert stand.news[-1][1] == pytest.approx(2 * PERIOD_NS / S)
     assert stand.frames == 2
     assert Plugged.opened == 3
-    said = capfd.readouterr().err
-    assert "camera: the cable" in said
-    assert "camera: no such device" in said
+    stderr = capfd.readouterr().err
+    assert "camera: the cable" in stderr
+    assert "camera: no such device" in stderr
 
 
 def test_bad_images_give_no_poses_and_are_named(plugged: Make) -> None:

@@ -51,10 +51,10 @@ def test_what_is_said_to_another_number_of_robots_is_refused_and_counted(pair: S
 
 def test_a_robot_to_which_nothing_is_said_refuses_nothing_and_stands(pair: Stand) -> None:
     pair.run(S // 2, robot="r2")
-    silent, told = (pair.newest(robot) for robot in ("r1", "r2"))
-    assert (silent.rejected, told.rejected) == (0, 0)
+    silent, commanded = (pair.newest(robot) for robot in ("r1", "r2"))
+    assert (silent.rejected, commanded.rejected) == (0, 0)
     assert (silent.left_output_rad_s, silent.right_output_rad_s) == STOP
-    assert (told.left_output_rad_s, told.right_output_rad_s) == FORWARD
+    assert (commanded.left_output_rad_s, commanded.right_output_rad_s) == FORWARD
 
 
 def test_a_clock_that_was_set_back_is_counted_once_for_all_robots(pair: Stand) -> None:
@@ -73,11 +73,11 @@ def test_a_status_tells_of_every_robot_in_the_units_order(bench_of: Any, platoon
     bench = bench_of(
         platoon_of("robots.3.unit=b", "robots.1.unit=b", "robots.1.start.x_m=0.7", "robots.3.start.x_m=-0.7")
     )
-    said: list[bytes] = []
-    bench.bus.listen(STATUS, "b", lambda _, payload: said.append(payload))
+    payloads: list[bytes] = []
+    bench.bus.listen(STATUS, "b", lambda _, payload: payloads.append(payload))
     node = driver_of(bench, "r2", "r4")
     bench.run(node, S // 10)
-    status = UNIT_STATUS.decode(said[-1])
+    status = UNIT_STATUS.decode(payloads[-1])
     assert status is not None
     assert len(status.robots) == 2
 

@@ -1,7 +1,6 @@
 """The way to the start before a run, and to the park after it: phases of their own, with every check and gate."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +16,8 @@ from robofleet.recording.run import Run
 from robofleet.runs.check import load_checked
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Event, Phase
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 ANYWHERE = [
     "robots.0.start={x_m: 1.2, y_m: -0.5, heading_deg: 20}",
     "robots.1.start={x_m: 0.2, y_m: -0.5, heading_deg: 120}",
@@ -97,7 +96,7 @@ def test_an_operator_parks_a_run_that_is_held() -> None:
 
 
 @pytest.mark.parametrize(
-    ("overrides", "place", "words"),
+    ("overrides", "key", "words"),
     [
         (["run.end=park"], "robots.0.park", "is missing: run.end: park must know where r1 is to go"),
         (["run.end=park", *PARKS[:3]], "robots.3.park", "is missing"),
@@ -113,10 +112,10 @@ def test_an_operator_parks_a_run_that_is_held() -> None:
         ),
     ],
 )
-def test_a_park_that_cannot_be_reached_is_refused(overrides: list[str], place: str, words: str) -> None:
+def test_a_park_that_cannot_be_reached_is_refused(overrides: list[str], key: str, words: str) -> None:
     with pytest.raises(ConfigError) as refused:
         configured(*overrides)
-    assert any(place in fault and words in fault for fault in refused.value.faults)
+    assert any(key in fault and words in fault for fault in refused.value.faults)
 
 
 def test_go_makes_a_group_of_those_that_are_named() -> None:

@@ -23,7 +23,7 @@ class Taken:
 
     def __init__(self) -> None:
         bus = MemoryBus(CONFIG.arena.name, SimulatedClock(), 0)
-        self._wishes = SetpointInbox(CONFIG, bus)
+        self._setpoints = SetpointInbox(CONFIG, bus)
         self._say = {sender: bus.publisher(WISH, "script", sender) for sender in SENDERS}
 
     def send(
@@ -39,7 +39,7 @@ class Taken:
         """Return epoch and number of the wish at a tick, before which a script says something (0: nobody does)."""
         if epoch:
             self.send(tick if echo is None else echo, epoch, seq, kind, sender)
-        (wish,) = self._wishes.at(tick, phase)
+        (wish,) = self._setpoints.at(tick, phase)
         if wish is not None:
             self.age = wish.age
         return None if wish is None else (wish.epoch, wish.seq)

@@ -21,8 +21,8 @@ from robofleet.bus.keys import SAFE_REQUEST
 from robofleet.bus.zenoh_bus import ZenohBus, open_router
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, WallClock
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 _UNTIL_ASKED = """
 import json, os, sys
 opened = []

@@ -227,11 +227,11 @@ def test_what_is_lost_on_its_way_is_said_again_and_who_stays_silent_is_named(sta
 def test_it_echoes_the_newest_word_of_each_robot_and_nothing_older(stand: Stand) -> None:
     """So what was recorded on the bus stops nobody later, and a robot that was started again is stopped too."""
     stand.run(S)
-    said: list[tuple[str, bytes]] = []
-    stand.bench.bus.tap(said.append)
+    messages: list[tuple[str, bytes]] = []
+    stand.bench.bus.tap(messages.append)
     stopping = EmergencyStop(stand.bench.bus, {"r1": ("r1", "r2")}, stand.bench.now_ns)
     assert poll(stopping, stand, S) is not None
-    latching = next(payload for full, payload in said if full.endswith("/enable"))
+    latching = next(payload for full, payload in messages if full.endswith("/enable"))
     stand.bench.run(stand.node, 200 * MS)
     stand.enable("r1", clear=stand.newest("r1").latch_id)
     stand.bench.run(stand.node, 50 * MS)

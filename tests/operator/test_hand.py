@@ -121,7 +121,7 @@ def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_g
     page.run("pad.buttons[5].pressed = false")
     page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words") and "r3" in page.text("gamepad-words"))
     page.run("pad.buttons[5].pressed = true")
-    page.becomes(lambda: (its := wished.newest()) is not None and its.kind == WishKind.RESCUE)
+    page.becomes(lambda: (wish := wished.newest()) is not None and wish.kind == WishKind.RESCUE)
     newest = wished.all[-1]
     assert [robot.told for robot in newest.robots] == [0, 0, 1, 0]
     assert newest.robots[2].first == pytest.approx(CRAWL)
@@ -158,18 +158,18 @@ def test_a_gamepad_that_comes_with_its_button_held_drives_after_a_new_press(page
 def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> None:
     """As where a page's link breaks and opens again under a finger that was never lifted."""
     config = load_config(TELEOP)
-    bus, said = Lockstep(config).bus, list[WishKind]()
-    bus.tap(lambda message: said.append(WishKind(wish.kind)) if (wish := SCRIPT_WISH.decode(message[1])) else None)
+    bus, kinds = Lockstep(config).bus, list[WishKind]()
+    bus.tap(lambda message: kinds.append(WishKind(wish.kind)) if (wish := SCRIPT_WISH.decode(message[1])) else None)
     hands = Hands(bus, config)
     for tick, stick, out in ((0, HELD, None), (1, HELD, None), (2, HELD, "r2"), (3, HELD, "r2")):
         assert hands.drive(GROUP, stick, tick, out)
-    assert not said
+    assert not kinds
     for stick in (LET_GO, LET_GO, HELD):
         hands.drive(GROUP, stick, 4, "r2")
-    assert said == [WishKind.STAND, WishKind.RESCUE]
+    assert kinds == [WishKind.STAND, WishKind.RESCUE]
     hands.drive(GROUP, HELD, 5)
     hands.drive(GROUP, HELD, 6)
-    assert said[2:] == [WishKind.STAND], "it is held for something else"
+    assert kinds[2:] == [WishKind.STAND], "it is held for something else"
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,7 @@ def test_a_gamepad_at_a_computer_drives_no_robot_of_the_arenas_next_run() -> Non
     assert wait(lambda: ends(2), 5.0)
 
 
-def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
+def driven(stick_of: Callable[[int], Stick | None]) -> np.ndarray:
     """Return what each robot's gate lets through in a run in lockstep: instants [s], its faster wheel [rad/s].
 
     A robot a column, in the order of the group; a status a row, with 0 for the robots of which it says nothing.
@@ -260,7 +260,7 @@ def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
     config = load_config(TELEOP, ["run.duration_s=1.5", "tracker.source=truth", "drivers.robots_per_process=1"])
     run = Lockstep(config)
     hand = Hand(run.bus, config, GROUP)
-    tick, statuses = key(config.arena.name, TICK), [key(config.arena.name, STATUS, one) for one in config.ids]
+    tick, statuses = key(config.arena.name, TICK), [key(config.arena.name, STATUS, robot_id) for robot_id in config.ids]
     found: list[tuple[float, ...]] = []
 
     def tap(message: tuple[str, bytes]) -> None:
@@ -268,12 +268,12 @@ def driven(said: Callable[[int], Stick | None]) -> np.ndarray:
         now_s = run.clock.now_ns() / 1e9
         if full == tick and (record := TICK_RECORD.decode(payload)) is not None and record.run_tick >= 0:
             started.append(now_s) if not started else None
-            if (stick := said(record.run_tick)) is not None:
+            if (stick := stick_of(record.run_tick)) is not None:
                 hand.drive(stick, record.tick)
-        elif full in statuses and started and (its := UNIT_STATUS.decode(payload)) is not None:
-            (gate,) = its.robots
+        elif full in statuses and started and (status := UNIT_STATUS.decode(payload)) is not None:
+            (gate,) = status.robots
             fastest = max(abs(gate.left_output_rad_s), abs(gate.right_output_rad_s))
-            found.append((now_s - started[0], *(fastest * (full == one) for one in statuses)))
+            found.append((now_s - started[0], *(fastest * (full == robot_id) for robot_id in statuses)))
 
     started: list[float] = []
     run.bus.tap(tap)
@@ -316,12 +316,12 @@ def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand
 
         def out() -> bool:
             """Press again where the phase was not known yet."""
-            its = wished.newest()
-            if its is None or its.kind != WishKind.RESCUE:
+            wish = wished.newest()
+            if wish is None or wish.kind != WishKind.RESCUE:
                 pad.happens((EV_KEY, BTN_TR, 0))
                 pad.happens((EV_KEY, BTN_TR, 1))
                 return False
-            return its.robots[1][:2] == pytest.approx((1, -CRAWL), abs=1e-3)
+            return wish.robots[1][:2] == pytest.approx((1, -CRAWL), abs=1e-3)
 
         assert wait(out, 5.0)
         over.set()

@@ -47,7 +47,7 @@ class Attended(Terminal):
     present = True
 
 
-class View:
+class Stand:
     """The view of a fleet of four of which it was said what a test says."""
 
     def __init__(self, config: Config) -> None:
@@ -92,8 +92,8 @@ class View:
 
 
 @pytest.fixture
-def view(platoon_of: Callable[..., Config]) -> View:
-    return View(platoon_of())
+def view(platoon_of: Callable[..., Config]) -> Stand:
+    return Stand(platoon_of())
 
 
 def row(text: str, robot: str) -> str:
@@ -101,7 +101,7 @@ def row(text: str, robot: str) -> str:
     return found
 
 
-def test_while_arming_it_says_what_is_tried(view: View) -> None:
+def test_while_arming_it_says_what_is_tried(view: Stand) -> None:
     view.state(Phase.ARMED, stage=Stage.CHECKS)
     assert "does every robot answer, is it seen, and is it at rest?" in view.shown("arming")
     view.state(Phase.ARMED, stage=Stage.WIGGLE)
@@ -113,7 +113,7 @@ def test_while_arming_it_says_what_is_tried(view: View) -> None:
     assert "trying the wheels of r1, r2, r3 and 1 more" in view.shown("arming")
 
 
-def test_a_hold_is_seen_with_its_cause_and_what_to_do(view: View) -> None:
+def test_a_hold_is_seen_with_its_cause_and_what_to_do(view: Stand) -> None:
     view.state(Phase.HOLD, Event.POSE_JUMPED, 1)
     shown = view.shown("held")
     assert "HOLD" in shown
@@ -123,7 +123,7 @@ def test_a_hold_is_seen_with_its_cause_and_what_to_do(view: View) -> None:
     assert "press r and the run goes on" in view.shown("held")
 
 
-def test_whom_a_person_drives_out_is_seen_in_the_banner_and_in_its_row(view: View) -> None:
+def test_whom_a_person_drives_out_is_seen_in_the_banner_and_in_its_row(view: Stand) -> None:
     out = WELL._replace(cause=Event.DRIVEN_OUT_BY_PAGE)
     stands = RobotState(0, 0, 0)
     view.state(Phase.HOLD, Event.DEADLOCKED, 1, robots=(stands, stands, out, stands))
@@ -132,7 +132,7 @@ def test_whom_a_person_drives_out_is_seen_in_the_banner_and_in_its_row(view: Vie
     assert "a person" in row(shown, "r3")
 
 
-def test_an_emergency_stop_names_who_has_not_answered(view: View) -> None:
+def test_an_emergency_stop_names_who_has_not_answered(view: Stand) -> None:
     view.state(Phase.ESTOP, Event.WIRED_STOP, 0)
     assert "Every robot has latched its gate." in view.shown("emergency stop")
     view.state(Phase.ESTOP, Event.WIRED_STOP, 0, robots=(WELL, WELL, RobotState(0, 0, 0), WELL))
@@ -141,7 +141,7 @@ def test_an_emergency_stop_names_who_has_not_answered(view: View) -> None:
     assert "NOT acknowledged by r3" in shown
 
 
-def test_a_robots_row_says_why_it_may_not_move(view: View) -> None:
+def test_a_robots_row_says_why_it_may_not_move(view: Stand) -> None:
     view.gate("r1", GateStatus.LATCHED, Latch.WIRED_STOP)
     view.gate("r2", GateStatus.NO_ENABLE, Latch.NONE)
     view.gate("r3", GateStatus.NO_ENABLE, Latch.NONE)
@@ -153,7 +153,7 @@ def test_a_robots_row_says_why_it_may_not_move(view: View) -> None:
     assert "open" in row(shown, "r4")
 
 
-def test_keys_are_offered_where_somebody_can_press_them(view: View) -> None:
+def test_keys_are_offered_where_somebody_can_press_them(view: Stand) -> None:
     view.state(Phase.RUNNING)
     assert "emergency stop" not in view.shown("running")
     view.terminal = Attended()
@@ -163,7 +163,7 @@ def test_keys_are_offered_where_somebody_can_press_them(view: View) -> None:
     assert "refused: r2's tag is not seen" in shown
 
 
-def test_the_keys_come_before_what_a_low_terminal_cuts_off(view: View) -> None:
+def test_the_keys_come_before_what_a_low_terminal_cuts_off(view: Stand) -> None:
     view.terminal = Attended()
     lines = view.shown("running").splitlines()
     keys = next(i for i, line in enumerate(lines) if "emergency stop" in line)
@@ -174,7 +174,7 @@ def test_the_keys_come_before_what_a_low_terminal_cuts_off(view: View) -> None:
 @pytest.mark.parametrize(
     ("width", "left_out"), [(120, ""), (80, "battery, pose"), (60, "battery, pose, wheels"), (50, "estimated spacing")]
 )
-def test_a_narrow_terminal_cuts_nothing_and_is_told_what_is_left_out(view: View, width: int, left_out: str) -> None:
+def test_a_narrow_terminal_cuts_nothing_and_is_told_what_is_left_out(view: Stand, width: int, left_out: str) -> None:
     view.terminal = Attended()
     view.state(Phase.RUNNING)
     shown = view.shown("running", width)
@@ -186,7 +186,7 @@ def test_a_narrow_terminal_cuts_nothing_and_is_told_what_is_left_out(view: View,
     assert f"{left_out}: not shown" in " ".join(shown.split()) or not left_out
 
 
-def test_values_of_another_version_break_nothing(view: View) -> None:
+def test_values_of_another_version_break_nothing(view: Stand) -> None:
     view.gate("r1", 77, 77)
     view.gate("r2", 77, 0)
     view.state(77, 777, 7777, 77, robots=(WELL, RobotState(0, 0, 777, 77)))
@@ -195,7 +195,7 @@ def test_values_of_another_version_break_nothing(view: View) -> None:
         assert "unknown (77)" in row(shown, "r1")
 
 
-def test_it_shows_what_the_behaviour_tells_and_what_every_robot_has(view: View) -> None:
+def test_it_shows_what_the_behaviour_tells_and_what_every_robot_has(view: Stand) -> None:
     pose = STANDING._replace(x_m=-0.512, y_m=0.25, psi_rad=1.0, left_rad_s=3.456, right_rad_s=-2.0)
     figures = {"control_error": [0.0012, 0.0123, 0.123, 1.23], "estimated_spacing": [math.nan, 0.25, 0.251, 0.252]}
     view.tick(pose, STANDING._replace(lost=1.0), STANDING._replace(filtered=1.0), STANDING, run_tick=3, figures=figures)
@@ -211,7 +211,7 @@ def test_it_shows_what_the_behaviour_tells_and_what_every_robot_has(view: View) 
 
 
 def test_each_group_has_a_table_with_its_own_figures(capsys: pytest.CaptureFixture[str]) -> None:
-    view = View(load_config(TWO, ["drivers.robots_per_process=1"]))
+    view = Stand(load_config(TWO, ["drivers.robots_per_process=1"]))
     view.tick(run_tick=3, figures={"control_error": [0.001] * 5, "radius_error": [0.002] * 5, "turned": [0.5] * 5})
     above, below = view.shown("running", 120).split("inner")
     assert "platoon" in above and "control error" in above and "radius error" not in above
@@ -219,11 +219,11 @@ def test_each_group_has_a_table_with_its_own_figures(capsys: pytest.CaptureFixtu
     assert row(above, "r3").split()[-4:] == ["1.00", "-", "-", "open"]
     assert row(below, "s2").split()[-3:] == ["2.00", "28.6", "open"]
     LiveView(view.recording.config, SimulatedClock(), view.terminal, quiet=False)(view.recording, "running")
-    said = "platoon: control error 1.00 1.00 1.00 mm; inner: radius error 2.00 2.00 mm; 0 overruns"
-    assert said in capsys.readouterr().err
+    line = "platoon: control error 1.00 1.00 1.00 mm; inner: radius error 2.00 2.00 mm; 0 overruns"
+    assert line in capsys.readouterr().err
 
 
-def test_a_behaviour_that_failed_is_seen_with_its_robots_and_what_to_do(view: View) -> None:
+def test_a_behaviour_that_failed_is_seen_with_its_robots_and_what_to_do(view: Stand) -> None:
     failed = STANDING._replace(failed=float(Event.BEHAVIOUR_STANDS))
     view.tick(failed, STANDING._replace(failed=float(Event.BEHAVIOUR_RAISED)), failed, failed, run_tick=3)
     view.state(Phase.HOLD, Event.BEHAVIOUR_RAISED, 1)
@@ -233,7 +233,7 @@ def test_a_behaviour_that_failed_is_seen_with_its_robots_and_what_to_do(view: Vi
 
 
 @pytest.mark.parametrize(("phase", "words"), [("positioning", "drives to its start"), ("parking", "it is parked")])
-def test_on_the_way_it_says_where_to(view: View, phase: str, words: str) -> None:
+def test_on_the_way_it_says_where_to(view: Stand, phase: str, words: str) -> None:
     assert words in view.shown(phase, 80)
 
 
@@ -241,36 +241,36 @@ def test_on_the_way_it_says_who_is_there_how_far_the_others_are_and_what_a_hold_
     platoon_of: Callable[..., Config],
 ) -> None:
     config = platoon_of("run.begin=go_to_start")
-    said = View(config)
-    said.terminal = Attended()
-    shown = LiveView(config, SimulatedClock(), said.terminal, quiet=True)
+    view = Stand(config)
+    view.terminal = Attended()
+    shown = LiveView(config, SimulatedClock(), view.terminal, quiet=True)
 
     def text(phase: str) -> str:
         output = io.StringIO()
-        Console(file=output, width=80, color_system=None).print(shown.picture(said.recording, phase))
+        Console(file=output, width=80, color_system=None).print(shown.picture(view.recording, phase))
         return output.getvalue()
 
     robots = []
-    for away, place in zip((0.0, 0.5, 0.0, 0.0), OnTheWay(config).places[Phase.POSITIONING], strict=True):
-        assert place is not None
-        robots.append(STANDING._replace(x_m=place[0] + away, y_m=place[1], psi_rad=place[2]))
-    said.tick(*robots)
-    said.state(Phase.POSITIONING)
+    for away, pose in zip((0.0, 0.5, 0.0, 0.0), OnTheWay(config).places[Phase.POSITIONING], strict=True):
+        assert pose is not None
+        robots.append(STANDING._replace(x_m=pose[0] + away, y_m=pose[1], psi_rad=pose[2]))
+    view.tick(*robots)
+    view.state(Phase.POSITIONING)
     going = text("positioning")
     assert "at their start: 3 of 4 robots; r2 has 0.50 m to go, at least 3 s" in going
     assert "at its start" in row(going, "r1")
     assert "0.50 m to its start" in row(going, "r2")
     assert "control error" not in going, "no behaviour tells figures"
-    said.state(Phase.HOLD, Event.HOLD_REQUESTED)
+    view.state(Phase.HOLD, Event.HOLD_REQUESTED)
     held = text("held")
     assert "press r and the robots drive on to their start" in " ".join(held.replace("┃", " ").split()).lower()
     assert "0.50 m to its start" in row(held, "r2")
-    said.state(Phase.RUNNING)
+    view.state(Phase.RUNNING)
     assert "control error" in text("running").replace("\n", " ")
 
 
 def test_a_busy_machine_is_seen_and_a_run_that_it_holds_goes_on_by_itself(
-    view: View, capsys: pytest.CaptureFixture[str]
+    view: Stand, capsys: pytest.CaptureFixture[str]
 ) -> None:
     message = BusyMachine(1, 1, Event.TRACKER_SILENT, 1, 0, 0, 2, 6.1, (Late(TRACKER, 310 * MS, 310 * MS),))
     notice = "this machine is busy: load 6.1 on 2 cores, the tracker was late by 310 ms"
@@ -286,8 +286,8 @@ def test_a_busy_machine_is_seen_and_a_run_that_it_holds_goes_on_by_itself(
     plain(view.recording, "held")  # the launcher has not seen it yet
     plain(view.recording, "running")
     assert notice in view.shown("running")
-    first, *_, last, _ = said = capsys.readouterr().err.splitlines()
+    first, *_, last, _ = lines = capsys.readouterr().err.splitlines()
     assert "`robofleet resume` goes on" in first
     assert last.startswith("held: the tracker went silent (this machine was busy")
     assert last.endswith("; the run goes on by itself")
-    assert said.count(notice) == 1
+    assert lines.count(notice) == 1

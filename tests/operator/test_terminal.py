@@ -173,11 +173,11 @@ def seated(code: str, *arguments: str, env: dict[str, str] | None = None) -> Ite
     os.close(theirs)
 
     def press() -> bytes:
-        said = b""
-        while b"ready" not in said:
-            said += os.read(keyboard, 999)
+        output = b""
+        while b"ready" not in output:
+            output += os.read(keyboard, 999)
         os.write(keyboard, b" ")
-        return said
+        return output
 
     try:
         yield process, press

@@ -25,6 +25,6 @@ def layouts() -> Iterator[tuple[Path, bytes]]:
 
 
 if __name__ == "__main__":
-    for place, text in layouts():
-        place.write_bytes(text)
-        print(place)
+    for file, text in layouts():
+        file.write_bytes(text)
+        print(file)

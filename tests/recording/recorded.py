@@ -3,16 +3,15 @@
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.recording.log import RunLog
 from robofleet.recording.run import Recording
 from robofleet.runs.lockstep import Lockstep
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
-Said = list[tuple[str, bytes, int]]  # key, payload, instant [ns]
+Messages = list[tuple[str, bytes, int]]  # key, payload, instant [ns]
 
 
 def config(*overrides: str) -> Config:
@@ -21,17 +20,17 @@ def config(*overrides: str) -> Config:
     )
 
 
-def said_in(run_config: Config) -> Said:
-    said: Said = []
+def said_in(run_config: Config) -> Messages:
+    messages: Messages = []
     run = Lockstep(run_config)
-    run.bus.tap(lambda message: said.append((*message, run.clock.now_ns())))
+    run.bus.tap(lambda message: messages.append((*message, run.clock.now_ns())))
     run.run()
-    return said
+    return messages
 
 
 def in_order(recording: Recording) -> list[tuple[str, bytes]]:
     """Return the messages as they came, all keys together."""
-    placed = [(place, full, data) for full in recording.messages for place, data in recording.placed(full)]
+    placed = [(index, full, data) for full in recording.messages for index, data in recording.placed(full)]
     return [(full, data) for _, full, data in sorted(placed)]
 
 
@@ -46,7 +45,7 @@ def room_for(bytes_of_a_file: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def write(log: RunLog, said: Said) -> None:
-    for full, payload, at_ns in said:
+def write(log: RunLog, messages: Messages) -> None:
+    for full, payload, at_ns in messages:
         log.add(full, payload, at_ns)
         log.flush(at_ns)

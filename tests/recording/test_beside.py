@@ -16,18 +16,18 @@ from tests.recording.recorded import in_order
 CONFIG = recorded.config()
 
 
-def instants(said: recorded.Said) -> list[tuple[int, list[tuple[str, bytes]]]]:
+def instants(messages: recorded.Messages) -> list[tuple[int, list[tuple[str, bytes]]]]:
     """Return the messages of a run, five at an instant."""
-    return [(k * MS, [message[:2] for message in said[k : k + 5]]) for k in range(0, len(said), 5)]
+    return [(k * MS, [message[:2] for message in messages[k : k + 5]]) for k in range(0, len(messages), 5)]
 
 
-def test_the_file_has_the_bytes_that_the_log_writes_here(said: recorded.Said, tmp_path: Path) -> None:
+def test_the_file_has_the_bytes_that_the_log_writes_here(run_messages: recorded.Messages, tmp_path: Path) -> None:
     (tmp_path / "here").mkdir()
     with (
         RunLog(tmp_path / "here" / FILE, CONFIG, batched=True) as here,
         closing(LogBeside(tmp_path / FILE, CONFIG)) as beside,
     ):
-        for at_ns, messages in instants(said):
+        for at_ns, messages in instants(run_messages):
             here.add_all(messages, at_ns)
             beside.add_all(messages, at_ns)
         here.end(b"{}")
@@ -36,12 +36,12 @@ def test_the_file_has_the_bytes_that_the_log_writes_here(said: recorded.Said, tm
     assert (beside.messages, beside.dropped, beside.failed) == (here.messages, 0, None)
 
 
-def test_a_log_that_was_killed_is_told_and_ends_no_run(said: recorded.Said, tmp_path: Path) -> None:
+def test_a_log_that_was_killed_is_told_and_ends_no_run(run_messages: recorded.Messages, tmp_path: Path) -> None:
     with closing(LogBeside(tmp_path / FILE, CONFIG)) as beside:
         (process,) = multiprocessing.active_children()
         process.kill()
         process.join()
-        for at_ns, messages in instants(said):
+        for at_ns, messages in instants(run_messages):
             beside.add_all(messages, at_ns)
     assert beside.messages == beside.dropped > 100
     assert beside.failed == "the process that writes it was killed"
@@ -49,9 +49,9 @@ def test_a_log_that_was_killed_is_told_and_ends_no_run(said: recorded.Said, tmp_
         read(tmp_path / FILE)
 
 
-def test_a_run_that_ends_without_a_word_leaves_a_whole_file(said: recorded.Said, tmp_path: Path) -> None:
+def test_a_run_that_ends_without_a_word_leaves_a_whole_file(run_messages: recorded.Messages, tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), closing(LogBeside(tmp_path / FILE, CONFIG)) as beside:
-        for at_ns, messages in instants(said):
+        for at_ns, messages in instants(run_messages):
             beside.add_all(messages, at_ns)
         raise ZeroDivisionError
     recording = read(tmp_path / FILE)

@@ -20,9 +20,9 @@ def test_percentiles_of_parts_are_those_of_all_durations(seed: int) -> None:
 
 
 def test_parts_without_a_duration_add_nothing() -> None:
-    nothing, one = Distribution.of([]), Distribution.of([7])
+    nothing, single = Distribution.of([]), Distribution.of([7])
     assert (len(Distribution.joined([nothing, nothing])), nothing.largest) == (0, 0)
-    assert Distribution.joined([nothing, one, nothing]).percentiles((50,)).tolist() == [7]
+    assert Distribution.joined([nothing, single, nothing]).percentiles((50,)).tolist() == [7]
 
 
 def test_of_very_many_different_durations_little_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

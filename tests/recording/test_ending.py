@@ -2,14 +2,12 @@
 
 import json
 from array import array
-from pathlib import Path
 
 import pytest
 
 from robofleet.config.load import load_config
 from robofleet.recording.run import Recording
-
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 def ended(durations: str) -> Recording:

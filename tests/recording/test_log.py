@@ -56,9 +56,9 @@ def written(tmp_path: Path) -> Callable[[], list[tuple[str, bytes]]]:
     return messages
 
 
-def test_every_message_of_a_run_comes_back_in_its_order(said: recorded.Said, run_file: Path) -> None:
+def test_every_message_of_a_run_comes_back_in_its_order(run_messages: recorded.Messages, run_file: Path) -> None:
     recording = read(run_file)
-    assert in_order(recording) == [(full, payload) for full, payload, _ in said]
+    assert in_order(recording) == [(full, payload) for full, payload, _ in run_messages]
     assert recording.whole
     assert recording.dropped == 0
     assert read(run_file.parent).messages == recording.messages
@@ -100,7 +100,7 @@ def test_the_same_run_in_lockstep_leaves_the_same_bytes(run_file: Path, tmp_path
     assert (tmp_path / FILE).read_bytes() == run_file.read_bytes()
 
 
-def test_the_counts_of_the_file_are_those_of_its_messages(said: recorded.Said, run_file: Path) -> None:
+def test_the_counts_of_the_file_are_those_of_its_messages(run_messages: recorded.Messages, run_file: Path) -> None:
     with run_file.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -108,11 +108,11 @@ def test_the_counts_of_the_file_are_those_of_its_messages(said: recorded.Said, r
         assert summary.statistics is not None
         counts = summary.statistics.channel_message_counts
         by_topic = {summary.channels[number].topic: count for number, count in counts.items()}
-        there = [(channel, message.data) for _, channel, message in reader.iter_messages()]
-    assert by_topic == Counter(channel.topic for channel, _ in there)
-    assert summary.statistics.message_count == len(there)
-    own = [(channel.topic, data) for channel, data in there if channel.message_encoding == ENCODING]
-    assert sorted(own) == sorted((full, payload) for full, payload, _ in said)
+        stored = [(channel, message.data) for _, channel, message in reader.iter_messages()]
+    assert by_topic == Counter(channel.topic for channel, _ in stored)
+    assert summary.statistics.message_count == len(stored)
+    own = [(channel.topic, data) for channel, data in stored if channel.message_encoding == ENCODING]
+    assert sorted(own) == sorted((full, payload) for full, payload, _ in run_messages)
 
 
 def test_all_channels_that_the_configuration_knows_are_there_from_the_first_message_on(
@@ -127,8 +127,8 @@ def test_all_channels_that_the_configuration_knows_are_there_from_the_first_mess
     assert own == set(keys(CONFIG))
 
 
-def test_nothing_but_requests_is_new_to_the_file_in_a_run(said: recorded.Said) -> None:
-    assert {full for full, _, _ in said} - set(keys(CONFIG)) == {f"rf/{ARENA}/request/supervisor"}
+def test_nothing_but_requests_is_new_to_the_file_in_a_run(run_messages: recorded.Messages) -> None:
+    assert {full for full, _, _ in run_messages} - set(keys(CONFIG)) == {f"rf/{ARENA}/request/supervisor"}
 
 
 def test_a_stranger_decodes_the_file_with_the_lines_of_the_readme(
@@ -192,13 +192,13 @@ def test_a_change_that_matters_to_safety_is_in_the_file_at_once(
     written: Callable[[], list[tuple[str, bytes]]],
 ) -> None:
     log.add(full, before, 0)
-    told = [(full, before)]
-    assert written() == told
+    counts = [(full, before)]
+    assert written() == counts
     for payload, at_once in ((same, False), (changed, True)):
         if payload is not None:
             log.add(full, payload, 0)
-            told.append((full, payload))
-            assert (written() == told) == at_once
+            counts.append((full, payload))
+            assert (written() == counts) == at_once
 
 
 def test_another_robots_latch_is_another_matter(log: RunLog, written: Callable[[], list[tuple[str, bytes]]]) -> None:

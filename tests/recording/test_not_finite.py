@@ -52,14 +52,14 @@ def everything(recording: Recording, figures: dict[str, Any], folder: Path) -> t
 
 @pytest.mark.parametrize("value", VALUES)
 def test_one_figure_of_one_tick_is_a_gap(story: Make, figures: Make, tmp_path: Path, value: float) -> None:
-    told = story()
-    column = described.names([told.said]).index("r2: control_error_m")
+    run = story()
+    column = described.names([run.group]).index("r2: control_error_m")
 
     def change(ticks: np.ndarray) -> None:
         ticks["figures"][100, column] = value
 
-    whole = figures(told.recording())
-    recording = with_ticks(told.recording(), change)
+    whole = figures(run.recording())
+    recording = with_ticks(run.recording(), change)
     gapped = figures(recording)
     assert gapped == whole, "the other ticks are as they were"
     page, rows = everything(recording, gapped, tmp_path)
@@ -79,8 +79,8 @@ def test_figures_of_any_tick_are_gaps(story: Make, figures: Make, tmp_path: Path
 
     recording = with_ticks(story().recording(), change)
     _, rows = everything(recording, figures(recording), tmp_path)
-    told = [cell for row in rows for name, cell in row.items() if name not in ("robot", "group") and cell]
-    assert all(math.isfinite(float(cell)) for cell in told)
+    cells = [cell for row in rows for name, cell in row.items() if name not in ("robot", "group") and cell]
+    assert all(math.isfinite(float(cell)) for cell in cells)
 
 
 @pytest.mark.parametrize("column", COLUMNS)
@@ -128,14 +128,14 @@ def test_stamps_from_one_end_of_time_to_the_other_end_no_report(
 def test_messages_of_any_bytes_end_no_report(
     story: Make, figures: Make, tmp_path: Path, layout: Any, topic: Any, seed: int, add_status: Make
 ) -> None:
-    told: Story = story(ticks=60)
-    recording, rng = told.recording(), np.random.default_rng(seed)
+    run: Story = story(ticks=60)
+    recording, rng = run.recording(), np.random.default_rng(seed)
     for k in range(0, 60, 5):
-        add_status(recording, "r1", told.stamp(k), applied=(told.stamp(k) - 19_000_000, told.stamp(k)))
+        add_status(recording, "r1", run.stamp(k), applied=(run.stamp(k) - 19_000_000, run.stamp(k)))
     for _ in range(50):
         data = bytearray(rng.bytes(layout.size))
         data[0] = VERSION
-        recording.add(key(told.config.arena.name, *topic), bytes(data))
+        recording.add(key(run.config.arena.name, *topic), bytes(data))
     everything(recording, figures(recording), tmp_path)
 
 

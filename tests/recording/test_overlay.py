@@ -49,7 +49,7 @@ def look(
     later = fleet._replace(seq=2, exposure_ns=EXPOSED_NS + 33 * MS, sent_ns=EXPOSED_NS + 53 * MS, poses=poses[:1])
     viewer.tell(key(arena, POSES, CAMERA), FLEET_POSES.encode(later), AT_NS + 33 * MS)
     viewer.tell(key(arena, PICTURE, CAMERA), PICTURE_LAYOUT.encode(picture), AT_NS + 34 * MS)
-    (shown,) = viewer.said["/camera/image"]
+    (shown,) = viewer.messages["/camera/image"]
     assert (shown.format, shown.frame_id) == ("jpeg", CAMERA)
     pixels = cv2.imdecode(np.frombuffer(shown.data, np.uint8), cv2.IMREAD_UNCHANGED)
     assert pixels is not None
@@ -65,7 +65,7 @@ def test_outlines_are_around_the_tags_that_are_to_be_seen(story: Make, zoom: flo
     refined.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
     found, ids, _ = cv2.aruco.ArucoDetector(family, refined).detectMarkers(pixels)
     corners = {int(tag): four[0] + 0.5 for four, (tag,) in zip(found, ids, strict=True)}  # from the image's corner
-    (drawn,) = viewer.said["/camera/annotations"]
+    (drawn,) = viewer.messages["/camera/annotations"]
     assert [text.text for text in drawn.texts] == [robot.id for robot in config.robots]
     middles_off = []
     for robot, outline, text in zip(config.robots, drawn.points, drawn.texts, strict=True):
@@ -82,13 +82,13 @@ def test_a_picture_is_of_the_moment_of_its_exposure(story: Make) -> None:
     """The tracker's clock is another one: what counts is how long before its poses came the image was taken."""
     viewer, _ = look(story().config)
     for topic in ("/camera/image", "/camera/annotations"):
-        assert instant_ns(viewer.said[topic][0].timestamp) == AT_NS - LATE_NS
+        assert instant_ns(viewer.messages[topic][0].timestamp) == AT_NS - LATE_NS
 
 
 def test_a_tag_that_was_predicted_has_another_colour(story: Make) -> None:
     inks = []
     for coasted_ns in (0, 50 * MS):
-        (drawn,) = look(story().config, coasted_ns=coasted_ns)[0].said["/camera/annotations"]
+        (drawn,) = look(story().config, coasted_ns=coasted_ns)[0].messages["/camera/annotations"]
         inks.append({(p.outline_color.r, p.outline_color.g, p.outline_color.b) for p in drawn.points})
     assert len(inks[0]) == len(inks[1]) == 1
     assert inks[0] != inks[1]
@@ -96,8 +96,8 @@ def test_a_tag_that_was_predicted_has_another_colour(story: Make) -> None:
 
 def test_a_picture_whose_poses_never_came_is_shown_without_outlines(story: Make) -> None:
     viewer, _ = look(story().config, exposed_ns=EXPOSED_NS - S)
-    assert len(viewer.said["/camera/image"]) == 1
-    assert viewer.said["/camera/annotations"] == []
+    assert len(viewer.messages["/camera/image"]) == 1
+    assert viewer.messages["/camera/annotations"] == []
 
 
 LENSES = {
@@ -115,15 +115,15 @@ def test_a_viewer_that_projects_by_the_calibration_finds_the_tags(story: Make, l
     kind, terms = LENSES[lens]
     config = story(*larger(zoom), f"camera.model.lens={kind}", f"camera.model.distortion={terms}").config
     viewer, pixels = look(config)
-    (calibration,), (static,) = viewer.said["/camera/calibration"], viewer.said["/tf_static"]
+    (calibration,), (static,) = viewer.messages["/camera/calibration"], viewer.messages["/tf_static"]
     assert (calibration.height, calibration.width) == pixels.shape
-    (place,) = static.transforms
-    assert (place.parent_frame_id, place.child_frame_id) == ("world", calibration.frame_id)
-    q, at = place.rotation, place.translation
+    (transform,) = static.transforms
+    assert (transform.parent_frame_id, transform.child_frame_id) == ("world", calibration.frame_id)
+    q, at = transform.rotation, transform.translation
     rotation = _matrix(q.x, q.y, q.z, q.w)
     K, D = np.reshape(calibration.K, (3, 3)), np.array(calibration.D)
     assert np.reshape(calibration.P, (3, 4))[:, :3] == pytest.approx(K)
-    (drawn,) = viewer.said["/camera/annotations"]
+    (drawn,) = viewer.messages["/camera/annotations"]
     project = cv2.fisheye.projectPoints if calibration.distortion_model == "kannala_brandt" else cv2.projectPoints
     for robot, outline in zip(config.robots, drawn.points, strict=True):
         tag = np.array([robot.start.x_m, robot.start.y_m, config.tracker.tag_height_m]) - (at.x, at.y, at.z)
@@ -142,11 +142,11 @@ def _matrix(x: float, y: float, z: float, w: float) -> np.ndarray:
 def test_a_lens_that_viewers_have_no_name_for_is_not_called_another_one(story: Make) -> None:
     config = story(f"camera.model.distortion={[0.01] * 12}").config
     viewer, _ = look(config)
-    assert viewer.said["/camera/calibration"] == []
-    assert len(viewer.said["/camera/annotations"]) == 1
+    assert viewer.messages["/camera/calibration"] == []
+    assert len(viewer.messages["/camera/annotations"]) == 1
 
 
 def test_where_there_is_no_camera_nothing_of_one_is_told(story: Make) -> None:
     viewer = Viewer(story("tracker.source=truth").config).play(story("tracker.source=truth", ticks=5).recording())
-    assert not [topic for topic in viewer.said if "camera" in topic]
-    assert "/tf_static" not in viewer.said
+    assert not [topic for topic in viewer.messages if "camera" in topic]
+    assert "/tf_static" not in viewer.messages

@@ -22,12 +22,12 @@ DAMAGE = 8192  # [bytes]: more than a chunk's own index, which nobody misses
 
 
 @pytest.fixture
-def killed(said: recorded.Said, tmp_path: Path) -> Path:
+def killed(run_messages: recorded.Messages, tmp_path: Path) -> Path:
     """Return the folder of a run whose recorder was killed."""
     file = tmp_path / "run" / FILE
     file.parent.mkdir()
     log = RunLog(file, CONFIG)
-    recorded.write(log, said)
+    recorded.write(log, run_messages)
     on_disk = file.read_bytes()  # what waits in memory dies with the recorder
     log.close()
     file.write_bytes(on_disk)
@@ -38,16 +38,18 @@ def everything_in(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_a_killed_runs_file_is_whole_after_repair_and_holds_what_was_written(said: recorded.Said, killed: Path) -> None:
+def test_a_killed_runs_file_is_whole_after_repair_and_holds_what_was_written(
+    run_messages: recorded.Messages, killed: Path
+) -> None:
     before = read(killed)
     assert not before.whole
     done = repair(killed)
     after = read(killed)
     assert after.whole
     assert in_order(after) == in_order(before)
-    last_ns = said[-1][2]
-    assert in_order(after) == [(full, payload) for full, payload, _ in said][: done.messages]
-    assert done.messages >= sum(at_ns < last_ns - 0.25 * S for _, _, at_ns in said)
+    last_ns = run_messages[-1][2]
+    assert in_order(after) == [(full, payload) for full, payload, _ in run_messages][: done.messages]
+    assert done.messages >= sum(at_ns < last_ns - 0.25 * S for _, _, at_ns in run_messages)
     assert (done.kept, done.lost) == (None, 0)
     assert [path.name for path in killed.iterdir()] == [FILE]
 
@@ -87,13 +89,13 @@ def test_a_whole_file_is_left_as_it_is(run_file: Path, tmp_path: Path) -> None:
     assert (before.st_ino, before.st_mtime_ns) == (after.st_ino, after.st_mtime_ns)
 
 
-def test_what_is_still_being_recorded_is_refused(said: recorded.Said, tmp_path: Path) -> None:
+def test_what_is_still_being_recorded_is_refused(run_messages: recorded.Messages, tmp_path: Path) -> None:
     with RunLog(tmp_path / FILE, CONFIG) as log:
-        recorded.write(log, said[:500])
+        recorded.write(log, run_messages[:500])
         with pytest.raises(RecordingError, match="still being recorded"):
             repair(tmp_path)
-        recorded.write(log, said[500:600])
-    assert in_order(read(tmp_path)) == [(full, payload) for full, payload, _ in said[:600]]
+        recorded.write(log, run_messages[500:600])
+    assert in_order(read(tmp_path)) == [(full, payload) for full, payload, _ in run_messages[:600]]
 
 
 @pytest.mark.parametrize("room", [0, 5000, 100_000])
@@ -114,15 +116,15 @@ def damaged(folder: Path, at: float) -> bytes:
     return bytes(data)
 
 
-def test_a_damaged_file_is_kept_beside_what_could_be_saved(said: recorded.Said, killed: Path) -> None:
+def test_a_damaged_file_is_kept_beside_what_could_be_saved(run_messages: recorded.Messages, killed: Path) -> None:
     before = damaged(killed, 0.6)
     done = repair(killed)
     assert done.kept is not None
     assert done.kept.read_bytes() == before
     assert 0 < done.lost < 0.5 * len(before)
     saved = in_order(read(killed))
-    assert saved == [(full, payload) for full, payload, _ in said[: done.messages]]
-    assert 0.3 * len(said) < len(saved) < 0.7 * len(said)
+    assert saved == [(full, payload) for full, payload, _ in run_messages[: done.messages]]
+    assert 0.3 * len(run_messages) < len(saved) < 0.7 * len(run_messages)
 
 
 def test_an_older_damaged_file_is_not_thrown_away(killed: Path) -> None:

@@ -33,20 +33,20 @@ NO_UNIT = {"tick", "run_tick", "saturated", "measured", "lost", "filtered", "blo
 
 def told_in(file: Path) -> tuple[dict[str, list[Any]], dict[str, list[int]], dict[str, bytes]]:
     """Return the messages of each robot's ticks, when each was logged, and the schemas' data by topic."""
-    told, logged, schemas = defaultdict(list), defaultdict(list), {}
+    ticks, logged, schemas = defaultdict(list), defaultdict(list), {}
     with file.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         topics = [f"/robots/{robot}/tick" for robot in ROBOTS]
         for schema, channel, message, decoded in reader.iter_decoded_messages(topics=topics, log_time_order=False):
-            told[channel.topic].append(decoded)
+            ticks[channel.topic].append(decoded)
             logged[channel.topic].append(message.log_time)
             schemas[channel.topic] = schema.data if schema else b""
-    return told, logged, schemas
+    return ticks, logged, schemas
 
 
 def test_each_robot_has_a_channel_with_every_column_of_every_tick(run_file: Path, tmp_path: Path) -> None:
     recording = read(run_file)
-    told, logged, _ = told_in(run_file)
+    reported, logged, _ = told_in(run_file)
     ticks = Run(recording, every_tick=True).ticks
     assert len(ticks) > 150, "more than a batch, or nothing is tried"
     write_csv([series(Run(recording))], tmp_path / "m.csv")
@@ -54,7 +54,7 @@ def test_each_robot_has_a_channel_with_every_column_of_every_tick(run_file: Path
         rows = {(row["robot"], int(row["tick"])): row for row in csv.DictReader(text)}
     compared = 0
     for robot in ROBOTS:
-        messages, times = told[f"/robots/{robot}/tick"], logged[f"/robots/{robot}/tick"]
+        messages, times = reported[f"/robots/{robot}/tick"], logged[f"/robots/{robot}/tick"]
         assert [message.tick for message in messages] == ticks["tick"].tolist()
         assert [message.run_tick for message in messages] == ticks["run_tick"].tolist()
         assert times == sorted(times)
@@ -71,8 +71,8 @@ def test_each_robot_has_a_channel_with_every_column_of_every_tick(run_file: Path
 
 
 def test_errors_are_told_only_while_the_fleet_is_running(run_file: Path) -> None:
-    told, _, _ = told_in(run_file)
-    for message in told["/robots/r2/tick"]:
+    ticks, _, _ = told_in(run_file)
+    for message in ticks["/robots/r2/tick"]:
         known = {name: not math.isnan(getattr(message, name)) for name in ("control_error_mm", "path_error_mm", "x_m")}
         running = message.run_tick >= 0
         assert known == {"control_error_mm": running, "path_error_mm": running, "x_m": True}
@@ -83,31 +83,31 @@ def test_every_field_is_named_with_its_unit_and_the_schema_says_what_it_is(run_f
     for data in schemas.values():
         (file,) = FileDescriptorSet.FromString(data).file
         (message,) = file.message_type
-        said = {place.path[3]: place.leading_comments for place in file.source_code_info.location}
+        comments = {number.path[3]: number.leading_comments for number in file.source_code_info.location}
         names = [field.name for field in message.field]
         assert names == ["tick", "run_tick", *(column.name for column in COLUMNS), *OWN]
-        for place, name in enumerate(names):
-            assert said[place].strip()
+        for number, name in enumerate(names):
+            assert comments[number].strip()
             if name not in NO_UNIT | {"reference_parameter"}:
                 unit = UNITS[max((end for end in UNITS if name.endswith(end)), key=len)]
-                assert unit in said[place], name
+                assert unit in comments[number], name
 
 
 def test_the_ticks_before_a_kill_are_in_the_file_but_for_the_newest_seconds(tmp_path: Path) -> None:
     log = RunLog(tmp_path / FILE, recorded.config())
-    said = recorded.said_in(recorded.config())
-    for full, payload, at_ns in said:
+    run_messages = recorded.said_in(recorded.config())
+    for full, payload, at_ns in run_messages:
         log.add(full, payload, at_ns)
-    log.flush(said[-1][2] + 10**9)
+    log.flush(run_messages[-1][2] + 10**9)
     (tmp_path / "killed.mcap").write_bytes((tmp_path / FILE).read_bytes())
     log.close()
     from robofleet.recording.repair import repair
 
     repair(tmp_path / "killed.mcap")
-    told, whole = (told_in(tmp_path / name)[0]["/robots/r3/tick"] for name in ("killed.mcap", FILE))
-    assert 0 < len(whole) - len(told) <= 74
-    assert [message.SerializeToString() for message in told] == [
-        message.SerializeToString() for message in whole[: len(told)]
+    written, whole = (told_in(tmp_path / name)[0]["/robots/r3/tick"] for name in ("killed.mcap", FILE))
+    assert 0 < len(whole) - len(written) <= 74
+    assert [message.SerializeToString() for message in written] == [
+        message.SerializeToString() for message in whole[: len(written)]
     ]
 
 
@@ -124,12 +124,12 @@ Make = Callable[..., Any]
 
 
 def test_without_truth_only_what_is_estimated_is_told(story: Make, tmp_path: Path) -> None:
-    told = story(ticks=30)
-    with RunLog(tmp_path / FILE, told.config) as log:
-        for place, (full, payload) in enumerate(recorded.in_order(told.recording(truth=False))):
-            log.add(full, payload, place)
+    run = story(ticks=30)
+    with RunLog(tmp_path / FILE, run.config) as log:
+        for index, (full, payload) in enumerate(recorded.in_order(run.recording(truth=False))):
+            log.add(full, payload, index)
     last = told_in(tmp_path / FILE)[0]["/robots/r2/tick"][-1]
     assert math.isnan(last.path_error_mm)
     assert math.isnan(last.left_measured_rad_s)
-    assert last.spacing_mm == pytest.approx(1e3 * told.settings["spacing_m"], rel=1e-3)
+    assert last.spacing_mm == pytest.approx(1e3 * run.settings["spacing_m"], rel=1e-3)
     assert last.exposure_to_tick_ms == pytest.approx(18.0)

@@ -37,14 +37,14 @@ def with_items(recording: Recording, change: Callable[[int, int, RobotTick], Rob
     return changed
 
 
-def with_references(recording: Recording, said: described.Group) -> Recording:
+def with_references(recording: Recording, group: described.Group) -> Recording:
     """Return a recording whose robots are to be at x = number of the tick, y = row."""
     full, changed = key(recording.config.arena.name, TICK), Recording(recording.config)
     for k, payload in enumerate(recording.messages[full]):
         tick = TICK_RECORD.decode(payload)
         assert tick is not None
-        numbers = np.array(tick.figures).reshape(len(said.robots), said.width)
-        numbers[:, 0], numbers[:, 1] = k, range(len(said.robots))
+        numbers = np.array(tick.figures).reshape(len(group.robots), group.width)
+        numbers[:, 0], numbers[:, 1] = k, range(len(group.robots))
         changed.add(full, TICK_RECORD.encode(tick._replace(figures=tuple(numbers.ravel().tolist()))))
     return changed
 
@@ -70,11 +70,11 @@ def test_poses_are_told_ten_times_a_second(story: Make) -> None:
     drive = story(ticks=300)
     viewer = Viewer(drive.config).play(drive.recording(truth=False))
     frames_of = viewer.frames
-    assert len(viewer.said["/tf"]) / (305 * TICK_NS / S) == pytest.approx(10, abs=0.2)
+    assert len(viewer.messages["/tf"]) / (305 * TICK_NS / S) == pytest.approx(10, abs=0.2)
     for robot in drive.config.members:
-        poses, frames = viewer.said[f"/robots/{robot.id}/pose"], frames_of[robot.id]
-        told = [(p.pose.position.x, p.pose.position.y, instant_ns(p.timestamp), p.frame_id) for p in poses]
-        assert told == [(f.translation.x, f.translation.y, instant_ns(f.timestamp), "world") for f in frames]
+        poses, frames = viewer.messages[f"/robots/{robot.id}/pose"], frames_of[robot.id]
+        published = [(p.pose.position.x, p.pose.position.y, instant_ns(p.timestamp), p.frame_id) for p in poses]
+        assert published == [(f.translation.x, f.translation.y, instant_ns(f.timestamp), "world") for f in frames]
 
 
 def test_a_robot_that_was_never_seen_is_nowhere(story: Make) -> None:
@@ -110,8 +110,8 @@ def test_shapes_are_said_again_only_when_they_change(story: Make, add_state: Mak
     add_state(recording, Phase.RUNNING, Event.PROVED)
     viewer = Viewer(recording.config).play(recording)
     viewer.play(recording)
-    assert len(viewer.said["/fleet"]) == 2, "standing, then running"
-    assert len(viewer.said["/arena"]) == 1
+    assert len(viewer.messages["/fleet"]) == 2, "standing, then running"
+    assert len(viewer.messages["/arena"]) == 1
 
 
 def test_a_body_is_a_disc_with_its_id_and_half_of_the_distance_that_is_kept(story: Make) -> None:
@@ -133,7 +133,7 @@ def test_a_body_is_a_disc_with_its_id_and_half_of_the_distance_that_is_kept(stor
 def test_the_path_and_the_arena_are_drawn_once(story: Make) -> None:
     drive = story(ticks=50)
     viewer = Viewer(drive.config).play(drive.recording())
-    (static,) = viewer.said["/arena"]
+    (static,) = viewer.messages["/arena"]
     lines = {entity.id: np.array([(p.x, p.y) for p in entity.lines[0].points]) for entity in static.entities}
     assert np.ptp(lines["arena"], axis=0) == pytest.approx(drive.config.arena.size_m)
     off = np.linalg.norm(lines["platoon/path"][:, None] - drive.points[None, :, 0], axis=-1).min(axis=0)
@@ -143,12 +143,12 @@ def test_the_path_and_the_arena_are_drawn_once(story: Make) -> None:
 def test_references_are_drawn_while_the_robots_run(story: Make, add_state: Make) -> None:
     drive, moved = story(ticks=60), Recording(story().config)
     add_state(moved, Phase.RUNNING, Event.PROVED)
-    running = with_references(drive.recording(truth=False), drive.said)
+    running = with_references(drive.recording(truth=False), drive.group)
     for full in running.messages:
         for _, payload in running.placed(full):
             moved.add(full, payload)
     viewer = Viewer(drive.config).play(moved)
-    newest = viewer.said["/references"][-1].entities[0]
+    newest = viewer.messages["/references"][-1].entities[0]
     assert [dot.pose.position.y for dot in newest.spheres] == [0.0, 1.0, 2.0, 3.0]
     assert newest.spheres[0].pose.position.x == newest.spheres[3].pose.position.x > 60
     ends = [(p.x, p.y) for p in newest.lines[0].points]
@@ -160,7 +160,7 @@ def test_references_are_drawn_while_the_robots_run(story: Make, add_state: Make)
     viewer.tell(key("platoon", STATE), held, end_ns)
     viewer.tell(key("platoon", TICK), moved.messages[key("platoon", TICK)][-1], end_ns + S)
     viewer.tell(key("platoon", STATE), held, end_ns + 2 * S)
-    assert len(viewer.said["/references"][-1].entities[0].spheres) == 0
+    assert len(viewer.messages["/references"][-1].entities[0].spheres) == 0
 
 
 def test_the_log_says_what_happened_and_why(story: Make, add_state: Make, add_status: Make) -> None:
@@ -189,20 +189,20 @@ def test_the_log_says_what_happened_and_why(story: Make, add_state: Make, add_st
         (ERROR, "r1", "gate latched: wired stop"),
         (INFO, "r1", "gate cleared"),
     ]
-    assert instant_ns(viewer.said["/log"][-1].timestamp) == 9 * S
+    assert instant_ns(viewer.messages["/log"][-1].timestamp) == 9 * S
 
 
 def test_what_cannot_be_read_changes_nothing(story: Make) -> None:
     recording = story(ticks=10).recording()
     viewer = Viewer(recording.config).play(recording)
     viewer.tell("something/else", b"", 8 * S)
-    before = {topic: len(messages) for topic, messages in viewer.said.items()}
+    before = {topic: len(messages) for topic, messages in viewer.messages.items()}
     names = {"unit/{}/status": "r1", "unit/{}/cmd": "r1", "sim/{}/truth": "r1"}
     for topic in TOPICS:
         for payload in (b"", b"\x03", b"\xff" * 400, bytes(2000)):
             viewer.tell(key("platoon", topic, names.get(topic.key, CAMERA)), payload, 9 * S)
     viewer.tell("rf/another/tick", recording.messages[key("platoon", TICK)][0], 11 * S)
-    assert {topic: len(messages) for topic, messages in viewer.said.items()} == before
+    assert {topic: len(messages) for topic, messages in viewer.messages.items()} == before
 
 
 def test_a_value_of_another_version_is_told_as_its_number(story: Make, add_state: Make) -> None:

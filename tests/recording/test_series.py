@@ -49,10 +49,10 @@ def rows_of(file: Path) -> list[dict[str, str]]:
 
 
 def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tmp_path: Path) -> None:
-    told = story(ticks=40)
-    told.aside(0.003)
-    told.control_error[:, 2] = 0.0015
-    write_csv([series(Run(told.recording()))], tmp_path / "m.csv")
+    run = story(ticks=40)
+    run.aside(0.003)
+    run.control_error[:, 2] = 0.0015
+    write_csv([series(Run(run.recording()))], tmp_path / "m.csv")
     rows = rows_of(tmp_path / "m.csv")
     assert [row["robot"] for row in rows] == ["r1", "r2", "r3", "r4"] * 40
     assert [float(row["t_s"]) for row in rows[::4]] == pytest.approx([k * 0.033 for k in range(40)], abs=1e-9)
@@ -60,7 +60,7 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
     assert {float(row["control_error_mm"]) for row in rows[2::4]} == {1.5}
     assert [float(row["path_error_mm"]) for row in rows] == pytest.approx([3.0] * 160, abs=1e-3)
     assert rows[0]["spacing_mm"] == "", "a leader has nobody before it"
-    at = told.centres[7, 1]
+    at = run.centres[7, 1]
     assert [float(rows[29][name]) for name in ("true_x_m", "true_y_m")] == pytest.approx(at.tolist(), rel=1e-5)
     assert [row["saturated"] for row in rows[:6]] == ["0", "0", "0", "0", "1", "0"]
     units = ("_m", "_rad", "_s", "_mm", "_deg", "_ms")
@@ -82,8 +82,8 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
 
 def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None:
     write_csv([series(Run(story(ticks=3).recording(truth=False)))], tmp_path / "m.csv")
-    told = {"reference_x_m", "reference_y_m", "estimated_path_error_mm", "estimated_spacing_mm"}  # not in this story
-    unknown = told | {
+    absent = {"reference_x_m", "reference_y_m", "estimated_path_error_mm", "estimated_spacing_mm"}  # not in this story
+    unknown = absent | {
         "centre_error_mm",
         "true_x_m",
         "true_y_m",
@@ -112,14 +112,14 @@ def without(recording: Recording, full: str, left_out: slice) -> Recording:
 
 
 def test_a_run_without_a_tick_has_no_row(story: Make, tmp_path: Path) -> None:
-    told = story(ticks=1).recording()
-    write_csv([series(Run(without(told, key("platoon", TICK), slice(None))))], tmp_path / "m.csv")
+    recording = story(ticks=1).recording()
+    write_csv([series(Run(without(recording, key("platoon", TICK), slice(None))))], tmp_path / "m.csv")
     assert rows_of(tmp_path / "m.csv") == []
 
 
 def test_times_are_instants_and_go_on_over_a_hold(story: Make) -> None:
-    told = story(ticks=60)
+    run = story(ticks=60)
     held = slice(25, 45)  # in which no tick is one of the run
-    t = series(Run(without(told.recording(), key("platoon", TICK), held))).t
+    t = series(Run(without(run.recording(), key("platoon", TICK), held))).t
     assert (t[0], t[-1]) == (0.0, pytest.approx(59 * 0.033))
     assert math.isclose(np.diff(t).max(), 21 * 0.033)

@@ -21,11 +21,11 @@ CUTS, FLIPS = 30, 15
 
 
 @pytest.fixture(scope="module")
-def whole(said: recorded.Said, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def whole(run_messages: recorded.Messages, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return the bytes of a run's first seconds."""
     file = tmp_path_factory.mktemp("whole") / FILE
     with RunLog(file, recorded.config()) as log:
-        recorded.write(log, said[:SAID])
+        recorded.write(log, run_messages[:SAID])
     return file.read_bytes()
 
 
@@ -41,7 +41,7 @@ def mended(file: Path) -> list[tuple[str, bytes]] | None:
     return in_order(recording)
 
 
-def survives(said: recorded.Said, data: bytes, file: Path) -> tuple[int, bool]:
+def survives(run_messages: recorded.Messages, data: bytes, file: Path) -> tuple[int, bool]:
     """Check that a file gives a valid beginning, before and after its repair.
 
     Returns how many messages, and whether the file was said to be whole.
@@ -55,16 +55,18 @@ def survives(said: recorded.Said, data: bytes, file: Path) -> tuple[int, bool]:
         assert mended(file) is None
         return 0, False
     found = in_order(recording)
-    assert found == [(full, payload) for full, payload, _ in said[: len(found)]]
+    assert found == [(full, payload) for full, payload, _ in run_messages[: len(found)]]
     assert recording.whole or mended(file) == found
     return len(found), recording.whole
 
 
-def test_a_file_cut_anywhere_gives_a_valid_beginning(said: recorded.Said, whole: bytes, tmp_path: Path) -> None:
+def test_a_file_cut_anywhere_gives_a_valid_beginning(
+    run_messages: recorded.Messages, whole: bytes, tmp_path: Path
+) -> None:
     cuts = sorted(np.random.default_rng(1).choice(len(whole), CUTS, replace=False))
-    told = [survives(said, whole[:cut], tmp_path / FILE) for cut in cuts]
-    assert not any(is_whole for _, is_whole in told)
-    counts = [count for count, _ in told]
+    results = [survives(run_messages, whole[:cut], tmp_path / FILE) for cut in cuts]
+    assert not any(is_whole for _, is_whole in results)
+    counts = [count for count, _ in results]
     assert counts == sorted(counts)  # a longer beginning never tells less
     assert counts[-1] == SAID
     assert max(np.diff(counts)) < 0.9 * SAID  # it is not all or nothing
@@ -74,13 +76,17 @@ def flipped(data: bytes, at: int, bit: int) -> bytes:
     return data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :]
 
 
-def test_a_bit_that_flips_anywhere_ends_the_recording_there(said: recorded.Said, whole: bytes, tmp_path: Path) -> None:
+def test_a_bit_that_flips_anywhere_ends_the_recording_there(
+    run_messages: recorded.Messages, whole: bytes, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(2)
     for at, bit in zip(rng.choice(len(whole), FLIPS, replace=False), rng.integers(8, size=FLIPS), strict=True):
-        assert not survives(said, flipped(whole, at, bit), tmp_path / FILE)[1]
+        assert not survives(run_messages, flipped(whole, at, bit), tmp_path / FILE)[1]
 
 
-def test_no_block_that_became_something_else_is_passed_over(said: recorded.Said, whole: bytes, tmp_path: Path) -> None:
+def test_no_block_that_became_something_else_is_passed_over(
+    run_messages: recorded.Messages, whole: bytes, tmp_path: Path
+) -> None:
     torn = whole[: round(0.8 * len(whole))]  # no checksum of all the data comes
     at, opcodes = len(MAGIC), []
     while at < len(torn):
@@ -89,12 +95,12 @@ def test_no_block_that_became_something_else_is_passed_over(said: recorded.Said,
     blocks = [at for at in opcodes if torn[at] == Opcode.CHUNK][:3]
     for at in (opcodes[0], *blocks):
         for bit in range(8):
-            assert not survives(said, flipped(torn, at, bit), tmp_path / FILE)[1]
+            assert not survives(run_messages, flipped(torn, at, bit), tmp_path / FILE)[1]
 
 
 @pytest.mark.parametrize("tail", [bytes(1000), b"\xff" * 1000, b"\x06" + bytes(500)])
 def test_garbage_behind_the_last_block_is_left_out(
-    tail: bytes, said: recorded.Said, whole: bytes, tmp_path: Path
+    tail: bytes, run_messages: recorded.Messages, whole: bytes, tmp_path: Path
 ) -> None:
     file = tmp_path / FILE
     file.write_bytes(whole[: len(whole) // 2])

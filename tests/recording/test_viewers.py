@@ -11,8 +11,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from robofleet.config.load import load_config
 from robofleet.recording.log import RunLog
 from robofleet.runs.lockstep import Lockstep
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 EPOCH_NS = 1_790_000_000 * 10**9
 DECODED = {
     "/arena": "foxglove.SceneUpdate",
@@ -34,14 +34,14 @@ class Written:
 
     def __init__(self, file: Path) -> None:
         config = load_config(PLATOON, ["run.duration_s=2"])
-        run, said = Lockstep(config), []
-        run.bus.tap(lambda message: said.append((*message, run.clock.now_ns())))
+        run, messages = Lockstep(config), []
+        run.bus.tap(lambda message: messages.append((*message, run.clock.now_ns())))
         self.file = file
         with RunLog(file, config, epoch_ns=EPOCH_NS) as log:
             assert run.run() == ("completed", None)
-            for full, payload, at_ns in said:
+            for full, payload, at_ns in messages:
                 log.add(full, payload, at_ns)
-        self.own = Counter(full for full, _, _ in said)
+        self.own = Counter(full for full, _, _ in messages)
         with file.open("rb") as stream:
             summary = make_reader(stream).get_summary()
         assert summary is not None

@@ -31,13 +31,13 @@ class Viewer:
             for file in FileDescriptorSet.FromString(descriptor).file:
                 pool.Add(file)  # type: ignore[no-untyped-call]
             self._kinds[topic] = GetMessageClass(pool.FindMessageTypeByName(schema))
-        self.said: dict[str, list[Any]] = defaultdict(list)
+        self.messages: dict[str, list[Any]] = defaultdict(list)
         self._ticks = -1
 
     def tell(self, full: str, payload: bytes, at_ns: int) -> None:
         """Tell a message of the bus."""
         for topic, data in self._scene.update(full, payload, at_ns):
-            self.said[topic].append(self._kinds[topic].FromString(data))
+            self.messages[topic].append(self._kinds[topic].FromString(data))
 
     def play(self, recording: Recording) -> "Viewer":
         """Tell a recording's messages in their order; its ticks make the time."""
@@ -51,7 +51,7 @@ class Viewer:
     def frames(self) -> dict[str, list[Any]]:
         """Every transform of a frame."""
         frames = defaultdict(list)
-        for message in self.said["/tf"]:
+        for message in self.messages["/tf"]:
             for frame in message.transforms:
                 frames[frame.child_frame_id].append(frame)
         return frames
@@ -59,7 +59,7 @@ class Viewer:
     @property
     def bodies(self) -> dict[str, Any]:
         """The robots' newest shapes."""
-        return {entity.id: entity for entity in self.said["/fleet"][-1].entities}
+        return {entity.id: entity for entity in self.messages["/fleet"][-1].entities}
 
     @property
     def states(self) -> dict[str, str]:
@@ -69,12 +69,12 @@ class Viewer:
     @property
     def log(self) -> list[tuple[int, str, str]]:
         """Level, name and words of every line."""
-        return [(line.level, line.name, line.message) for line in self.said["/log"]]
+        return [(line.level, line.name, line.message) for line in self.messages["/log"]]
 
 
 def in_order(recording: Recording) -> list[tuple[str, bytes]]:
     """Return the messages of a recording as they came, each with its key."""
-    placed = ((place, full, payload) for full in recording.messages for place, payload in recording.placed(full))
+    placed = ((index, full, payload) for full in recording.messages for index, payload in recording.placed(full))
     return [(full, payload) for _, full, payload in sorted(placed)]
 
 

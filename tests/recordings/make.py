@@ -29,7 +29,7 @@ class Scenario(NamedTuple):
 
     keys: tuple[str, ...] = ()
     faults: str = ""
-    asked: tuple[tuple[float, bytes], ...] = ((3.0, b"stop"),)  # seconds after the first start
+    requests: tuple[tuple[float, bytes], ...] = ((3.0, b"stop"),)  # seconds after the first start
     shows: Callable[[Run], bool] = lambda run: bool(len(run.ticks) > 80 and run.items["measured"].mean() > 0.9)
 
 
@@ -55,19 +55,19 @@ def _two_controllers(run: Run) -> bool:
 
 _ARMED, _RUNNING, _HOLD, _IDLE = Phase.ARMED, Phase.RUNNING, Phase.HOLD, Phase.IDLE
 SCENARIOS = {
-    "platoon": Scenario(("groups.0.robots=[r1, r2, r3]",), asked=((3.5, b"stop"),)),
+    "platoon": Scenario(("groups.0.robots=[r1, r2, r3]",), requests=((3.5, b"stop"),)),
     "centre": Scenario(("groups.0.settings.track=centre",)),
     "euler": Scenario(("controller.integrator=euler",)),
     "disturbed": Scenario(("controller.disturbance=estimated",), "{kind: slip, robot: r2, at_s: 1}"),
     "lost": Scenario((), "{kind: pose_dropout, robot: r2, at_s: 1, duration_s: 1.2}", shows=_lost_and_found),
     "carried": Scenario((), "{kind: id_swap, robots: [r1, r2], at_s: 1.5}", ((3.0, b"stop"),), _jumped),
     "held": Scenario(
-        asked=((1.0, b"hold"), (1.8, b"resume"), (3.0, b"stop")),
+        requests=((1.0, b"hold"), (1.8, b"resume"), (3.0, b"stop")),
         shows=lambda run: _phases(run) == [_ARMED, _RUNNING, _HOLD, _RUNNING, _IDLE],
     ),
     "restarted": Scenario(
         ("groups.0.robots=[r1]",),
-        asked=((1.5, b"stop"), (2.5, b"start"), (6.5, b"stop")),
+        requests=((1.5, b"stop"), (2.5, b"start"), (6.5, b"stop")),
         shows=lambda run: _phases(run) == [_ARMED, _RUNNING, _IDLE, _ARMED, _RUNNING, _IDLE],
     ),
     "barrier": Scenario(
@@ -99,7 +99,7 @@ def made(name: str) -> Lockstep:
     if not run.advance(_ARMED_WITHIN_S, lambda: run.status.phase is Phase.RUNNING):
         raise RuntimeError(f"{name}: {run.status}")
     t = 0.0
-    for at_s, what in scenario.asked:
+    for at_s, what in scenario.requests:
         run.advance(at_s - t)
         run.request(what)
         t = at_s
@@ -118,10 +118,10 @@ def keep(run: Lockstep, file: Path) -> None:
     recording = run.recording
     arena = recording.config.arena.name
     keys = key(arena, TICK), key(arena, STATE), key(arena, POSES, CAMERA)
-    placed = sorted((place, full, payload) for full in keys for place, payload in recording.placed(full))
+    placed = sorted((index, full, payload) for full in keys for index, payload in recording.placed(full))
     with RunLog(file, recording.config, drawn=False) as log:
-        for place, full, payload in placed:
-            log.add(full, payload, place)
+        for index, full, payload in placed:
+            log.add(full, payload, index)
 
 
 def main() -> None:

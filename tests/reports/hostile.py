@@ -44,17 +44,19 @@ def message(channel: int, data: bytes, length: int | None = None) -> bytes:
     return pack("<BQ", 5, len(body) if length is None else length) + body
 
 
-def chunk(content: bytes, compression: str = "zstd", said: int | None = None) -> bytes:
+def chunk(content: bytes, compression: str = "zstd", claimed_size: int | None = None) -> bytes:
     packed = zstandard.ZstdCompressor(3).compress(content) if compression == "zstd" else content
-    return encode(Chunk(compression, packed, 1, 1, zlib.crc32(content), len(content) if said is None else said))
+    return encode(
+        Chunk(compression, packed, 1, 1, zlib.crc32(content), len(content) if claimed_size is None else claimed_size)
+    )
 
 
-def zeros(size: int, said: int) -> bytes:
+def zeros(size: int, claimed_size: int) -> bytes:
     """Return a chunk whose frame holds ``size`` zeros and says so, and whose header says ``said``."""
     compressor = zstandard.ZstdCompressor(3).compressobj(size=size)
     block = bytes(1 << 22)
     packed = b"".join(compressor.compress(block) for _ in range(size // len(block))) + compressor.flush()
-    return encode(Chunk("zstd", packed, 1, 1, 0, said))
+    return encode(Chunk("zstd", packed, 1, 1, 0, claimed_size))
 
 
 def file(
@@ -69,8 +71,8 @@ def file(
     text = resolved_yaml(config) if isinstance(config, Config) else config
     data = text if isinstance(text, bytes) else text.encode()
     parts = [MAGIC, encode(Header(profile, library)), encode(Attachment(0, 0, CONFIG, "application/yaml", data))]
-    parts += [encode(Attachment(0, 0, name, "application/json", said)) for name, said in attached]
-    parts += [encode(Metadata(name, said)) for name, said in metadata]
+    parts += [encode(Attachment(0, 0, name, "application/json", content)) for name, content in attached]
+    parts += [encode(Metadata(name, content)) for name, content in metadata]
     return b"".join([*parts, *(blocks or (good(),))])
 
 
@@ -124,7 +126,7 @@ def chunks() -> Iterator[tuple[str, tuple[bytes, ...]]]:
     endless = pack("<QQIIQ", 0, 0, 0, 0, 1 << 63)
     yield "gigabytes", (good(), zeros(1 << 30, 1 << 30))
     yield "gigabytes that are said to be few", (good(), zeros(1 << 30, 100))
-    yield "few that are said to be gigabytes", (good(), chunk(b"x", said=3 << 30))
+    yield "few that are said to be gigabytes", (good(), chunk(b"x", claimed_size=3 << 30))
     yield "lz4", (good(), chunk(b"x" * 100, "lz4", 3 << 30))
     yield "not compressed", (good(), chunk(definitions(), ""))
     mega = chunk(message(1, bytes(15 << 20)))
@@ -186,7 +188,7 @@ def runs(config: Config) -> Iterator[tuple[str, bytes]]:
         yield f"chunk: {name}", file(config, *blocks)
     for name, ending in endings():
         yield f"ending: {name}", file(config, attached=[(ENDING, ending)])
-    for name, said in metadata():
-        yield f"metadata: {name}", file(config, metadata=[said])
+    for name, content in metadata():
+        yield f"metadata: {name}", file(config, metadata=[content])
     for name, made in makers():
         yield f"maker: {name}", file(config, **made)

@@ -47,12 +47,12 @@ def run() -> Lockstep:
 
 def without_truth(recording: Recording) -> Recording:
     """Return what a laboratory's run leaves: nobody knows the truth."""
-    told = Recording(recording.config)
+    estimated = Recording(recording.config)
     for full, payload in recorded.in_order(recording):
         topic = named(full)
         if topic is None or topic[0] is not TRUTH:
-            told.add(full, payload)
-    return told
+            estimated.add(full, payload)
+    return estimated
 
 
 def figures(recording: Recording) -> dict[str, Any]:
@@ -107,8 +107,8 @@ def test_the_page_shows_it_where_it_stands(run: Lockstep) -> None:
     bus.publisher(POSES, CAMERA)(FLEET_POSES.encode(FleetPoses(1, 1, 1, 5, 6, 1, 0, 0, 0, seen)))
     hearing.hear()
     hearing.hear_the_rest()
-    told = frames.hello(config, groups, Path("folder"))
-    assert [(robot["id"], robot["driven"]) for robot in told["robots"]][-2:] == [("r4", True), ("p1", False)]
+    hello = frames.hello(config, groups, Path("folder"))
+    assert [(robot["id"], robot["driven"]) for robot in hello["robots"]][-2:] == [("r4", True), ("p1", False)]
     frame = frames.tick(hearing, config, groups, 1, 10**9, "")
     rows = [dict(zip(frames.COLUMNS, row, strict=True)) for row in frame["robots"]]
     assert len(rows) == 5

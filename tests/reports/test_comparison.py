@@ -88,9 +88,9 @@ def test_a_run_that_measured_nothing_is_set_beside_another(story: Make, compared
 def test_the_command_writes_into_the_first_runs_folder_or_where_it_is_told(
     story: Make, kept: Make, tmp_path: Path
 ) -> None:
-    one, other = (kept(story(ticks=20), name) for name in ("one", "other"))
-    result = robofleet(one, other)
-    assert (result.exit_code, result.stdout.strip()) == (0, str(one / "compare-other.html"))
-    result = robofleet(one, other / "run.mcap", "--out", tmp_path / "new" / "both.html")
+    first, other = (kept(story(ticks=20), name) for name in ("one", "other"))
+    result = robofleet(first, other)
+    assert (result.exit_code, result.stdout.strip()) == (0, str(first / "compare-other.html"))
+    result = robofleet(first, other / "run.mcap", "--out", tmp_path / "new" / "both.html")
     assert (result.exit_code, result.stdout.strip()) == (0, str(tmp_path / "new" / "both.html"))
     assert (tmp_path / "new" / "both.html").stat().st_size > 10_000

@@ -1,12 +1,9 @@
 """A robot of the fleet that is in no group is no false identity."""
 
-from pathlib import Path
-
 from robofleet.config.load import load_config
 from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
-
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 def test_a_parked_robot_is_no_false_id() -> None:

@@ -39,9 +39,9 @@ def verdicts(suite: ElementTree.Element) -> dict[str, str]:
 
 
 def test_each_bound_is_a_case_with_its_value_and_its_limit(story: Make, figures: Make, suite: Make) -> None:
-    told = story(BOUNDS)
-    told.control_error[:] = 0.0025
-    found = suite(figures(told.recording()) | {"began": "2026-01-02T03:04:05Z"})
+    run = story(BOUNDS)
+    run.control_error[:] = 0.0025
+    found = suite(figures(run.recording()) | {"began": "2026-01-02T03:04:05Z"})
     assert list(verdicts(found).values()) == ["passed", "failure", "passed", "passed"]
     (failure,) = found.findall(f"testcase[@name='{CONTROL}']/failure")
     assert failure.get("message") == "2.5 mm, at most 1 mm asked for"
@@ -55,12 +55,12 @@ def test_each_bound_is_a_case_with_its_value_and_its_limit(story: Make, figures:
 def test_an_aborted_run_is_no_success_and_what_it_did_not_measure_is_skipped(
     story: Make, figures: Make, suite: Make, outcome: str, kind: str
 ) -> None:
-    told = story(BOUNDS)
-    found = suite(figures(told.recording(truth=False)) | {"outcome": outcome, "cause": "r1: <its> \x1b[31m & \udcff"})
+    run = story(BOUNDS)
+    found = suite(figures(run.recording(truth=False)) | {"outcome": outcome, "cause": "r1: <its> \x1b[31m & \udcff"})
     assert list(verdicts(found).values()) == [kind, "passed", "skipped", "passed"]
     (case,) = found.findall("testcase[@name='completed']")
     assert str(case[0].get("message")).startswith("r1: <its> ")
-    assert set(verdicts(suite(figures(Recording(told.config)) | {"outcome": outcome})).values()) == {kind, "skipped"}
+    assert set(verdicts(suite(figures(Recording(run.config)) | {"outcome": outcome})).values()) == {kind, "skipped"}
 
 
 def test_what_a_completed_run_did_not_measure_has_failed(story: Make, figures: Make, suite: Make) -> None:

@@ -34,7 +34,7 @@ PLOTTED = {
 
 
 @pytest.fixture
-def there(run_file: Path) -> dict[str, set[str]]:
+def fields_of(run_file: Path) -> dict[str, set[str]]:
     """Return the fields of each protobuf channel of the run's file."""
     with run_file.open("rb") as stream:
         summary = make_reader(stream).get_summary()
@@ -80,7 +80,7 @@ def leaves(layout: Any) -> Iterator[str]:
 
 @pytest.mark.parametrize("viewer", ["foxglove", "lichtblick"])
 def test_a_layout_of_panels_shows_each_once_and_plots_what_is_there(
-    viewer: str, run_file: Path, tmp_path: Path, there: dict[str, set[str]]
+    viewer: str, run_file: Path, tmp_path: Path, fields_of: dict[str, set[str]]
 ) -> None:
     layout = json.loads(written(viewer, run_file, tmp_path))
     assert set(layout) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
@@ -94,9 +94,9 @@ def test_a_layout_of_panels_shows_each_once_and_plots_what_is_there(
     assert {path.rpartition(".")[2] for path in paths} == PLOTTED | {"lost", "filtered", "saturated", "failed"}
     for path in paths:
         topic, _, field = path.rpartition(".")
-        assert field in there[topic]
+        assert field in fields_of[topic]
     scene = next(panel for own, panel in panels.items() if own.startswith("3D!"))
-    assert set(scene["topics"]) | {panels["RosOut!log"]["topicToRender"]} <= set(there)
+    assert set(scene["topics"]) | {panels["RosOut!log"]["topicToRender"]} <= set(fields_of)
     assert "Image!camera" not in panels, "nobody looks in this run"
 
 
@@ -107,7 +107,9 @@ def test_pictures_are_shown_of_a_run_with_a_camera() -> None:
     assert {image["imageTopic"], *image["annotations"]} <= topics
 
 
-def test_plotjuggler_finds_the_file_and_every_curve(run_file: Path, tmp_path: Path, there: dict[str, set[str]]) -> None:
+def test_plotjuggler_finds_the_file_and_every_curve(
+    run_file: Path, tmp_path: Path, fields_of: dict[str, set[str]]
+) -> None:
     root = ET.fromstring(written("plotjuggler", run_file, tmp_path))
     assert root.get("version") == "2.3.8"
     file = root.find("previouslyLoaded_Datafiles/fileInfo")
@@ -121,7 +123,7 @@ def test_plotjuggler_finds_the_file_and_every_curve(run_file: Path, tmp_path: Pa
     for curve in curves:
         topic, _, field = curve.rpartition("/")
         assert topic in loaded
-        assert field in there[topic]
+        assert field in fields_of[topic]
     for splitter in root.iter("DockSplitter"):
         assert len(splitter) == int(splitter.get("count", "")) == len(splitter.get("sizes", "").split(";"))
 
@@ -138,7 +140,7 @@ def test_rerun_reads_the_blueprint_and_has_what_it_names(run_file: Path, tmp_pat
         batch = chunk.to_record_batch()
         if "VisualizerInstruction:component_map" in batch.schema.names:
             maps = batch.column("VisualizerInstruction:component_map").to_pylist()
-            mapped += [{"of": chunk.entity_path, **one} for row in maps for one in row]
+            mapped += [{"of": chunk.entity_path, **component} for row in maps for component in row]
     held: dict[str, set[str]] = {}
     for chunk in McapReader(run_file).stream():
         if chunk.entity_path.startswith("/robots/") and chunk.entity_path.endswith("/tick") and not chunk.is_static:
@@ -151,8 +153,10 @@ def test_rerun_reads_the_blueprint_and_has_what_it_names(run_file: Path, tmp_pat
         for plot in tab.plots
         for line in plot.lines
     }
-    assert {one["source_component"] for one in mapped} == {f"{PACKAGE}.{MESSAGE}:message"}
-    assert {(topic, one["selector"][1:]) for one in mapped for topic in held if topic in one["of"]} == lines
+    assert {component["source_component"] for component in mapped} == {f"{PACKAGE}.{MESSAGE}:message"}
+    assert {
+        (topic, component["selector"][1:]) for component in mapped for topic in held if topic in component["of"]
+    } == lines
     assert all(field in held[topic] for topic, field in lines)
 
 

@@ -23,9 +23,9 @@ from robofleet.runs import lockstep
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from tests.recording.recorded import in_order
+from tests.shipped import PLATOON
 
 RECORDINGS = sorted((Path(__file__).parents[1] / "recordings").glob("*.mcap"))
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 PER_SECOND = 6_000  # bytes: 20 MB an hour; all messages of a second are 90,000
 PART = 60_000  # bytes: a second or two of four robots
 BYTES_OF_A_PART = 60_000  # that are kept of it at most, of 400,000 while it is looked at
@@ -51,10 +51,10 @@ def test_the_figures_of_a_run_in_parts_are_those_of_the_whole(
     parts, whole = look(file, together=PART), look(file)
     assert parts.reduced is not None, "it is looked at in parts"
     assert whole.reduced is None
-    told, expected = flat(summary(parts)), flat(summary(whole))
-    assert told.keys() == expected.keys()
+    figures, expected = flat(summary(parts)), flat(summary(whole))
+    assert figures.keys() == expected.keys()
     for name, value in expected.items():
-        assert told[name] == (pytest.approx(value, abs=2e-4) if isinstance(value, float) else value), name
+        assert figures[name] == (pytest.approx(value, abs=2e-4) if isinstance(value, float) else value), name
 
     entries = [[(e.who, e.what) for e in Timeline(run, []).entries] for run in (parts, whole)]
     write_csv(map(series, looks(file, together=PART)), tmp_path / "parts.csv")
@@ -72,13 +72,13 @@ def test_of_a_sampled_run_what_is_largest_and_what_is_counted_is_of_every_tick(m
     parts, whole = look(file, together=PART), look(file)
     assert len(parts.ticks) < len(whole.ticks) / 3
     assert parts.ticks[[0, -1]].tobytes() == whole.ticks[[0, -1]].tobytes()
-    told, expected = flat(summary(parts)), flat(summary(whole))
+    figures, expected = flat(summary(parts)), flat(summary(whole))
     for name, value in expected.items():
         sampled_mean = name.startswith((".bounds", ".groups", ".control", ".timed", ".path", ".centre", ".spacing"))
         if not sampled_mean or ".max" in name:
-            assert told[name] == (pytest.approx(value, abs=2e-4) if isinstance(value, float) else value), name
+            assert figures[name] == (pytest.approx(value, abs=2e-4) if isinstance(value, float) else value), name
         elif isinstance(value, float):
-            assert told[name] == pytest.approx(value, rel=0.25), name
+            assert figures[name] == pytest.approx(value, rel=0.25), name
 
 
 def test_a_part_of_a_run_is_let_go_of_before_the_next_one_is_read(
@@ -159,6 +159,8 @@ def test_a_run_in_lockstep_keeps_no_more_in_memory_than_a_live_view_shows(
     config = load_config(PLATOON, ["tracker.source=truth", "run.duration_s=30"])
     result = in_lockstep(config, "n", tmp_path, quiet=True)
     assert result.summary["outcome"] == "completed"
-    in_memory, in_file = (max(map(len, of.messages.values())) for of in (runs[0].recording, result.columns.recording))
+    in_memory, in_file = (
+        max(map(len, source.messages.values())) for source in (runs[0].recording, result.columns.recording)
+    )
     assert in_file > 3 * SHOWN
     assert in_memory < 2.5 * SHOWN

@@ -140,13 +140,13 @@ def test_viewers_have_them_as_fields_of_the_groups_own_message(folder: Path) -> 
 
 
 def test_where_it_is_missing_the_file_says_what_it_told(folder: Path, mylab: Path, tmp_path: Path) -> None:
-    (there := tmp_path / "run").mkdir()
-    (there / FILE).write_bytes((folder / FILE).read_bytes())
+    (run_folder := tmp_path / "run").mkdir()
+    (run_folder / FILE).write_bytes((folder / FILE).read_bytes())
     (mylab / "mylab.py").rename(mylab / "gone.py")
     sys.modules.pop("mylab")
     try:
-        made = after.report(there, imports=lambda _: True)
-        groups = read(there).groups
+        made = after.report(run_folder, imports=lambda _: True)
+        groups = read(run_folder).groups
     finally:
         (mylab / "gone.py").rename(mylab / "mylab.py")
     assert made.summary["groups"]["swirl"]["radius_mm"]["mean"] == pytest.approx(1450, abs=60)
@@ -166,14 +166,14 @@ Path(__file__).with_suffix(".ran").touch()
 @pytest.fixture
 def elsewhere(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the run in a folder that came from a stranger, where Python would find a module of theirs."""
-    (there := tmp_path / "run").mkdir()
-    (there / FILE).write_bytes((folder / FILE).read_bytes())
-    for place in (tmp_path, there):
-        (place / "mylab.py").write_text(STRANGE)
-        monkeypatch.syspath_prepend(place)
-    monkeypatch.chdir(there)
+    (run_folder := tmp_path / "run").mkdir()
+    (run_folder / FILE).write_bytes((folder / FILE).read_bytes())
+    for runs_folder in (tmp_path, run_folder):
+        (runs_folder / "mylab.py").write_text(STRANGE)
+        monkeypatch.syspath_prepend(runs_folder)
+    monkeypatch.chdir(run_folder)
     monkeypatch.delitem(sys.modules, "mylab")
-    return there
+    return run_folder
 
 
 def looked_at(run: Path) -> list[list[str]]:
@@ -245,8 +245,8 @@ def test_what_it_cannot_measure_is_missing_and_nothing_else(
     recording = read(folder, lambda _: True)
     from robofleet.reports.metrics import summary
 
-    told = summary(recording, name="two", mode="lockstep", outcome="completed", cause=None)
-    assert told["control_error_mm"] is not None
-    said = capsys.readouterr().err
-    assert said.count("group swirl: mylab:Swirl cannot measure: its figures are missing") == 1
-    assert "Traceback" in said
+    figures = summary(recording, name="two", mode="lockstep", outcome="completed", cause=None)
+    assert figures["control_error_mm"] is not None
+    stderr = capsys.readouterr().err
+    assert stderr.count("group swirl: mylab:Swirl cannot measure: its figures are missing") == 1
+    assert "Traceback" in stderr

@@ -1,14 +1,12 @@
 """What a person should know of a run beside its figures."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from robofleet.config.load import load_config
 from robofleet.reports.metrics import remarks
-
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 def errors(timed_mm: float, control_mm: float) -> dict[str, Any]:

@@ -64,11 +64,11 @@ def plots(page: str) -> list[str]:
 
 
 def test_a_good_run_is_green_and_has_every_plot(story: Make, page: Make, add_status: Make, add_image: Make) -> None:
-    told = story("run.bounds.overruns=30")
-    recording = told.recording()
+    run = story("run.bounds.overruns=30")
+    recording = run.recording()
     for k in range(10, 200, 10):
-        add_status(recording, "r1", told.stamp(k), applied=(told.stamp(k) - 19_000_000, told.stamp(k)))
-        add_image(recording, told.stamp(k), (1, 2, 3, 4))
+        add_status(recording, "r1", run.stamp(k), applied=(run.stamp(k) - 19_000_000, run.stamp(k)))
+        add_image(recording, run.stamp(k), (1, 2, 3, 4))
     text = page(recording)
     assert verdict(text)[0] == "good"
     assert "Completed, every bound met" in verdict(text)[1]
@@ -82,12 +82,12 @@ def test_a_good_run_is_green_and_has_every_plot(story: Make, page: Make, add_sta
 
 @pytest.mark.usefixtures("plain")
 def test_a_bound_that_was_not_met_makes_it_red_and_says_by_how_much(story: Make, page: Make) -> None:
-    told = story("run.bounds={control_error_mean_mm: 1.0, path_error_mean_mm: 4}")
-    told.control_error[:] = 0.0025
-    colour, said = verdict(page(told.recording()))
+    run = story("run.bounds={control_error_mean_mm: 1.0, path_error_mean_mm: 4}")
+    run.control_error[:] = 0.0025
+    colour, shown = verdict(page(run.recording()))
     assert colour == "bad"
-    assert "1 of 2 bounds not met" in said
-    assert "control error, mean: 2.5 mm, at most 1 mm asked for" in said
+    assert "1 of 2 bounds not met" in shown
+    assert "control error, mean: 2.5 mm, at most 1 mm asked for" in shown
 
 
 @pytest.mark.usefixtures("plain")
@@ -99,14 +99,14 @@ def test_without_bounds_it_says_how_to_ask_for_some(story: Make, page: Make) -> 
 
 @pytest.mark.usefixtures("plain")
 def test_a_fault_is_said_first_and_stops_are_listed(story: Make, page: Make, add_status: Make) -> None:
-    told = story()
-    recording = told.recording()
+    run = story()
+    recording = run.recording()
     for k, gate in ((10, GateStatus.OPEN), (20, GateStatus.NO_ENABLE)):
-        add_status(recording, "r2", told.stamp(k), gate=gate)
-    colour, said = verdict(text := page(recording, outcome="fault", cause="r2: <its own> e-stop"))
+        add_status(recording, "r2", run.stamp(k), gate=gate)
+    colour, shown = verdict(text := page(recording, outcome="fault", cause="r2: <its own> e-stop"))
     assert colour == "bad"
-    assert said.startswith("Ended by a fault: r2: <its own> e-stop")
-    assert "1 stop of a robot by itself" in said
+    assert shown.startswith("Ended by a fault: r2: <its own> e-stop")
+    assert "1 stop of a robot by itself" in shown
     assert "0.66 r2 no enable" in " ".join(words(text).split())
 
 
@@ -131,9 +131,9 @@ def test_a_run_that_did_not_start_says_why_and_shows_no_empty_plot(
 ) -> None:
     recording = Recording(story().config)
     add_status(recording, "r1", 5_000_000_000)
-    colour, said = verdict(text := page(recording, outcome="fault", cause="r1: its wheels are swapped"))
+    colour, shown = verdict(text := page(recording, outcome="fault", cause="r1: its wheels are swapped"))
     assert colour == "bad"
-    assert said.startswith("Did not start: r1: its wheels are swapped")
+    assert shown.startswith("Did not start: r1: its wheels are swapped")
     assert plots(text) == [TITLES[0]]
     assert "never running" in words(text)
 
@@ -142,9 +142,9 @@ def test_a_run_that_did_not_start_says_why_and_shows_no_empty_plot(
 def test_a_file_that_broke_off_and_messages_that_are_missing_are_said(story: Make, page: Make) -> None:
     recording = story().recording()
     recording.trouble, recording.dropped = "ends before its index", 1234
-    said = verdict(page(recording))[1]
-    assert "ends before its index" in said
-    assert "1,234 messages" in said
+    text_shown = verdict(page(recording))[1]
+    assert "ends before its index" in text_shown
+    assert "1,234 messages" in text_shown
 
 
 def test_one_robot_alone_has_a_page(story: Make, page: Make) -> None:
@@ -159,8 +159,8 @@ def test_a_hundred_robots_fit_into_two_megabytes(page: Make) -> None:
     robots = tuple(robot.model_copy(update={"id": f"r{k}", "tag": k}) for k in range(MANY))
     settings = config.groups[0].settings | {"spacing_m": 0.03}
     group = config.groups[0].model_copy(update={"robots": tuple(r.id for r in robots), "settings": settings})
-    told = Story(config.model_copy(update={"robots": robots, "groups": (group,)}), 150)
-    text = page(told.recording())
+    run = Story(config.model_copy(update={"robots": robots, "groups": (group,)}), 150)
+    text = page(run.recording())
     assert len(text) < 2_000_000
     assert 'href="data:image/png' in text, "so many lines are drawn as pixels"
     assert len(set(robot_colours(MANY))) > 60
@@ -197,9 +197,9 @@ def test_every_figure_is_a_file_for_a_paper_too_and_the_page_links_it(
 def test_an_aborted_run_says_its_cause_first_and_no_bound_that_was_not_judged(story: Make, page: Make) -> None:
     recording = story("run.bounds.overruns=30").recording(truth=False)
     text = page(recording, outcome="stopped", cause="the operator interrupted")
-    said = [line.strip() for line in verdict(text)[1].splitlines()]
-    assert said[0] == "Stopped: the operator interrupted"
-    assert said[-1] == "4 of 8 bounds were not judged: the run ended too early."
+    lines = [line.strip() for line in verdict(text)[1].splitlines()]
+    assert lines[0] == "Stopped: the operator interrupted"
+    assert lines[-1] == "4 of 8 bounds were not judged: the run ended too early."
     assert "not measured, " not in words(text)
     assert "\N{BALLOT X}" not in words(text)
     assert words(text).count("not judged") >= 5
@@ -213,16 +213,16 @@ def robofleet(*arguments: object) -> Any:
 def kept(tmp_path: Path) -> Callable[..., Path]:
     """Return what keeps a hand-made run in a folder, as its recorder does."""
 
-    def keep(told: Story, name: str) -> Path:
+    def keep(run: Story, name: str) -> Path:
         folder = tmp_path / name
         folder.mkdir()
-        recording = told.recording()
+        recording = run.recording()
         placed = sorted(
-            (place, full, payload) for full in recording.messages for place, payload in recording.placed(full)
+            (index, full, payload) for full in recording.messages for index, payload in recording.placed(full)
         )
-        with RunLog(folder / FILE, told.config) as log:
-            for place, full, payload in placed:
-                log.add(full, payload, place)
+        with RunLog(folder / FILE, run.config) as log:
+            for index, full, payload in placed:
+                log.add(full, payload, index)
         return folder
 
     return keep
@@ -242,26 +242,26 @@ def test_the_command_writes_page_and_columns_beside_the_recording(story: Make, k
 
 @pytest.mark.usefixtures("plain")
 def test_the_command_ends_with_1_where_a_bound_was_not_met(story: Make, kept: Make) -> None:
-    told = story("run.bounds={path_error_mean_mm: 4}")
-    told.aside(0.005)
-    result = robofleet(folder := kept(told, "one"))
+    run = story("run.bounds={path_error_mean_mm: 4}")
+    run.aside(0.005)
+    result = robofleet(folder := kept(run, "one"))
     assert result.exit_code == 1
     assert result.stderr == "bound not met: path error, mean: 5 mm, at most 4 mm asked for\n"
     assert (folder / "report.html").exists()
 
 
 def test_bad_input_is_one_line_and_exit_code_2(story: Make, kept: Make, tmp_path: Path) -> None:
-    one = kept(story(ticks=3), "one")
+    run_folder = kept(story(ticks=3), "one")
     (tmp_path / "text.mcap").write_text("no recording")
-    for arguments, said in (
+    for arguments, message in (
         ((tmp_path / "nowhere",), "there is no such recording"),
         ((tmp_path / "text.mcap",), "not a recording"),
-        ((one, tmp_path / "nowhere"), "there is no such recording"),
-        ((one, "--out", tmp_path / "two.html"), "--out: one run's report stands in its folder"),
-        ((one, one, "--out", one / FILE / "page.html"), "cannot be written"),
+        ((run_folder, tmp_path / "nowhere"), "there is no such recording"),
+        ((run_folder, "--out", tmp_path / "two.html"), "--out: one run's report stands in its folder"),
+        ((run_folder, run_folder, "--out", run_folder / FILE / "page.html"), "cannot be written"),
     ):
         result = robofleet(*arguments)
         assert (result.exit_code, result.stdout) == (2, ""), result.output
         (line,) = result.stderr.splitlines()
-        assert said in line
-    assert not (one / "report.html").exists()
+        assert message in line
+    assert not (run_folder / "report.html").exists()

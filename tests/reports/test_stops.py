@@ -16,7 +16,7 @@ RUNNING = Phase.RUNNING, Event.PROVED
 
 
 @pytest.fixture
-def told(story: Make, figures: Make, add_status: Make, add_state: Make) -> Callable[..., list[dict[str, Any]]]:
+def stops_of(story: Make, figures: Make, add_status: Make, add_state: Make) -> Callable[..., list[dict[str, Any]]]:
     """Return the stops of a run in which r1's gate closes at tick 100, and things are said before and after."""
 
     def stops(
@@ -44,8 +44,8 @@ def causes(stops: list[dict[str, Any]]) -> list[str]:
     return [stop["cause"] for stop in stops]
 
 
-def test_a_stop_that_the_supervisor_ordered_has_the_runs_cause(told: Make) -> None:
-    (stop,) = told((Phase.HOLD, Event.POSE_JUMPED, 2))
+def test_a_stop_that_the_supervisor_ordered_has_the_runs_cause(stops_of: Make) -> None:
+    (stop,) = stops_of((Phase.HOLD, Event.POSE_JUMPED, 2))
     assert stop == {
         "t_s": pytest.approx(100 * 0.033), "robot": "r1", "cause": "no enable: r3: it was moved by hand",
         "by_operator": False, "target_ms": 21.0, "output_ms": 47.0,
@@ -53,41 +53,43 @@ def test_a_stop_that_the_supervisor_ordered_has_the_runs_cause(told: Make) -> No
 
 
 @pytest.mark.parametrize(
-    ("phase", "event", "asked"),
+    ("phase", "event", "requested_event"),
     [(Phase.HOLD, Event.HOLD_REQUESTED, True), (Phase.ESTOP, Event.ESTOP_REQUESTED, True),
      (Phase.ESTOP, Event.STOPPED_AT_GATE, True), (Phase.ESTOP, Event.OPERATOR_LOST, False),
      (Phase.HOLD, Event.CAMERA_STALLED, False)],
 )  # fmt: skip
-def test_what_the_operator_asked_for_is_no_stop_by_itself(told: Make, phase: Phase, event: Event, asked: bool) -> None:
-    (stop,) = told((phase, event))
-    assert stop["by_operator"] is asked
+def test_what_the_operator_asked_for_is_no_stop_by_itself(
+    stops_of: Make, phase: Phase, event: Event, requested_event: bool
+) -> None:
+    (stop,) = stops_of((phase, event))
+    assert stop["by_operator"] is requested_event
     figures = {"stops": [stop], "ticks": 300}
-    assert JUDGED["stops"].value_of(figures) == (0 if asked else 1)
+    assert JUDGED["stops"].value_of(figures) == (0 if requested_event else 1)
 
 
-def test_a_robot_that_stands_alone_has_its_own_cause(told: Make) -> None:
-    assert causes(told((*RUNNING, 0xFFFF, (Event.TAG_LATE, 0, 0, 0)))) == ["no enable: it is not seen"]
-    assert causes(told((*RUNNING, 0xFFFF, (0, Event.TAG_LATE, 0, 0)))) == ["no enable"], "that was another robot"
+def test_a_robot_that_stands_alone_has_its_own_cause(stops_of: Make) -> None:
+    assert causes(stops_of((*RUNNING, 0xFFFF, (Event.TAG_LATE, 0, 0, 0)))) == ["no enable: it is not seen"]
+    assert causes(stops_of((*RUNNING, 0xFFFF, (0, Event.TAG_LATE, 0, 0)))) == ["no enable"], "that was another robot"
 
 
-def test_a_gate_that_closed_by_itself_has_the_cause_that_is_found_within_a_second(told: Make) -> None:
+def test_a_gate_that_closed_by_itself_has_the_cause_that_is_found_within_a_second(stops_of: Make) -> None:
     silent = (Phase.FAULT, Event.CONTROLLER_SILENT)
     why = "no command: the controller went silent"
-    assert causes(told(after=silent, after_ticks=20, gate=GateStatus.NO_COMMAND)) == [why]
-    assert causes(told(after=silent, after_ticks=40, gate=GateStatus.NO_COMMAND)) == ["no command"]
+    assert causes(stops_of(after=silent, after_ticks=20, gate=GateStatus.NO_COMMAND)) == [why]
+    assert causes(stops_of(after=silent, after_ticks=40, gate=GateStatus.NO_COMMAND)) == ["no command"]
 
 
-def test_what_an_operator_asks_for_later_closed_no_gate_before(told: Make) -> None:
-    asked = (Phase.ESTOP, Event.ESTOP_REQUESTED)
-    assert causes(told(after=asked, after_ticks=2)) == ["no enable: emergency stop requested"]
-    assert causes(told(after=asked, after_ticks=10)) == ["no enable"]
+def test_what_an_operator_asks_for_later_closed_no_gate_before(stops_of: Make) -> None:
+    estop = (Phase.ESTOP, Event.ESTOP_REQUESTED)
+    assert causes(stops_of(after=estop, after_ticks=2)) == ["no enable: emergency stop requested"]
+    assert causes(stops_of(after=estop, after_ticks=10)) == ["no enable"]
 
 
-def test_a_fault_at_the_end_of_a_run_is_a_stop_and_a_controlled_stop_is_none(told: Make) -> None:
+def test_a_fault_at_the_end_of_a_run_is_a_stop_and_a_controlled_stop_is_none(stops_of: Make) -> None:
     """The controller counts no tick of the run any more when the gates close."""
-    assert causes(told((Phase.FAULT, Event.TAG_LOST, 1), ticks=99)) == ["no enable: r2: the tracker lost the robot"]
-    assert told((Phase.IDLE, Event.STOP_REQUESTED), ticks=99) == []
-    assert told(after=(Phase.IDLE, Event.STOP_REQUESTED), after_ticks=2, ticks=99) == []
+    assert causes(stops_of((Phase.FAULT, Event.TAG_LOST, 1), ticks=99)) == ["no enable: r2: the tracker lost the robot"]
+    assert stops_of((Phase.IDLE, Event.STOP_REQUESTED), ticks=99) == []
+    assert stops_of(after=(Phase.IDLE, Event.STOP_REQUESTED), after_ticks=2, ticks=99) == []
 
 
 def test_a_figure_that_is_of_another_stop_is_none(story: Make, figures: Make, add_status: Make) -> None:
@@ -99,8 +101,8 @@ def test_a_figure_that_is_of_another_stop_is_none(story: Make, figures: Make, ad
     assert (stop["target_ms"], stop["output_ms"]) == (120.0, None)
 
 
-def test_values_of_another_version_break_nothing(told: Make, story: Make, figures: Make) -> None:
-    assert causes(told((9, 999))) == ["no enable: a cause that is not known here (999)"]
+def test_values_of_another_version_break_nothing(stops_of: Make, story: Make, figures: Make) -> None:
+    assert causes(stops_of((9, 999))) == ["no enable: a cause that is not known here (999)"]
     assert named(GateStatus, 77) == "unknown (77)"
     assert cause(Event.TOO_CLOSE, 0, 1.0, ("r1", "r2")) == "r1: it is too close to r2"
     assert figures(Recording(story().config))["stops"] == []

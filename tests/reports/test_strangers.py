@@ -42,17 +42,17 @@ def test_no_recording_harms_who_looks_at_it(tmp_path: Path, every: bool) -> None
         for command in ("report", "replay", "repair")[slice(None) if every else slice(k % 3, k % 3 + 1)]:
             names.append(f"{command}, {name}")
             lines.append((command, folder))
-    wrong = {name: said for name, came in zip(names, commands(lines), strict=True) if (said := is_well(came))}
-    assert not wrong, "\n".join(f"{name}: {said}" for name, said in wrong.items())
+    wrong = {name: complaint for name, came in zip(names, commands(lines), strict=True) if (complaint := is_well(came))}
+    assert not wrong, "\n".join(f"{name}: {complaint}" for name, complaint in wrong.items())
 
 
 @pytest.fixture
-def run(said: recorded.Said, tmp_path: Path) -> Path:
+def run(run_messages: recorded.Messages, tmp_path: Path) -> Path:
     """Return the folder of a good run."""
     folder = tmp_path / "run"
     folder.mkdir()
     with RunLog(folder / FILE, recorded.config()) as log:
-        recorded.write(log, said[:300])
+        recorded.write(log, run_messages[:300])
     return folder
 
 
@@ -65,9 +65,9 @@ def test_nothing_is_written_through_a_link(run: Path, tmp_path: Path) -> None:
     written = "report.html", "metrics.csv", "compare-run.html", f"{FILE}.repairing", f"{FILE}.damaged"
     for name in (*written, "summary.json"):
         (run / name).symlink_to(mine)
-    asked = ("report", run), ("report", run, run), ("repair", run), ("replay", run)
-    came = commands([*asked, ("report", run, run, "--out", run / "report.html")])
-    assert [is_well(one) for one in came] == [""] * len(came)
+    commands_asked = ("report", run), ("report", run, run), ("repair", run), ("replay", run)
+    came = commands([*commands_asked, ("report", run, run, "--out", run / "report.html")])
+    assert [is_well(result) for result in came] == [""] * len(came)
     assert mine.read_text() == MINE
     assert not (run / "report.html").is_symlink()
     assert (run / "report.html").read_text().startswith("<!doctype html>")
@@ -127,7 +127,7 @@ def odd(run: Path, tmp_path: Path) -> Iterator[list[Path]]:
 
 @pytest.mark.slow
 def test_what_is_no_recording_is_refused_in_a_line(odd: list[Path], run: Path) -> None:
-    asked = [
+    commands_asked = [
         (*command, *names)
         for name in odd
         for command, names in ((["report"], [name]), (["replay"], [name]), (["repair"], [name]),
@@ -135,7 +135,7 @@ def test_what_is_no_recording_is_refused_in_a_line(odd: list[Path], run: Path) -
     ]  # fmt: skip
     wrong = [
         f"{line}: {why}"
-        for line, came in zip(asked, commands(asked), strict=True)
+        for line, came in zip(commands_asked, commands(commands_asked), strict=True)
         if (why := is_well(came, may_succeed=False))
     ]
     assert not wrong, "\n".join(wrong)
@@ -145,14 +145,14 @@ def test_what_no_page_can_stand_in_is_refused_in_a_line(run: Path, tmp_path: Pat
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
     outs = ["/dev/null", tmp_path / "pipe", tmp_path, tmp_path / "link", run / FILE / "x", tmp_path / ("x" * 300), ""]
-    asked = [("report", run, run, "--out", out) for out in outs]
+    commands_asked = [("report", run, run, "--out", out) for out in outs]
     for folder in ("report.html", "metrics.csv"):
-        asked.append(("report", copy := tmp_path / f"run of {folder}"))
+        commands_asked.append(("report", copy := tmp_path / f"run of {folder}"))
         (copy / folder).mkdir(parents=True)
         (copy / FILE).write_bytes((run / FILE).read_bytes())
     wrong = [
         f"{line}: {why}"
-        for line, came in zip(asked, commands(asked), strict=True)
+        for line, came in zip(commands_asked, commands(commands_asked), strict=True)
         if (why := is_well(came, may_succeed=False))
     ]
     assert not wrong, "\n".join(wrong)
@@ -181,5 +181,5 @@ def test_a_folder_whose_name_is_no_text_has_a_report(run: Path) -> None:
     strange = Path(os.fsdecode(bytes(run.parent) + b"/\xff\n$x$"))
     run.rename(strange)
     came = commands([("report", strange), ("report", strange, strange), ("replay", strange), ("repair", strange)])
-    assert [is_well(one) for one in came] == [""] * 4
-    assert all(one.exit_code != REFUSED for one in came)
+    assert [is_well(result) for result in came] == [""] * 4
+    assert all(result.exit_code != REFUSED for result in came)

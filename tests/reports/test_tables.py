@@ -41,14 +41,14 @@ def row(text: str, label: str) -> str:
 def test_the_table_shows_what_was_measured_beside_the_paper(
     story: Make, figures: Make, add_status: Make, add_image: Make
 ) -> None:
-    told = story()
-    told.aside(0.003)
-    told.control_error[:] = [0.001, 0.002, 0.003, 0.006]
-    recording = told.recording()
-    add_status(recording, "r2", told.stamp(10), applied=(told.stamp(10) - 21_000_000, told.stamp(10)))
-    add_status(recording, "r2", told.stamp(20), gate=GateStatus.NO_ENABLE)
-    add_image(recording, told.stamp(10), (1, 2, 3))
-    text = printed(summary_table(figures(recording), told.config))
+    run = story()
+    run.aside(0.003)
+    run.control_error[:] = [0.001, 0.002, 0.003, 0.006]
+    recording = run.recording()
+    add_status(recording, "r2", run.stamp(10), applied=(run.stamp(10) - 21_000_000, run.stamp(10)))
+    add_status(recording, "r2", run.stamp(20), gate=GateStatus.NO_ENABLE)
+    add_image(recording, run.stamp(10), (1, 2, 3))
+    text = printed(summary_table(figures(recording), run.config))
     for value in ("3.00 (6.0)", "about 5", "1.00  2.00  3.00  6.00"):
         assert value in row(text, "control error")
     assert "3.00 (3.0)" in row(text, "path error")
@@ -63,9 +63,9 @@ def test_the_table_shows_what_was_measured_beside_the_paper(
 
 
 def test_robots_figures_stand_below_their_names_however_large_they_are(story: Make, figures: Make) -> None:
-    told = story()
-    told.control_error[:] = [0.1, 0.02, 1.5, 0.003]
-    text = printed(summary_table(figures(told.recording()), told.config))
+    run = story()
+    run.control_error[:] = [0.1, 0.02, 1.5, 0.003]
+    text = printed(summary_table(figures(run.recording()), run.config))
     names, values = (
         re.finditer(what, row(text, label)) for label, what in (("figure ", r"r\d"), ("control", r"[\d.]+"))
     )
@@ -74,8 +74,8 @@ def test_robots_figures_stand_below_their_names_however_large_they_are(story: Ma
 
 @pytest.mark.parametrize(("width", "left_out"), [(120, ""), (80, ""), (60, "the paper, each robot")])
 def test_it_fits_a_terminal_and_says_what_it_leaves_out(story: Make, figures: Make, width: int, left_out: str) -> None:
-    told = story()
-    text = printed(summary_table(figures(told.recording()), told.config), width)
+    run = story()
+    text = printed(summary_table(figures(run.recording()), run.config), width)
     assert "…" not in text
     assert max(map(len, text.splitlines())) <= width
     for label in ERRORS:
@@ -92,23 +92,23 @@ def test_it_fits_a_terminal_and_says_what_it_leaves_out(story: Make, figures: Ma
      ("groups.0.settings.path.knots.0.at_m=[-1.15, 0.56]", False)],
 )  # fmt: skip
 def test_the_paper_is_beside_its_own_platoon_alone(story: Make, figures: Make, change: str, papers: bool) -> None:
-    told = story(change)
-    text = printed(summary_table(figures(told.recording()), told.config))
+    run = story(change)
+    text = printed(summary_table(figures(run.recording()), run.config))
     assert ("the paper" in text) == ("about 5" in text) == papers
 
 
 def test_an_operators_hold_is_told_from_a_stop_by_itself(
     story: Make, figures: Make, add_status: Make, add_state: Make
 ) -> None:
-    told = story()
-    recording = told.recording()
+    run = story()
+    recording = run.recording()
     add_state(recording, Phase.RUNNING, Event.PROVED)
     for robot in ("r1", "r2"):
-        add_status(recording, robot, told.stamp(10))
+        add_status(recording, robot, run.stamp(10))
     add_state(recording, Phase.HOLD, Event.HOLD_REQUESTED)
     for robot in ("r1", "r2"):
-        add_status(recording, robot, told.stamp(20), gate=GateStatus.NO_ENABLE)
-    text = printed(summary_table(figures(recording), told.config))
+        add_status(recording, robot, run.stamp(20), gate=GateStatus.NO_ENABLE)
+    text = printed(summary_table(figures(recording), run.config))
     assert "by itself" not in text
     assert "the operator stopped r1, r2 at 0.7 s: no enable: hold requested\n" in text
 
@@ -133,9 +133,9 @@ def test_what_was_not_measured_is_said_so(figures: Make, config: Config) -> None
 
 
 def test_without_the_truth_the_controllers_own_figures_are_shown(story: Make, figures: Make) -> None:
-    told = story()
-    told.control_error[:] = 0.004
-    text = printed(summary_table(figures(told.recording(truth=False)), told.config))
+    run = story()
+    run.control_error[:] = 0.004
+    text = printed(summary_table(figures(run.recording(truth=False)), run.config))
     assert "4.00 (4.0)" in row(text, "control error")
     assert "not measured" in row(text, "timed error")
     assert "250.0" in row(text, "spacing,")
@@ -162,8 +162,8 @@ def test_a_running_arenas_status_says_who_may_move_and_who_is_silent() -> None:
     text = printed(status_table(status | where))
     assert "lab: hold (r2: it was moved by hand)" in text
     assert row(text, "r1").split() == ["r1", "open", "none", "93", "%", "12", "ms", "ago"]
-    for said in ("no enable", "wired stop", "unknown", "it is not seen"):
-        assert said in row(text, "r2")
+    for words in ("no enable", "wired stop", "unknown", "it is not seen"):
+        assert words in row(text, "r2")
     assert "silent" in row(text, "r3")
     assert "None" not in text
     assert "the supervisor is silent" in printed(status_table(status | where | {"phase": None, "cause": None}))

@@ -17,29 +17,29 @@ SOON = 0.04  # [s] between two statuses
 
 
 @pytest.fixture
-def told(story: Make, add_status: Make, add_state: Make) -> Recording:
+def recording(story: Make, add_status: Make, add_state: Make) -> Recording:
     """Return a run of 10 s that was armed 3 s before, held from 4 s on and resumed at 6 s."""
     story_ = story()
-    said = {-3.0: (Phase.ARMED, Event.START_REQUESTED), 0.0: (Phase.RUNNING, Event.PROVED)}
-    said |= {4.0: (Phase.HOLD, Event.HOLD_REQUESTED), 6.0: (Phase.RUNNING, Event.RESUME_REQUESTED)}
-    recording = Recording(story_.config)
+    states = {-3.0: (Phase.ARMED, Event.START_REQUESTED), 0.0: (Phase.RUNNING, Event.PROVED)}
+    states |= {4.0: (Phase.HOLD, Event.HOLD_REQUESTED), 6.0: (Phase.RUNNING, Event.RESUME_REQUESTED)}
+    made = Recording(story_.config)
     for k in range(-160, 500):
         t = k * 0.02
-        add_status(recording, "r1", story_.stamp(0) + round(t * 1e9))
-        if round(t, 2) in said:
-            add_state(recording, *said[round(t, 2)])
+        add_status(made, "r1", story_.stamp(0) + round(t * 1e9))
+        if round(t, 2) in states:
+            add_state(made, *states[round(t, 2)])
     for full, payloads in story_.recording().messages.items():
         for payload in payloads:
-            recording.add(full, payload)
-    return recording
+            made.add(full, payload)
+    return made
 
 
 def by(timeline: Timeline, who: str) -> list[Entry]:
     return [entry for entry in timeline.entries if entry.who == who]
 
 
-def test_phases_follow_each_other_at_the_instants_of_what_was_said_around_them(told: Recording) -> None:
-    timeline = Timeline(Run(told), [])
+def test_phases_follow_each_other_at_the_instants_of_what_was_said_around_them(recording: Recording) -> None:
+    timeline = Timeline(Run(recording), [])
     phases = [(span.name, pytest.approx(span.t_s, abs=SOON)) for span in timeline.phases]
     assert phases == [("armed", -3.0), ("running", 0.0), ("hold", 4.0), ("running", 6.0)]
     ends = [span.until_s for span in timeline.phases]
@@ -48,13 +48,13 @@ def test_phases_follow_each_other_at_the_instants_of_what_was_said_around_them(t
     assert timeline.begin_s == pytest.approx(-3.2)
 
 
-def test_stops_and_news_are_of_those_whom_they_concern(told: Recording, story: Make) -> None:
+def test_stops_and_news_are_of_those_whom_they_concern(recording: Recording, story: Make) -> None:
     start = story().stamp(0)
     for at_s, event, tag in ((-2.0, TrackerEvent.TAG_FOUND, 3), (5.0, TrackerEvent.CAMERA_STALLED, NO_TAG)):
         message = TrackerNews(1, 1, start + round(at_s * 1e9), event, tag, 0.25)
-        told.add(key("platoon", NEWS, CAMERA), TRACKER_NEWS.encode(message))
+        recording.add(key("platoon", NEWS, CAMERA), TRACKER_NEWS.encode(message))
     stop = {"t_s": 7.5, "robot": "r2", "cause": "no enable", "target_ms": None, "output_ms": None}
-    timeline = Timeline(Run(told), [stop])
+    timeline = Timeline(Run(recording), [stop])
     assert by(timeline, "r2") == [Entry(7.5, 7.5, "r2", "no enable", stop=True)]
     assert by(timeline, "r3") == [Entry(-2.0, -2.0, "r3", "tag 3 found")]
     assert by(timeline, TRACKER) == [Entry(5.0, 5.0, TRACKER, "camera stalled: no image for 0.25 s")]
@@ -62,8 +62,8 @@ def test_stops_and_news_are_of_those_whom_they_concern(told: Recording, story: M
     assert times == sorted(times)
 
 
-def test_ticks_that_overrun_soon_after_each_other_are_one_entry(told: Recording) -> None:
-    (overruns,) = by(Timeline(Run(told), []), CONTROLLER)  # one every ten ticks
+def test_ticks_that_overrun_soon_after_each_other_are_one_entry(recording: Recording) -> None:
+    (overruns,) = by(Timeline(Run(recording), []), CONTROLLER)  # one every ten ticks
     assert overruns.what == "29 ticks overrun"
     assert (overruns.t_s, overruns.until_s) == (pytest.approx(10 * 0.033), pytest.approx(290 * 0.033))
 

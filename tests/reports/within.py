@@ -42,12 +42,12 @@ def _asked(line: list[str]) -> Came:
     assert child.stdin is not None and child.stdout is not None
     child.stdin.write(json.dumps(line).encode() + b"\n")
     answers, _, _ = select.select([child.stdout], [], [], 60 + PATIENCE_S)
-    said = child.stdout.readline() if answers else b""
-    if not said:
+    answer = child.stdout.readline() if answers else b""
+    if not answer:
         _child.cache_clear()
         _end(child)
-    assert said, f"{line} ended the process, or never ended: {child.returncode}"
-    return Came(*json.loads(said))
+    assert answer, f"{line} ended the process, or never ended: {child.returncode}"
+    return Came(*json.loads(answer))
 
 
 @functools.cache

@@ -19,8 +19,8 @@ from typer.testing import CliRunner, Result
 
 from robofleet.cli import app
 from robofleet.core.clock import MS, S, WallClock
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 GONE_WITHIN_S = 5.0  # a second, and what a busy machine takes
 _STARTED_WITHIN_S = 150  # on a busy machine that has to compile every kernel first
 _ENDED_WITHIN_S = 120  # the same; how long a stop takes is measured, not waited for
@@ -60,15 +60,15 @@ def own_folders(folder: Path) -> dict[str, str]:
     return os.environ | {variable: str(folder / name) for variable, name in names.items()}
 
 
-def was_busy(said: str) -> bool:
+def was_busy(output: str) -> bool:
     """Return whether a run said that its machine is busy: then it is held at times, and goes on by itself."""
-    return "this machine is busy" in said
+    return "this machine is busy" in output
 
 
-def newest(said: str) -> str:
+def newest(output: str) -> str:
     """Return the newest line of what a run said that tells where it is: it tells so again and again."""
-    told = (line for line in reversed(said.splitlines()) if line.startswith(("waiting", "armed", "running", "held")))
-    return next(told, "")
+    lines = (line for line in reversed(output.splitlines()) if line.startswith(("waiting", "armed", "running", "held")))
+    return next(lines, "")
 
 
 def fill(descriptor: int) -> None:
@@ -107,10 +107,10 @@ class RealRun:
         if screen == "full terminal":
             fill(theirs)
         with self._stdout.open("wb") as out, self._stderr.open("wb") as err:
-            said = theirs if isinstance(screen, str) else screen
+            output = theirs if isinstance(screen, str) else screen
             self.launcher = subprocess.Popen(
                 [*command, *(["--json"] if screen is None else []), *arguments],
-                stdin=theirs, stdout=said or out, stderr=said or err, env=self.environment,
+                stdin=theirs, stdout=output or out, stderr=output or err, env=self.environment,
                 start_new_session=terminal,
                 preexec_fn=(take_terminal_for_good if nohup else take_terminal) if terminal else None,  # noqa: PLW1509 - no thread holds a lock here
             )  # fmt: skip

@@ -29,8 +29,8 @@ from robofleet.safety.gate import LeaseAction
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.serial_line import SerialLine
-from robofleet.vehicles.body import SimulatedBody
 from robofleet.vehicles.interface import WheelSpeeds
+from robofleet.vehicles.plant import Plant
 from tests.bus.alone import ENABLE as ENABLE_LAYOUT
 from tests.bus.alone import LEASE_ANSWER, ROBOT_STATUS, WHEEL_COMMAND, Enable, RobotStatus, WheelCommand
 from tests.endpoints import own_endpoint
@@ -50,10 +50,10 @@ class FarEnd(threading.Thread):
 
     def __init__(self, config: Config, driver: str, port: Path) -> None:
         super().__init__(daemon=True)
-        simulation = slices.simulation(config, config.robots[0], None)
-        self._period_ns = round(simulation.imperfections.loop_period * S)
-        self._body = SimulatedBody(simulation, CLOCK.now_ns())
-        self._hardware = Hardware(simulation.drive, simulation.imperfections, self._body.plant)
+        s = slices.simulation(config, config.robots[0], None)
+        self._period_ns = round(s.imperfections.loop_period * S)
+        self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=CLOCK.now_ns())
+        self._hardware = Hardware(s.drive, s.imperfections, self._plant)
         self._firmware = load("robofleet.twins", driver)(self._hardware)
         self._motion = MOTION[driver]
         self._line = SerialLine(port)
@@ -65,21 +65,21 @@ class FarEnd(threading.Thread):
         loop_ns, was_open = CLOCK.now_ns(), False
         while not self.ended.is_set():
             wait_s = max(0.0, (loop_ns - CLOCK.now_ns()) / S)
-            heard = self._line.descriptor
-            select.select([] if heard is None else [heard], [], [], min(0.01, wait_s))
+            readable = self._line.descriptor
+            select.select([] if readable is None else [readable], [], [], min(0.01, wait_s))
             data, now_ns = self._line.read(), CLOCK.now_ns()
             if self._motion in data:
                 self.commanded_ns.append(now_ns)
             if self._line.open and not was_open:
                 self._firmware.opened(now_ns)
             was_open = self._line.open
-            said = self._firmware.receive(data, now_ns) if data else b""
+            answer = self._firmware.receive(data, now_ns) if data else b""
             if now_ns >= loop_ns:
                 loop_ns = now_ns + self._period_ns
-                said += self._firmware.loop(now_ns)
-                self._body.command(self._hardware.command)
-                self._body.advance(now_ns)
-            self._line.write(said)
+                answer += self._firmware.loop(now_ns)
+                self._plant.write(self._hardware.command)
+                self._plant.advance(now_ns)
+            self._line.write(answer)
         self._line.unplug()
 
 

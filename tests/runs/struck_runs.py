@@ -39,7 +39,7 @@ class Struck(NamedTuple):
 
 def victims(config: Path, settings: list[str]) -> list[Process]:
     """Return the processes of a configuration's run, but for the page."""
-    return [one for one in table.processes(load_config(config, settings)) if one.row is not table.PAGE]
+    return [process for process in table.processes(load_config(config, settings)) if process.row is not table.PAGE]
 
 
 class _Wheels:
@@ -126,7 +126,9 @@ def _held(run: RealRun) -> bool:
 
 def _left(run: RealRun, folder: Path) -> list[str]:
     """Return the processes, files and sockets that outlive a run."""
-    found = [] if run.nothing_is_left() else [f"process {' '.join(one.cmdline()[2:5])}" for one in run.children()]
+    found = (
+        [] if run.nothing_is_left() else [f"process {' '.join(process.cmdline()[2:5])}" for process in run.children()]
+    )
     files = (path for name in ("rt", "tmp") for path in (folder / name).rglob("*") if not path.is_dir())
     return [*found, *(f"{'socket' if path.is_socket() else 'file'} {path.relative_to(folder)}" for path in files)]
 

@@ -24,8 +24,8 @@ from robofleet.config.tree import Config
 from robofleet.operator import requests as operator
 from robofleet.scripts.fleet import Fleet, FleetError
 from tests.endpoints import short_folder
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 SWIRL = PLATOON.with_name("swirl.yaml")
 ENDPOINT = "bus.endpoint=unixsock-stream//run/lab/bus.sock"
 FLOCK = Struct("hhqqi4x")  # kind, whence, start, length, process
@@ -34,7 +34,7 @@ as_root = pytest.mark.skipif(ME != 0, reason="only root can be somebody else")
 
 
 @pytest.fixture
-def place(monkeypatch: pytest.MonkeyPatch) -> Path:
+def users_folder(monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder in which all users of this test leave their files."""
     folder = short_folder()
     folder.chmod(0o1777)
@@ -62,8 +62,8 @@ def config(*changes: str) -> Config:
     return load_config(PLATOON, [ENDPOINT, *changes])
 
 
-def register(place: Path) -> Path:
-    return place / "tmp" / "robofleet"
+def register(users_folder: Path) -> Path:
+    return users_folder / "tmp" / "robofleet"
 
 
 def as_nobody(act: Callable[[], object]) -> str:
@@ -77,17 +77,17 @@ def as_nobody(act: Callable[[], object]) -> str:
             os.setresgid(NOBODY, NOBODY, NOBODY)
             os.setresuid(NOBODY, NOBODY, NOBODY)
             try:
-                said = str(act())
+                text = str(act())
             except BaseException as error:  # noqa: BLE001 - it is told
-                said = f"{type(error).__name__}: {error}"
-            os.write(writing, said.encode())
+                text = f"{type(error).__name__}: {error}"
+            os.write(writing, text.encode())
         finally:
             os._exit(0)
     os.close(writing)
-    with os.fdopen(reading) as told:
-        said = told.read()
+    with os.fdopen(reading) as pipe:
+        text = pipe.read()
     os.waitpid(child, 0)
-    return said
+    return text
 
 
 class Elsewhere:
@@ -125,57 +125,60 @@ class Elsewhere:
         os.waitpid(self._child, 0)
 
 
-def test_a_run_is_found_where_the_runtime_folder_is_another_one(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_is_found_where_the_runtime_folder_is_another_one(
+    users_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with claimed(config(), Path("somewhere")):
         for runtime in (short_folder(), short_folder() / "new"):
             monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
-            assert [there.arena for there in running()] == ["platoon"]
+            assert [run.arena for run in running()] == ["platoon"]
             with pytest.raises(ArenaBusyError, match=r"has a run already, in .*somewhere"), claimed(config(), Path()):
                 pass
         monkeypatch.delenv("XDG_RUNTIME_DIR")
-        assert [there.pid for there in running()] == [os.getpid()]
+        assert [run.pid for run in running()] == [os.getpid()]
     assert running() == []
 
 
 def test_a_run_is_found_by_the_private_folder_where_the_register_is_another_one(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+    users_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with claimed(config(), Path()):
         monkeypatch.setenv("TMPDIR", str(short_folder()))
-        assert [there.arena for there in running()] == ["platoon"]
+        assert [run.arena for run in running()] == ["platoon"]
         with pytest.raises(ArenaBusyError), claimed(config(), Path()):
             pass
 
 
-def test_the_places_where_was_looked_are_named(place: Path) -> None:
+def test_the_places_where_was_looked_are_named(users_folder: Path) -> None:
     with pytest.raises(operator.NoArenaError) as refused:
         operator.chosen(None)
     assert str(refused.value) == (
-        f"no arena has a run in {register(place)} or {place}/run/robofleet: start one with `robofleet run CONFIG`"
+        f"no arena has a run in {register(users_folder)} or {users_folder}/run/robofleet: "
+        "start one with `robofleet run CONFIG`"
     )
 
 
-def test_a_file_that_was_left_behind_is_no_run_and_is_replaced(place: Path) -> None:
+def test_a_file_that_was_left_behind_is_no_run_and_is_replaced(users_folder: Path) -> None:
     with claimed(config(), Path("somewhere")):
-        (file,) = register(place).iterdir()
+        (file,) = register(users_folder).iterdir()
         left_behind = file.read_text()
         assert file.name == f"platoon.{ME}.json"
         assert file.stat().st_mode & 0o7777 == 0o644
-        (there,) = running()
-    assert there == ArenaFile(
+        (run,) = running()
+    assert run == ArenaFile(
         "platoon", "unixsock-stream//run/lab/bus.sock", os.getpid(), str(Path("somewhere").absolute()),
-        there.started, ("r1", "r2", "r3", "r4"), {"r1": ("r1", "r2", "r3", "r4")}, ME,
+        run.started, ("r1", "r2", "r3", "r4"), {"r1": ("r1", "r2", "r3", "r4")}, ME,
     )  # fmt: skip
     for content in (left_behind, left_behind + " " * 5000, ""):  # its launcher was killed
         file.write_text(content)
         assert running() == []
         with claimed(config(), Path("again")):
-            (there,) = running()
-            assert there.folder == str(Path("again").absolute())
+            (run,) = running()
+            assert run.folder == str(Path("again").absolute())
         assert not file.exists()
 
 
-def test_an_arena_has_one_run_and_who_was_refused_takes_nothing_away(place: Path) -> None:
+def test_an_arena_has_one_run_and_who_was_refused_takes_nothing_away(users_folder: Path) -> None:
     with claimed(config(), Path("somewhere")):
         with pytest.raises(ArenaBusyError, match=f"`kill {os.getpid()}`"), claimed(config(), Path()):
             pass
@@ -184,7 +187,7 @@ def test_an_arena_has_one_run_and_who_was_refused_takes_nothing_away(place: Path
         assert len(running()) == 1
 
 
-def test_of_many_who_begin_in_the_same_moment_one_has_the_arena(place: Path) -> None:
+def test_of_many_who_begin_in_the_same_moment_one_has_the_arena(users_folder: Path) -> None:
     inside, most, refused = 0, 0, 0
     lock = threading.Lock()
 
@@ -213,10 +216,10 @@ def test_of_many_who_begin_in_the_same_moment_one_has_the_arena(place: Path) -> 
 
 
 @pytest.mark.parametrize("lock", [fcntl.LOCK_SH, fcntl.LOCK_EX])
-def test_who_only_reads_a_file_cannot_make_it_look_alive_nor_keep_it(place: Path, lock: int) -> None:
+def test_who_only_reads_a_file_cannot_make_it_look_alive_nor_keep_it(users_folder: Path, lock: int) -> None:
     """A file left behind, which a stranger opens and locks in every way that the system gives to a reader."""
     with claimed(config(), Path()):
-        (file,) = register(place).iterdir()
+        (file,) = register(users_folder).iterdir()
         text = file.read_text()
     file.write_text(text)
     with file.open() as stranger:
@@ -238,25 +241,25 @@ def test_who_only_reads_a_file_cannot_make_it_look_alive_nor_keep_it(place: Path
     ],
     ids=repr,
 )  # fmt: skip
-def test_what_no_launcher_has_written_is_no_run(place: Path, content: str | dict[str, object]) -> None:
+def test_what_no_launcher_has_written_is_no_run(users_folder: Path, content: str | dict[str, object]) -> None:
     with claimed(config(), Path()):
-        for file in (*register(place).iterdir(), *(place / "run" / "robofleet").iterdir()):
-            said = json.loads(file.read_text())
-            text = json.dumps(said | content) if isinstance(content, dict) else content
+        for file in (*register(users_folder).iterdir(), *(users_folder / "run" / "robofleet").iterdir()):
+            record = json.loads(file.read_text())
+            text = json.dumps(record | content) if isinstance(content, dict) else content
             with file.open("r+") as stream:  # the lock stays
                 stream.truncate()
                 stream.write(text)
-        assert [there.uid for there in running()] == ([ME] if content == {"uid": 0} else [])
+        assert [run.uid for run in running()] == ([ME] if content == {"uid": 0} else [])
 
 
-def test_a_link_or_a_pipe_in_the_place_of_a_file_is_passed_over_and_left_as_it_is(place: Path) -> None:
+def test_a_link_or_a_pipe_in_the_place_of_a_file_is_passed_over_and_left_as_it_is(users_folder: Path) -> None:
     found()  # makes the register
-    victim = place / "victim.json"
+    victim = users_folder / "victim.json"
     victim.write_text("precious")
-    file = register(place) / f"platoon.{ME}.json"
+    file = register(users_folder) / f"platoon.{ME}.json"
     file.symlink_to(victim)
-    os.mkfifo(register(place) / f"hall.{ME}.json")
-    (register(place) / "odd name.json").write_text("")
+    os.mkfifo(register(users_folder) / f"hall.{ME}.json")
+    (register(users_folder) / "odd name.json").write_text("")
     assert found().runs == ()
     with pytest.raises(PlaceError, match=rf"{file} is not a file of yours.*`rm {file}`"), claimed(config(), Path()):
         pass
@@ -269,45 +272,45 @@ def test_a_link_or_a_pipe_in_the_place_of_a_file_is_passed_over_and_left_as_it_i
 
 @pytest.mark.parametrize("how", ["a link", "a file", "not sticky", "closed"])
 def test_a_register_that_was_spoiled_keeps_nobody_from_stopping_his_own_run(
-    place: Path, how: str, capsys: pytest.CaptureFixture[str]
+    users_folder: Path, how: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with claimed(config(), Path("somewhere")):
-        register(place).rename(place / "away")
+        register(users_folder).rename(users_folder / "away")
         if how == "a link":
-            register(place).symlink_to(place / "away")
+            register(users_folder).symlink_to(users_folder / "away")
         elif how == "a file":
-            register(place).write_text("")
+            register(users_folder).write_text("")
         else:
-            register(place).mkdir()
-            register(place).chmod(0o777 if how == "not sticky" else 0o755)
+            register(users_folder).mkdir()
+            register(users_folder).chmod(0o777 if how == "not sticky" else 0o755)
         assert operator.chosen(None).arena == "platoon"
-        assert f"some runs may not be listed: {register(place)} is not the folder" in capsys.readouterr().err
+        assert f"some runs may not be listed: {register(users_folder)} is not the folder" in capsys.readouterr().err
         with pytest.raises(PlaceError, match=r"an administrator moves it away with `mv "), claimed(config(), Path()):
             pass
 
 
 def test_a_private_folder_that_was_spoiled_keeps_nobody_from_stopping_his_own_run(
-    place: Path, capsys: pytest.CaptureFixture[str]
+    users_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    victim = place / "victim"
+    victim = users_folder / "victim"
     victim.mkdir(mode=0o700)
     (victim / "lab.json").write_text("precious")
     with claimed(config(), Path("somewhere")):
-        (place / "run" / "robofleet").rename(place / "away")
-        (place / "run" / "robofleet").symlink_to(victim)
+        (users_folder / "run" / "robofleet").rename(users_folder / "away")
+        (users_folder / "run" / "robofleet").symlink_to(victim)
         assert operator.chosen(None).arena == "platoon"
         assert "some runs may not be listed" in capsys.readouterr().err
     assert (victim / "lab.json").read_text() == "precious"
 
 
 def test_of_several_arenas_one_is_named_except_for_the_emergency_stop(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+    users_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stopped: list[str] = []
 
-    def stop(there: ArenaFile) -> tuple[bool, str]:
-        stopped.append(there.arena)
-        return there.arena == "lab", there.arena
+    def stop(run: ArenaFile) -> tuple[bool, str]:
+        stopped.append(run.arena)
+        return run.arena == "lab", run.arena
 
     monkeypatch.setattr(operator, "stop", stop)
     with claimed(config(), Path()), claimed(config("arena.name=lab"), Path()):
@@ -322,12 +325,12 @@ def test_of_several_arenas_one_is_named_except_for_the_emergency_stop(
 
 
 @as_root
-def test_another_user_sees_a_run_and_may_neither_stop_it_nor_begin_one_there(place: Path) -> None:
+def test_another_user_sees_a_run_and_may_neither_stop_it_nor_begin_one_there(users_folder: Path) -> None:
     with claimed(config(), Path("/somewhere")):
-        said = as_nobody(lambda: operator.stop_all(None))
-        assert "(False, " in said
-        assert f"the arena platoon has a run of root (process {os.getpid()}), which is not yours" in said
-        assert "ask root or an administrator" in said
+        output = as_nobody(lambda: operator.stop_all(None))
+        assert "(False, " in output
+        assert f"the arena platoon has a run of root (process {os.getpid()}), which is not yours" in output
+        assert "ask root or an administrator" in output
         assert "ask root or an administrator" in as_nobody(lambda: operator.chosen(None))
         assert as_nobody(running) == "[]"
 
@@ -335,18 +338,18 @@ def test_another_user_sees_a_run_and_may_neither_stop_it_nor_begin_one_there(pla
             with claimed(config(), Path("/else")):
                 pass
 
-        said = as_nobody(begin)
-        assert said.startswith("ArenaBusyError: the arena platoon has a run already, in /somewhere since ")
-        assert "of root): ask root to end it, or an administrator" in said
+        output = as_nobody(begin)
+        assert output.startswith("ArenaBusyError: the arena platoon has a run already, in /somewhere since ")
+        assert "of root): ask root to end it, or an administrator" in output
         assert len(running()) == 1
     assert as_nobody(begin) == "None"
 
 
 @as_root
-def test_an_administrator_finds_the_runs_of_all(place: Path) -> None:
+def test_an_administrator_finds_the_runs_of_all(users_folder: Path) -> None:
     with Elsewhere("/theirs"):
-        (there,) = running()
-        assert (there.uid, there.user, there.folder) == (NOBODY, "nobody", "/theirs")
+        (found,) = running()
+        assert (found.uid, found.user, found.folder) == (NOBODY, "nobody", "/theirs")
         with pytest.raises(ArenaBusyError, match=r"of nobody.*: ask nobody to end it"), claimed(config(), Path()):
             pass
     with claimed(config(), Path()):
@@ -354,7 +357,7 @@ def test_an_administrator_finds_the_runs_of_all(place: Path) -> None:
 
 
 @as_root
-def test_own_runs_are_all_that_a_user_stops_and_strangers_do_not_make_that_fail(place: Path) -> None:
+def test_own_runs_are_all_that_a_user_stops_and_strangers_do_not_make_that_fail(users_folder: Path) -> None:
     def stopped() -> list[tuple[bool, str]]:
         operator.stop = lambda run: (True, f"{run.arena} of {run.user}")
         with claimed(config("arena.name=lab"), Path("/theirs")):
@@ -365,10 +368,12 @@ def test_own_runs_are_all_that_a_user_stops_and_strangers_do_not_make_that_fail(
 
 
 @as_root
-def test_many_files_of_one_user_neither_hide_nor_delay_the_runs_of_others(place: Path, opened: list[str]) -> None:
+def test_many_files_of_one_user_neither_hide_nor_delay_the_runs_of_others(
+    users_folder: Path, opened: list[str]
+) -> None:
     with Elsewhere("/theirs"):
         for k in range(1000):
-            file = register(place) / f"lab{k}.{NOBODY - 1}.json"
+            file = register(users_folder) / f"lab{k}.{NOBODY - 1}.json"
             file.write_text("{}")
             os.chown(file, NOBODY - 1, NOBODY - 1)
         search = Search()
@@ -385,30 +390,30 @@ def test_many_files_of_one_user_neither_hide_nor_delay_the_runs_of_others(place:
 
 @as_root
 @pytest.mark.parametrize("runtime", [False, True], ids=["in /tmp", "in its runtime folder"])
-def test_an_administrator_finds_a_run_that_the_registers_owner_hides(place: Path, runtime: bool) -> None:
+def test_an_administrator_finds_a_run_that_the_registers_owner_hides(users_folder: Path, runtime: bool) -> None:
     """He made the register first: so he can remove what stands in it, or close it."""
-    theirs = place / str(NOBODY)
+    theirs = users_folder / str(NOBODY)
     theirs.mkdir(mode=0o700)
     os.chown(theirs, NOBODY, NOBODY)
     with Elsewhere("/theirs", theirs if runtime else None):
-        (register(place) / f"platoon.{NOBODY}.json").unlink()
+        (register(users_folder) / f"platoon.{NOBODY}.json").unlink()
         assert [run.user for run in running()] == ["nobody"]
-        register(place).chmod(0o755)
+        register(users_folder).chmod(0o755)
         assert [run.user for run in running("platoon")] == ["nobody"]
         assert as_nobody(lambda: [run.uid for run in found().runs]) == ("[]" if runtime else f"[{NOBODY}]")
 
 
 @as_root
-def test_in_a_users_private_folder_nothing_but_that_users_own_files_is_believed(place: Path) -> None:
+def test_in_a_users_private_folder_nothing_but_that_users_own_files_is_believed(users_folder: Path) -> None:
     with claimed(config(), Path("/mine")):
-        theirs = place / "tmp" / f"robofleet-{NOBODY}"
+        theirs = users_folder / "tmp" / f"robofleet-{NOBODY}"
         theirs.mkdir(mode=0o700)
         os.chown(theirs, NOBODY, NOBODY)
-        (own,) = (place / "run" / "robofleet").iterdir()
-        register(place).rename(place / "away")
+        (own,) = (users_folder / "run" / "robofleet").iterdir()
+        register(users_folder).rename(users_folder / "away")
         (theirs / f"lab.{NOBODY}.json").symlink_to(own)
         (theirs / f"hall.{ME}.json").symlink_to(own)
-        (place / "tmp" / "robofleet-1").symlink_to(own.parent)
+        (users_folder / "tmp" / "robofleet-1").symlink_to(own.parent)
         assert [*Search().others()] == []
         assert [run.folder for run in running()] == ["/mine"]
 
@@ -418,37 +423,37 @@ def test_in_a_users_private_folder_nothing_but_that_users_own_files_is_believed(
     "command", ["web --no-browser", "hosts", "foxglove", "rerun", "teleop", "ros2 --rviz", "Fleet"]
 )
 @pytest.mark.parametrize("named", [True, False])
-def test_an_administrator_loads_no_code_of_another_users_run(place: Path, command: str, named: bool) -> None:
-    (place / "theirs").mkdir()
-    (place / "theirs" / "config.yaml").write_text(SWIRL.read_text().replace("mylab:", "theirs_lab:"))
-    (place / "theirs" / "theirs_lab.py").write_text(
+def test_an_administrator_loads_no_code_of_another_users_run(users_folder: Path, command: str, named: bool) -> None:
+    (users_folder / "theirs").mkdir()
+    (users_folder / "theirs" / "config.yaml").write_text(SWIRL.read_text().replace("mylab:", "theirs_lab:"))
+    (users_folder / "theirs" / "theirs_lab.py").write_text(
         "import pathlib\npathlib.Path(__file__).with_suffix('.ran').touch()\n"
     )
-    with Elsewhere(str(place / "theirs")):
+    with Elsewhere(str(users_folder / "theirs")):
         if command == "Fleet":
             with pytest.raises(FleetError) as refused:
                 Fleet("platoon").open()
-            said = str(refused.value)
+            message = str(refused.value)
         else:
             words = command.split()
             came = CliRunner().invoke(app, [*words, *(["platoon"] if named else [])])
             assert came.exit_code == 2, came.output
-            said = came.stderr
-        assert "the arena platoon has a run of nobody (process " in said
-        assert "do this as nobody" in said
-        assert len(said.splitlines()) == 1
+            message = came.stderr
+        assert "the arena platoon has a run of nobody (process " in message
+        assert "do this as nobody" in message
+        assert len(message.splitlines()) == 1
         assert operator.chosen(None).user == "nobody", "it may be stopped"
         with claimed(config("arena.name=mine"), Path("/mine")):
             assert operator.chosen(None, own=True).arena == "mine"
-    assert not (place / "theirs" / "theirs_lab.ran").exists()
+    assert not (users_folder / "theirs" / "theirs_lab.ran").exists()
 
 
 @as_root
-def test_what_a_stranger_writes_in_my_name_is_not_believed(place: Path) -> None:
+def test_what_a_stranger_writes_in_my_name_is_not_believed(users_folder: Path) -> None:
     """He made the register, wrote a file under my number, and keeps it locked."""
     with Elsewhere("/theirs"):
-        (theirs,) = register(place).iterdir()
-        forged = register(place) / f"lab.{ME}.json"
+        (theirs,) = register(users_folder).iterdir()
+        forged = register(users_folder) / f"lab.{ME}.json"
         forged.write_text(theirs.read_text().replace("platoon", "lab"))
         os.chown(forged, NOBODY, NOBODY)
         with forged.open("r+") as held:
@@ -462,27 +467,27 @@ def test_what_a_stranger_writes_in_my_name_is_not_believed(place: Path) -> None:
     assert forged.exists(), "nothing of others is removed"
 
 
-def test_a_launcher_is_only_signalled_if_the_process_is_its_users(place: Path) -> None:
+def test_a_launcher_is_only_signalled_if_the_process_is_its_users(users_folder: Path) -> None:
     """The number in a file is what its user wrote: an administrator must not kill others by it."""
     with ExitStack() as stack:
         sleeper = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
         stack.callback(sleeper.wait)
         stack.callback(sleeper.kill)
-        there = ArenaFile(
+        run = ArenaFile(
             "lab", "unixsock-stream//nowhere/bus.sock", sleeper.pid, "/x", "", ("r1",), {"r1": ("r1",)}, ME + 1
         )
-        done, said = operator.stop(there)
+        done, output = operator.stop(run)
         assert not done
-        assert "does not answer" in said
+        assert "does not answer" in output
         assert sleeper.poll() is None
-        operator.stop(there._replace(uid=ME))
+        operator.stop(run._replace(uid=ME))
         assert sleeper.wait(10) != 0
 
 
 @as_root
-def test_another_user_does_not_reach_the_bus(place: Path) -> None:
+def test_another_user_does_not_reach_the_bus(users_folder: Path) -> None:
     """As seen: nobody drove, over TCP on loopback."""
-    (place / "run").chmod(0o777)
+    (users_folder / "run").chmod(0o777)
     settled_at = settled(load_config(PLATOON), listen=True).bus.endpoint
     path = settled_at.partition("/")[2]
     with socket.socket(socket.AF_UNIX) as router, socket.socket(socket.AF_UNIX) as mine:
@@ -498,7 +503,7 @@ def test_another_user_does_not_reach_the_bus(place: Path) -> None:
         assert as_nobody(connect).startswith("PermissionError")
 
         def join() -> None:
-            os.environ["XDG_RUNTIME_DIR"] = str(place / "run")
+            os.environ["XDG_RUNTIME_DIR"] = str(users_folder / "run")
             settled(load_config(PLATOON), listen=False)
 
         assert "belongs to somebody else" in as_nobody(join)

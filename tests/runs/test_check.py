@@ -15,8 +15,7 @@ from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.runs.check import load_checked, proofs, refusals, start_warnings
-
-PLATOON = FilePath(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 def platoon(*overrides: str) -> Config:

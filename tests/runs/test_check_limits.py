@@ -1,13 +1,11 @@
 """Two things that were proved to be able to run, and could not."""
 
-from pathlib import Path
-
 import pytest
 
 from robofleet.config.load import load_config
 from robofleet.runs.check import refusals
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 KNOTS = "[{at_m: [0.5, 0], derivative_m: [0, 0.8]}, {at_m: [0, 0.5], derivative_m: [-0.8, 0]}, \
 {at_m: [-0.5, 0], derivative_m: [0, -0.8]}, {at_m: [0, -0.5], derivative_m: [0.8, 0]}]"
 

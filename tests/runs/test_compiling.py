@@ -16,7 +16,7 @@ def outer(x: float) -> float:
 
 def test_kernels_are_counted_with_those_that_they_call() -> None:
     assert reached(outer) == {inner, outer}
-    assert all(isinstance(one, Kernel) for one in reached(outer))
+    assert all(isinstance(kernel, Kernel) for kernel in reached(outer))
 
 
 def test_progress_crosses_a_lifeline_and_other_words_are_none() -> None:

@@ -28,10 +28,10 @@ def driven(name: str, *changes: str) -> Recording:
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else SLOW) for name in SHIPPED])
 def test_two_runs_of_a_seed_are_equal_and_one_replays_to_the_last_bit(name: str) -> None:
     duration = f"run.duration_s={2 if name in QUICK else 6}"
-    one, other = driven(name, duration), driven(name, duration)
-    assert one.trace_hash == other.trace_hash
-    assert one.messages == other.messages
-    verdict = replay(one, 0.0)
+    first, other = driven(name, duration), driven(name, duration)
+    assert first.trace_hash == other.trace_hash
+    assert first.messages == other.messages
+    verdict = replay(first, 0.0)
     assert verdict.equal, verdict.lines()
     assert verdict.ticks > 0
     assert verdict.commands > 0

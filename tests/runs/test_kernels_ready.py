@@ -26,6 +26,26 @@ assert run.run() == ("completed", None)
 print(json.dumps([len(ready), sorted(compiled() - ready)]))
 """
 
+TRACE = """
+import sys
+from pathlib import Path
+from robofleet.config.load import load_config
+from robofleet.core.kernels import store
+from robofleet.runs.lockstep import Lockstep
+
+store.folder = lambda: Path(sys.argv[1])
+run = Lockstep(load_config(Path(sys.argv[2]), ["run.duration_s=1"]))
+assert run.run() == ("completed", None)
+print(run.recording.trace_hash)
+"""
+
+
+@pytest.mark.slow
+def test_a_run_that_compiles_its_kernels_has_the_trace_of_one_that_loads_them(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", TRACE, str(tmp_path / "kernels"), str(CONFIGS / "platoon.yaml")]
+    compiled, loaded = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2))
+    assert compiled == loaded
+
 
 @pytest.mark.slow_after_first
 @pytest.mark.parametrize(

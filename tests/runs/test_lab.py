@@ -32,10 +32,10 @@ def test_where_there_is_nothing_yet_each_line_says_what_to_do_next_in_the_files_
     nowhere = "camera.v4l2.device=/dev/video-none"
     *lines, device = told(nowhere)
     places = [re.match(r"(\d+):\d+: (\S+): ", line) for line in lines]
-    assert [place and place[2] for place in places] == [
+    assert [match and match[2] for match in places] == [
         "camera.source", *(f"robots.{i}.settings.port" for i in range(3)),
     ]  # fmt: skip
-    numbers = [int(place[1]) for place in places if place]
+    numbers = [int(match[1]) for match in places if match]
     assert numbers == sorted(numbers)
     assert "robofleet calibrate intrinsics" in lines[0]
     for line, port in zip(lines[1:], ("r1", "r2", "r3"), strict=True):

@@ -54,9 +54,9 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
         assert statuses["left_output_rad_s"].any()
         assert (statuses["gate"][-1] != GateStatus.OPEN) and not statuses["left_rad_s"][-1], "the stop is in the file"
 
-    replayed, asked = load_config(run.folder / "config.yaml"), load_config(PLATOON, ["run.duration_s=3"])
+    replayed, configured = load_config(run.folder / "config.yaml"), load_config(PLATOON, ["run.duration_s=3"])
     assert not replayed.bus.endpoint.endswith(":0")
-    assert replayed.model_copy(update={"bus": asked.bus}) == asked
+    assert replayed.model_copy(update={"bus": configured.bus}) == configured
     for log in (run.folder / "log").iterdir():
         assert "Traceback" not in log.read_text(), log.name
 

@@ -45,11 +45,11 @@ def test_nothing_that_is_said_raises(error: Exception, monkeypatch: pytest.Monke
 
 def test_what_can_be_written_is_and_the_stream_is_itself() -> None:
     stream = io.StringIO()
-    said = Unfailing(stream)
-    assert print("one", file=said, flush=True) is None  # type: ignore[call-overload]
-    said.writelines(["two\n", "three\n"])
-    assert said.getvalue() == "one\ntwo\nthree\n"
-    assert said.isatty() is False
+    stream_log = Unfailing(stream)
+    assert print("one", file=stream_log, flush=True) is None  # type: ignore[call-overload]
+    stream_log.writelines(["two\n", "three\n"])
+    assert stream_log.getvalue() == "one\ntwo\nthree\n"
+    assert stream_log.isatty() is False
 
 
 def test_results_on_stdout_still_fail_where_nobody_can_take_them(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 
 from robofleet.cli import app
 from tests.endpoints import own_endpoint
-
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 @pytest.mark.parametrize("command", [["router"], ["controller"], ["driver", "--robots", "r1,r2,r3,r4"]])

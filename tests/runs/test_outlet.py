@@ -74,11 +74,11 @@ def test_a_reader_that_ends_in_the_middle_ends_no_run(real_run: Start) -> None:
     reading, writing = os.pipe()
     run = real_run(*_BRIEF, screen=writing)
     os.close(writing)
-    said = b""
-    while b"\nrunning" not in said:
+    output = b""
+    while b"\nrunning" not in output:
         more = os.read(reading, 999)
-        assert more, said
-        said += more
+        assert more, output
+        output += more
     os.close(reading)
     assert run.ended() == 0
     assert outcome(run.folder) == "completed"
@@ -140,11 +140,11 @@ def test_a_lockstep_run_whose_terminal_hangs_up_ends_as_by_ctrl_c(
 ) -> None:
     reading, writing = os.pipe()
     run = lockstep(writing, "--duration", "100000", "--set", "run.seed=3")
-    said = b""
-    while b"running" not in said:
+    output = b""
+    while b"running" not in output:
         more = os.read(reading, 999)
-        assert more, said
-        said += more
+        assert more, output
+        output += more
     run.send_signal(signal.SIGHUP)
     os.close(reading)
     assert run.wait(60) == 1

@@ -90,12 +90,12 @@ def test_every_tick_and_every_command_is_what_it_was_to_the_last_bit(recording: 
 
 
 def test_controllers_that_miss_messages_stand_still_die_and_keep_silent_are_replayed_too(wild: Recording) -> None:
-    verdict, said = replay(wild, 0.0), ticks(wild)
+    verdict, records = replay(wild, 0.0), ticks(wild)
     assert verdict.equal
-    assert verdict.ticks == len(said)
-    newest = {record.epoch: record for record in said}
+    assert verdict.ticks == len(records)
+    newest = {record.epoch: record for record in records}
     assert len(newest) == 3
-    assert max(record.overruns for record in said) >= 2
+    assert max(record.overruns for record in records) >= 2
     numbers = [(c.seq, newest[c.session >> 32].command_seq) for c in commands(wild)]
     assert verdict.commands == sum(seq <= before + 1 for seq, before in numbers), "all but repetitions at the very end"
 
@@ -161,13 +161,13 @@ def test_a_command_that_is_not_the_ticks_is_named_also_where_a_foreigner_said_it
 
 
 def test_from_a_missing_record_on_nothing_is_compared_until_a_controller_begins(wild: Recording) -> None:
-    said = ticks(wild)
+    records = ticks(wild)
     verdict = replay(altered(wild, TICK, lambda k, payload: None if k == 30 else payload), 0.0)
     (hole,) = verdict.holes
-    of_the_first = [record for record in said if record.epoch == said[0].epoch]
-    assert (hole.first, hole.last) == (said[31].tick, of_the_first[-1].tick)
+    of_the_first = [record for record in records if record.epoch == records[0].epoch]
+    assert (hole.first, hole.last) == (records[31].tick, of_the_first[-1].tick)
     assert hole.why == "1 record before them is missing"
-    assert verdict.ticks == len(said) - len(of_the_first) + 30
+    assert verdict.ticks == len(records) - len(of_the_first) + 30
     assert not verdict.equal
     assert not verdict.differences
 
@@ -244,15 +244,15 @@ def test_a_behaviour_that_has_other_figures_today_is_refused_in_one_line(
     result = CliRunner().invoke(app, ["replay", str(tmp_path)])
     assert result.exit_code == 2
     assert isinstance(result.exception, SystemExit), result.exception
-    said = result.stderr.splitlines()
-    assert "group platoon: platoon has other figures: " in said[-1], said
-    assert said[-1].endswith("today: replay it with the version that recorded it")
+    lines = result.stderr.splitlines()
+    assert "group platoon: platoon has other figures: " in lines[-1], lines
+    assert lines[-1].endswith("today: replay it with the version that recorded it")
 
 
 def command(recording: Recording, folder: Path) -> Any:
     """Return what ``robofleet replay`` says of a recording that is kept in a file."""
     with RunLog(folder / "run.mcap", recording.config) as log:
-        placed = [(place, full, m) for full in recording.messages for place, m in recording.placed(full)]
-        for place, full, message in sorted(placed):
-            log.add(full, message, place)
+        placed = [(index, full, m) for full in recording.messages for index, m in recording.placed(full)]
+        for index, full, message in sorted(placed):
+            log.add(full, message, index)
     return CliRunner().invoke(app, ["replay", str(folder)])

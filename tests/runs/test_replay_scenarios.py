@@ -25,8 +25,8 @@ def replayed(name: str) -> tuple[Run, Verdict]:
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_recorded_scenario_is_decided_as_it_was(name: str) -> None:
     run, verdict = replayed(name)
-    said = "\n".join(map(str, [*verdict.differences[:5], *verdict.holes[:5]]))
-    assert verdict.equal, f"{len(verdict.differences)} differences:\n{said}\n{ANEW}"
+    report = "\n".join(map(str, [*verdict.differences[:5], *verdict.holes[:5]]))
+    assert verdict.equal, f"{len(verdict.differences)} differences:\n{report}\n{ANEW}"
     assert verdict.ticks == len(run.all_ticks)
     assert SCENARIOS[name].shows(run), f"it does not show any more what it is for; {ANEW}"
 

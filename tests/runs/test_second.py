@@ -15,11 +15,11 @@ Start = Callable[..., RealRun]
 
 
 @contextmanager
-def forged(endpoint: str, full: str, heard: list[str]) -> Iterator[None]:
+def forged(endpoint: str, full: str, received: list[str]) -> Iterator[None]:
     """Say that nobody else need be asked, answer ok, and do nothing."""
 
     def answer(query: zenoh.Query) -> None:
-        heard.append("" if query.payload is None else query.payload.to_string())
+        received.append("" if query.payload is None else query.payload.to_string())
         query.reply(query.key_expr, "ok")
         kept.append(query)  # it never ends
 

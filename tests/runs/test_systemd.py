@@ -55,8 +55,8 @@ def test_it_is_told_that_a_process_is_ready_alive_and_ends(
         systemd.bind(f"\0{name}" if abstract else name)
         monkeypatch.setenv("NOTIFY_SOCKET", f"@{name}" if abstract else name)
         lifeline, thread = process(lambda: None)
-        said = heard(systemd, 1.0)
-        first = [next(said) for _ in range(5)]
+        lines = heard(systemd, 1.0)
+        first = [next(lines) for _ in range(5)]
         lifeline.cut = True
         thread.join()
         last = list(heard(systemd, 0.05))
@@ -71,8 +71,8 @@ def test_a_loop_that_hangs_gives_no_sign_of_life(tmp_path: Path, monkeypatch: py
         systemd.bind(f"{tmp_path}/notify")
         monkeypatch.setenv("NOTIFY_SOCKET", f"{tmp_path}/notify")
         lifeline, thread = process(lambda: goes_on.wait(5.0) if hangs.is_set() else None)  # type: ignore[arg-type,func-returns-value]
-        said = heard(systemd, 1.0)
-        assert [next(said) for _ in range(3)][-1] == b"WATCHDOG=1"
+        lines = heard(systemd, 1.0)
+        assert [next(lines) for _ in range(3)][-1] == b"WATCHDOG=1"
         hangs.set()
         assert len(list(heard(systemd, 0.2))) <= 20  # it had begun a step or two
         assert list(heard(systemd, 0.2)) == []

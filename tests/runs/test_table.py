@@ -17,7 +17,7 @@ TRUTH = "tracker.source=truth"
 
 
 def names(processes: list[table.Process]) -> list[str]:
-    return [one.name for one in processes]
+    return [process.name for process in processes]
 
 
 def test_a_run_starts_what_its_configuration_needs_and_nothing_else(platoon_of: Callable[..., Config]) -> None:
@@ -30,7 +30,10 @@ def test_a_run_starts_what_its_configuration_needs_and_nothing_else(platoon_of: 
         *plain[2:],
     ]
     shared = table.processes(platoon_of("drivers.robots_per_process=3"))
-    assert [one.command for one in shared[-2:]] == [("driver", "--robots", "r1,r2,r3"), ("driver", "--robots", "r4")]
+    assert [process.command for process in shared[-2:]] == [
+        ("driver", "--robots", "r1,r2,r3"),
+        ("driver", "--robots", "r4"),
+    ]
 
 
 def test_systemd_starts_the_drivers_and_the_run_everything_else(platoon_of: Callable[..., Config]) -> None:

@@ -51,12 +51,12 @@ def test_there_are_ports_from_the_beginning_to_the_end(config: Config) -> None:
 def test_it_tells_the_truth_about_each_fifty_times_a_second(config: Config) -> None:
     clock = SimulatedClock()
     bus = MemoryBus(config.arena.name, clock, 0)
-    told: dict[str, list[Truth]] = {robot.id: [] for robot in config.robots}
+    truths: dict[str, list[Truth]] = {robot.id: [] for robot in config.robots}
 
     def hear(message: tuple[str, bytes]) -> None:
         truth = TRUTH_LAYOUT.decode(message[1])
         assert truth is not None
-        told[message[0].split("/")[-2]].append(truth)
+        truths[message[0].split("/")[-2]].append(truth)
 
     bus.tap(hear)
     twins = Twins(config, bus, clock, LineWaker(), None)
@@ -64,9 +64,9 @@ def test_it_tells_the_truth_about_each_fifty_times_a_second(config: Config) -> N
         clock.advance_to(twins.step(clock.now_ns()))
     twins.close()
     for robot in config.robots:
-        stamps = [truth.stamp_ns for truth in told[robot.id]]
+        stamps = [truth.stamp_ns for truth in truths[robot.id]]
         assert stamps == ([20 * MS * k for k in range(50)] if robot.twin else [])
-    assert (told["r3"][-1].x_m, told["r3"][-1].y_m) == (config.robots[2].start.x_m, config.robots[2].start.y_m)
+    assert (truths["r3"][-1].x_m, truths["r3"][-1].y_m) == (config.robots[2].start.x_m, config.robots[2].start.y_m)
 
 
 def test_its_faults_begin_when_the_fleet_runs(config: Config) -> None:
@@ -75,15 +75,15 @@ def test_its_faults_begin_when_the_fleet_runs(config: Config) -> None:
     config = load_config(PLATOON, ["drivers.robots_per_process=1", f"robots.2.twin={FAKE}", f"faults=[{fault}]"])
     plain, schedule = MemoryBus(config.arena.name, clock, 0), Schedule(config, clock)
     twins = Twins(config, FaultyBus(plain, schedule, "twins", clock), clock, LineWaker(), schedule)
-    there = []
+    targets = []
     for phase in (Phase.ARMED, Phase.RUNNING):
         plain.publisher(STATE)(RUN_STATE.encode(RunState(1, 1, phase, 0, NOBODY, 0.0, 0, ())))
         for _ in range(60):
             clock.advance_to(clock.now_ns() + 10 * MS)
             twins.step(clock.now_ns())
-            there.append(port_of(config, "r3").is_char_device())
+            targets.append(port_of(config, "r3").is_char_device())
     twins.close()
-    assert there == [True] * 109 + [False] * 11
+    assert targets == [True] * 109 + [False] * 11
 
 
 @pytest.mark.parametrize(
@@ -130,9 +130,9 @@ def test_lockstep_waits_for_no_serial_line() -> None:
 def test_a_configuration_without_twins_has_none_to_start(tmp_path: Path) -> None:
     file = tmp_path / "named.yaml"
     file.write_text(PLATOON.read_text())
-    said = CliRunner().invoke(app, ["twins", str(file)])
-    assert said.exit_code == 2
-    assert "no robot has a twin" in said.output
+    result = CliRunner().invoke(app, ["twins", str(file)])
+    assert result.exit_code == 2
+    assert "no robot has a twin" in result.output
 
 
 @pytest.mark.long

@@ -25,9 +25,9 @@ def started(config: Config, folder: Path, clock: Clock) -> Children:
 def start_all(config: Config, fleet: Children, clock: Clock) -> None:
     """Start them, and wait until each does its work."""
     for first in (True, False):
-        for one in table.processes(config):
-            if one.row.first is first and one.row is not table.RECORDER:
-                fleet.start(one.name, *one.command)
+        for process in table.processes(config):
+            if process.row.first is first and process.row is not table.RECORDER:
+                fleet.start(process.name, *process.command)
         wait_ready(fleet, clock)
 
 

@@ -53,10 +53,10 @@ class Lab:
             Plant(
                 GTERNAL,
                 replace(WORN, **(faults or {}).get(row, {})),  # type: ignore[arg-type]
-                (*place, float(rng.uniform(-math.pi, math.pi))),
+                (*pose, float(rng.uniform(-math.pi, math.pi))),
                 rng,
             )
-            for row, place in enumerate(places)
+            for row, pose in enumerate(places)
         ]
         self.tags = list(range(robots))  # whose body carries the tag of this row
         self.bodies = list(range(robots))  # which body the driver of this row reaches

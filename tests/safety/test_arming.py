@@ -6,12 +6,12 @@ from collections.abc import Callable
 import pytest
 
 from robofleet.safety import arming
-from robofleet.safety.arming import ArmingState, Stage
+from robofleet.safety.arming import ArmingSettings, ArmingState, Stage
 from robofleet.safety.distances import least_room_m, room_m
 from robofleet.safety.latches import Latch
 from robofleet.safety.starts import Reason
 from robofleet.safety.supervisor import NOBODY, Event, Happening
-from robofleet.safety.view import FleetView
+from robofleet.safety.view import FleetView, RobotView
 from robofleet.safety.wiggle import BACK, FORTH, LEFT, RIGHT, STAND
 from robofleet.vehicles.interface import RobotFault
 from robofleet.vehicles.solids import Solid
@@ -171,26 +171,74 @@ def test_a_proved_fleet_is_started_only_while_it_is_ready(alter: Alter, unready:
     assert arming.unready(lab.settings, alter(lab.view._replace(now_ns=lab.now_ns))) == unready
 
 
+def test_the_first_camera_that_is_out_is_named() -> None:
+    lab = Lab(2)
+    lab.arm()
+    out = tuple(Happening(Event.CAMERA_FROZEN, NOBODY, camera) for camera in (2, 3))
+    assert arming.missing(lab.view._replace(now_ns=lab.now_ns, cameras_out=out)) == out[0]._replace(
+        event=Event.CAMERA_OUT
+    )
+
+
+def placed(*x_m: float, driven: int, wheel_radius: tuple[float, ...]) -> tuple[ArmingSettings, FleetView]:
+    """Return a fleet that has passed its drill, in a row along x; the last ones are bystanders."""
+    n = len(x_m)
+    settings = ArmingSettings(0, wheel_radius, (0.105,) * n, (BODY_M,) * n, (9.0, 9.0))
+    robots = tuple(
+        RobotView(heard_ns=S, session=1, seen_ns=S, pose=(x, 0.0, 0.0), driven=row < driven)
+        for row, x in enumerate(x_m)
+    )
+    return settings, FleetView(S, robots, controller_ns=S, tracker_ns=S)
+
+
 @pytest.mark.parametrize(
-    ("order", "told"),
+    ("gap_m", "on_the_spot", "rounds"),
+    [(0.03, True, ((0, 1), (1, 2))), (0.06, False, ((0, 1), (2, 3))), (0.1, False, ((0, 1), (1, 2)))],
+)
+def test_two_robots_wiggle_at_once_where_there_is_room_for_both_wiggles(
+    gap_m: float, on_the_spot: bool, rounds: tuple[tuple[int, int], ...]
+) -> None:
+    """10 mm each on the spot, and 44 mm each along an arc; what room others need does not matter."""
+    settings, view = placed(0.0, 2 * BODY_M + gap_m, 3.0, driven=2, wheel_radius=(0.016, 0.016, 0.03))
+    state, happening = arming.step(ArmingState(Stage.DRILL, S, clear=True), settings, view, True)
+    assert happening is None
+    assert (state.wiggle.on_the_spot, state.wiggle.rounds) == (on_the_spot, rounds)
+
+
+def test_robots_that_need_more_room_leave_others_their_rounds() -> None:
+    second = 2 * BODY_M + 0.1
+    settings, view = placed(0.0, second, second + 0.3, driven=3, wheel_radius=(0.016, 0.016, 0.05))
+    state, _ = arming.step(ArmingState(Stage.DRILL, S, clear=True), settings, view, True)
+    assert {*state.wiggle.rounds[0]} & {*state.wiggle.rounds[1]}
+
+
+def test_a_bystander_needs_no_room_of_its_own_however_large_its_wheels_are() -> None:
+    settings, view = placed(0.0, 2 * BODY_M + 0.06, driven=1, wheel_radius=(0.016, 0.1))
+    state, _ = arming.step(ArmingState(Stage.DRILL, S, clear=True), settings, view, True)
+    assert state.stage is Stage.WIGGLE
+    assert not state.wiggle.on_the_spot
+
+
+@pytest.mark.parametrize(
+    ("order", "happening"),
     [(None, Happening(Event.WAYS_CROSS, 2, 1)), ((0, 2, 1), Happening(Event.WRONG_ORDER, 1, 2))],
 )
 def test_who_would_not_get_past_whom_is_named_before_a_wheel_is_tried(
-    order: tuple[int, ...] | None, told: Happening
+    order: tuple[int, ...] | None, happening: Happening
 ) -> None:
-    asked: list[object] = []
+    calls: list[object] = []
 
     def jam(poses: tuple[tuple[float, float, float], ...]) -> Reason:
-        asked.append(poses)
+        calls.append(poses)
         return Reason(1, 2, order)
 
     lab = Lab(3)
     lab.settings = lab.settings._replace(jam=jam)
-    assert lab.arm() == told
+    assert lab.arm() == happening
     assert lab.state.stage is Stage.CHECKS
     view = one(2, driven=False)(lab.view._replace(now_ns=lab.now_ns))
-    assert arming.unready(lab.settings, view) == told
-    assert asked[-1] == tuple(robot.pose for robot in view.robots[:2]), "it is asked of the robots that drive"
+    assert arming.unready(lab.settings, view) == happening
+    assert calls[-1] == tuple(robot.pose for robot in view.robots[:2]), "it is asked of the robots that drive"
 
 
 @pytest.mark.parametrize(

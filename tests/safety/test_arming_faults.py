@@ -48,14 +48,14 @@ def _exchange(lab: Lab, exchange: str, a: int, b: int) -> None:
 
 def _accepted(lab: Lab, wired: dict[int, Event]) -> Accepted:
     """Return what may be said of a fleet: whoever moves whose tag, and faults by the driver or by the tag."""
-    said: Accepted = set()
+    accepted: Accepted = set()
     for driver, body in enumerate(lab.bodies):
         tag = lab.tags.index(body)
         if tag != driver:
-            said |= {(Event.WRONG_TAG_MOVED, driver), (Event.MOVED_UNASKED, tag)}
+            accepted |= {(Event.WRONG_TAG_MOVED, driver), (Event.MOVED_UNASKED, tag)}
         if body in wired:
-            said |= {(wired[body], driver), (wired[body], tag)}
-    return said
+            accepted |= {(wired[body], driver), (wired[body], tag)}
+    return accepted
 
 
 @pytest.mark.slow_after_first
@@ -110,9 +110,9 @@ def test_who_goes_with_another_one_is_named(first: int, second: int) -> None:
 def test_two_without_room_for_both_are_never_away_at_once(places: list[tuple[float, float]], seed: int) -> None:
     """Of random places those that may start; a robot is away from its first stroke until it is back."""
     apart: list[tuple[float, float]] = []
-    for place in places:
-        if all(math.dist(place, other) > REACH_M + 0.002 for other in apart):
-            apart.append(place)
+    for pose in places:
+        if all(math.dist(pose, other) > REACH_M + 0.002 for other in apart):
+            apart.append(pose)
     lab = Lab(len(apart), seed, places=apart)
     lab.run(5.0, done=lambda state: state.stage is Stage.WIGGLE)
     near = [

@@ -134,16 +134,16 @@ def test_whose_way_a_wall_of_standing_robots_bars_from_edge_to_edge_is_blocked()
     poses = np.array([(0.2, 0.0, 0.0), *wall])
     wheels, barrier = np.zeros((n, 2)), Barrier(KEEPOUT, (BODY,) * n)
     turning = np.zeros((n, 2))
-    told: list[bool] = []
+    flags: list[bool] = []
     for _ in range(round(60.0 / KEEPOUT.tick)):
         psi = poses[0, 2]
         v, omega = 0.15 * math.cos(psi), -0.15 * math.sin(psi) / L  # the point ahead is to go along x
         wheels[0] = feasible(np.array(wheels_from_body(v, omega, GTERNAL.wheel_radius, GTERNAL.wheel_base)))
         got = answer(Scene(poses, turning, wheels), barrier)
-        told.append(bool(got.blocked[0]))
+        flags.append(bool(got.blocked[0]))
         turning[0] = got.wheels[0]
         poses[0] = arc(*poses[0].tolist(), *body(got.wheels[0]), KEEPOUT.tick)
-    assert any(told)
+    assert any(flags)
     assert poses[0, 0] < 0.5
 
 

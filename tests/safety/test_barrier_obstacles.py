@@ -60,12 +60,12 @@ def test_nobody_comes_nearer_than_is_kept_whatever_is_asked_for(seed):
             poses[i] = *at, rng.uniform(-math.pi, math.pi)
             if left(solids, stop_point(poses[i], np.zeros(2))[None]).min() > 0.0:
                 break
-    turning, wishes = np.zeros((n, 2)), np.zeros((n, 2))
+    turning, setpoints = np.zeros((n, 2)), np.zeros((n, 2))
     for k in range(200):
         if k % 15 == 0:
-            wishes = np.array([feasible(row) for row in rng.uniform(-14.0, 14.0, (n, 2)) + rng.choice([-8, 8])])
+            setpoints = np.array([feasible(row) for row in rng.uniform(-14.0, 14.0, (n, 2)) + rng.choice([-8, 8])])
         everybody = np.ones(n, np.bool_)
-        wheels = barrier.filter(poses, turning, np.zeros(n), everybody, wishes, velocities(poses, wishes)).wheels
+        wheels = barrier.filter(poses, turning, np.zeros(n), everybody, setpoints, velocities(poses, setpoints)).wheels
         for i in range(n):
             for _ in range(PARTS):
                 poses[i], turning[i] = after(poses[i], turning[i], wheels[i], TICK / PARTS)
@@ -79,8 +79,8 @@ def test_a_robot_that_is_too_near_withdraws_from_an_obstacle():
     solid = Solid("box", ((0.0, -0.2), (0.3, -0.2), (0.3, 0.2), (0.0, 0.2)))
     barrier = Barrier(replace(KEEPOUT, solids=(solid,)), (BODY,))
     pose = np.array([(-BODY.radius - 0.005, 0.0, 0.0)])
-    asked = np.array([(5.0, 5.0)])
-    got = barrier.filter(pose, np.zeros((1, 2)), np.zeros(1), np.ones(1, np.bool_), asked, velocities(pose, asked))
+    wheels = np.array([(5.0, 5.0)])
+    got = barrier.filter(pose, np.zeros((1, 2)), np.zeros(1), np.ones(1, np.bool_), wheels, velocities(pose, wheels))
     assert body(got.wheels[0])[0] < -0.01
 
 
@@ -91,9 +91,9 @@ def test_along_a_wall_a_robot_is_not_slowed(speed):
     kept = from_edge(KEEPOUT, BODY)
     for x in np.linspace(-0.9, 0.9, 19):
         barrier = Barrier(replace(KEEPOUT, solids=(wall,)), (BODY,))
-        pose, asked = np.array([(x, kept + 1e-4, 0.0)]), np.array([feasible(np.array((speed, speed)))])
-        got = barrier.filter(pose, asked, np.zeros(1), np.ones(1, np.bool_), asked, velocities(pose, asked))
-        assert got.wheels == pytest.approx(asked)
+        pose, wheels = np.array([(x, kept + 1e-4, 0.0)]), np.array([feasible(np.array((speed, speed)))])
+        got = barrier.filter(pose, wheels, np.zeros(1), np.ones(1, np.bool_), wheels, velocities(pose, wheels))
+        assert got.wheels == pytest.approx(wheels)
 
 
 def test_solids_far_away_change_nothing():
@@ -101,11 +101,11 @@ def test_solids_far_away_change_nothing():
     rng = np.random.default_rng(3)
     for _ in range(50):
         pose = np.array([(*rng.uniform((-1.4, -0.8), (0.6, 0.4)), rng.uniform(-3, 3))])
-        turning, asked = (np.array([feasible(rng.uniform(-14, 14, 2))]) for _ in range(2))
+        turning, wheels = (np.array([feasible(rng.uniform(-14, 14, 2))]) for _ in range(2))
         answers = []
         for solids in ((), (far,)):
-            barrier, u = Barrier(replace(KEEPOUT, solids=solids), (BODY,)), velocities(pose, asked)
-            answers.append(barrier.filter(pose, turning, np.zeros(1), np.ones(1, np.bool_), asked, u).wheels)
+            barrier, u = Barrier(replace(KEEPOUT, solids=solids), (BODY,)), velocities(pose, wheels)
+            answers.append(barrier.filter(pose, turning, np.zeros(1), np.ones(1, np.bool_), wheels, u).wheels)
         assert (answers[0] == answers[1]).all()
 
 
@@ -115,9 +115,9 @@ def test_a_rectangular_floor_is_kept_as_the_arena_s_edge_is():
     for _ in range(100):
         at = rng.uniform(0.85, 0.9) * np.array([1.0, rng.uniform(-1, 1)]) * (1.6, 1.0)
         pose = np.array([(*at, rng.uniform(-3, 3))])
-        turning, asked = (np.array([feasible(rng.uniform(-14, 14, 2))]) for _ in range(2))
+        turning, wheels = (np.array([feasible(rng.uniform(-14, 14, 2))]) for _ in range(2))
         answers = []
         for keepout in (KEEPOUT, replace(KEEPOUT, arena=(99.0, 99.0), solids=(rectangle,))):
-            barrier, u = Barrier(keepout, (BODY,)), velocities(pose, asked)
-            answers.append(barrier.filter(pose, turning, np.zeros(1), np.ones(1, np.bool_), asked, u).wheels)
+            barrier, u = Barrier(keepout, (BODY,)), velocities(pose, wheels)
+            answers.append(barrier.filter(pose, turning, np.zeros(1), np.ones(1, np.bool_), wheels, u).wheels)
         assert answers[0] == pytest.approx(answers[1], abs=1e-9)

@@ -10,7 +10,7 @@ from robofleet.safety import busy, supervisor
 from robofleet.safety.busy import CONTROLLER, DRIVERS, SUPERVISOR, TRACKER, BusyState, Lateness
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import MOVING, Event, Happening, Phase, RunStatus
-from robofleet.safety.view import FleetView, Machine, RobotView
+from robofleet.safety.view import NEVER, FleetView, Machine, RobotView, Turns
 
 MS = 1_000_000
 S = 1000 * MS
@@ -43,9 +43,9 @@ def late(ago_ns: int = 0) -> BusyState:
 
 def watched(after_ns: int, contended_ns: int, silent: str = "", phase: Phase = Phase.RUNNING) -> dict[int, int]:
     """Return who is late after looks every 40 ms, of which ``silent`` was not heard in the last ones."""
-    memory = busy.watch(BusyState(), phase, seen())
+    memory = busy.watch(BusyState(), phase, seen(contended_ns=S))
     for at_ns in range(40 * MS, after_ns + 1, 40 * MS):
-        view = seen(NOW + at_ns, contended_ns * at_ns // after_ns)
+        view = seen(NOW + at_ns, S + contended_ns * at_ns // after_ns)
         if silent == "driver":
             view = view._replace(robots=(view.robots[0]._replace(heard_ns=NOW), view.robots[1]))
         elif silent:
@@ -63,6 +63,32 @@ def test_who_is_silent_while_no_core_is_free_is_late_by_load(silent: str, row: i
     assert watched(400 * MS, 199 * MS, silent) == {}  # less: somebody stopped it, or it hangs
     assert watched(80 * MS, 80 * MS, silent) == {}  # not long enough for a gate to notice
     assert watched(120 * MS, 120 * MS, silent) == {row: 80 * MS}
+
+
+@pytest.mark.parametrize(
+    ("waited_ns", "taken", "tried"),
+    [(200 * MS, 0, True), (200 * MS - 10, 0, False), (0, 8, True), (0, 7, False)],
+)
+def test_who_is_counted_is_late_by_load_only_if_it_waited_for_half_of_the_time_or_ran_every_50_ms(
+    waited_ns: int, taken: int, tried: bool
+) -> None:
+    memory = BusyState()
+    for k in range(-5, 11):
+        since_silent = (
+            Turns(7 * S + waited_ns * k // 10, 900 + taken * k // 10) if k > 0 else Turns(7 * S * (k == 0), 900)
+        )
+        machine = Machine(S + 40 * MS * k, 6.1, 2, (Turns(S, 1), Turns(S, 1), since_silent, None, Turns(S, 1)))
+        view = seen(NOW + 40 * MS * k)._replace(machine=machine, tracker_ns=NOW + min(0, 40 * MS * k))
+        memory = busy.watch(memory, Phase.RUNNING, view)
+    assert memory.unexplained == (frozenset() if tried else {TRACKER})
+    assert memory.recent == ((Lateness(TRACKER, 360 * MS),) if tried else ())
+
+
+def test_who_is_not_counted_is_believed_to_have_tried() -> None:
+    hung = Turns(7 * S, 900)
+    assert busy.tries(None, hung, S)
+    assert busy.tries(hung, None, S)
+    assert not busy.tries(hung, hung, S)
 
 
 @pytest.mark.parametrize("phase", Phase)
@@ -96,18 +122,22 @@ def test_the_most_of_each_stays_and_the_newest_is_told() -> None:
     assert memory.worst == (Lateness(SUPERVISOR, 400 * MS),)
 
 
-@pytest.mark.parametrize(("phase", "event"), list(product(Phase, Event)))
-def test_every_cell(phase: Phase, event: Event) -> None:
+def test_every_cell() -> None:
+    for phase, event in product(Phase, Event):
+        assert_cell(phase, event)
+
+
+def assert_cell(phase: Phase, event: Event) -> None:
     status, happening = RunStatus(phase, Event.NOTHING, 1, 0.5), Happening(event, 0, 1.0)
     table = supervisor.step(status, happening)
     assert busy.step(late(), status, happening, NOW, simulated=False) == (late(), table)  # robots that exist: as it is
     assert busy.step(late(S + 1), status, happening, NOW, simulated=True)[1] == (
         table if phase is not Phase.ARMED or event not in LOAD_SPOILS else status
     )
-    memory, after = busy.step(late(), status, happening, NOW, simulated=True)
+    memory, after = busy.step(late()._replace(fresh_ns=NOW - S), status, happening, NOW, simulated=True)
     if phase in MOVING and event in LOAD_MAKES:
         assert after == RunStatus(Phase.HOLD, event, 0, 1.0, phase)
-        assert memory.held_ns == NOW
+        assert (memory.held_ns, memory.fresh_ns) == (NOW, NEVER)
     elif phase is Phase.HOLD and event in LOAD_MAKES:
         assert after is status
     elif phase is Phase.ARMED and event in LOAD_SPOILS and table is not status:
@@ -125,6 +155,42 @@ def test_without_anybody_late_everything_stops_as_it_does(event: Event) -> None:
         stopped, after = busy.step(memory, RUNNING, happening, NOW, simulated=True)
         assert after == supervisor.step(RUNNING, happening)
         assert settled(stopped, after, 100) == []
+
+
+def test_lateness_explains_what_happens_within_a_second() -> None:
+    assert busy.explains(late(S), Event.TRACKER_SILENT, 0, NOW)
+    assert not busy.explains(late(S + 1), Event.TRACKER_SILENT, 0, NOW)
+
+
+@pytest.mark.parametrize(
+    ("event", "row"),
+    [
+        (Event.SUPERVISOR_STALLED, SUPERVISOR), (Event.CONTROLLER_SILENT, CONTROLLER), (Event.TRACKER_SILENT, TRACKER),
+        (Event.CAMERA_STALLED, TRACKER), (Event.POSES_SILENT, TRACKER), (Event.DRIVER_SILENT, DRIVERS + 1),
+    ],
+)  # fmt: skip
+def test_lateness_does_not_explain_the_silence_of_a_process_that_hangs(event: Event, row: int) -> None:
+    armed, happening = RunStatus(Phase.ARMED, Event.START_REQUESTED), Happening(event, 1)
+    for hangs in range(DRIVERS + 2):
+        memory = late()._replace(unexplained=frozenset({hangs}))
+        assert busy.explains(memory, event, 1, NOW) is (hangs != row)
+        _, after = busy.step(memory, armed, happening, NOW, simulated=True)
+        assert after == (armed if hangs != row else supervisor.step(armed, happening))
+
+
+def test_before_any_process_was_heard_none_is_gone_for_good() -> None:
+    unheard = late()._replace(heard=())
+    assert busy.step(unheard, RUNNING, Happening(Event.SUPERVISOR_STALLED), NOW, simulated=True)[1].phase is Phase.HOLD
+
+
+def test_a_start_counts_its_checks_anew_and_what_follows_keeps_the_count() -> None:
+    memory, status = held()._replace(attempts=3), RunStatus(Phase.IDLE, Event.NOTHING)
+    memory, status = busy.step(memory, status, Happening(Event.START_REQUESTED), NOW, simulated=True)
+    assert status.phase is Phase.ARMED
+    assert (memory.held_ns, memory.checks_ns, memory.attempts) == (NEVER, NOW, 0)
+    memory, status = busy.step(memory._replace(attempts=2), status, Happening(Event.PROVED), NOW + S, simulated=True)
+    assert status.phase in MOVING
+    assert (memory.checks_ns, memory.attempts) == (NOW + S, 2)
 
 
 def test_a_process_that_does_not_come_back_ends_the_run() -> None:
@@ -150,6 +216,19 @@ def test_checks_that_load_spoils_begin_anew_five_times_and_what_lasts_counts_onc
     assert after.phase is Phase.FAULT
 
 
+def test_checks_that_began_anew_five_times_refuse_the_start_also_by_a_process_that_was_late() -> None:
+    armed, memory = RunStatus(Phase.ARMED, Event.START_REQUESTED), late()._replace(attempts=busy.ATTEMPTS)
+    _, after = busy.step(memory, armed, Happening(Event.DRIVER_SILENT, 0), NOW, simulated=True)
+    assert after.phase is Phase.FAULT
+
+
+def test_what_spoils_the_checks_for_a_second_counts_once_more() -> None:
+    armed, happening = RunStatus(Phase.ARMED, Event.START_REQUESTED), Happening(Event.WRONG_GAIN, 0, 1.4)
+    for apart_ns, attempts in ((S - 1, 0), (S, 1)):
+        memory = late()._replace(checks_ns=NOW - apart_ns)
+        assert busy.step(memory, armed, happening, NOW, simulated=True)[0].attempts == attempts
+
+
 def test_several_that_are_silent_in_one_look_begin_the_checks_anew_once() -> None:
     memory, armed = late(), RunStatus(Phase.ARMED, Event.START_REQUESTED)
     for row in range(2):
@@ -159,9 +238,10 @@ def test_several_that_are_silent_in_one_look_begin_the_checks_anew_once() -> Non
 
 def test_checks_in_which_nobody_was_late_and_what_load_cannot_do_refuse_the_start() -> None:
     armed = RunStatus(Phase.ARMED, Event.START_REQUESTED)
-    before = late(1)._replace(checks_ns=NOW)
+    before, at_once = late(1)._replace(checks_ns=NOW), late(1)._replace(checks_ns=NOW - 1)
     grave = Happening(Event.GATE_LATCHED, 0, float(Latch.ROBOT_FAULT))
-    for memory, happening in ((before, Happening(Event.WRONG_GAIN, 0)), (late(), grave)):
+    wrong = Happening(Event.WRONG_GAIN, 0)
+    for memory, happening in ((before, wrong), (at_once, wrong), (late(), grave)):
         assert busy.step(memory, armed, happening, NOW, simulated=True)[1].phase is Phase.FAULT
 
 
@@ -185,7 +265,16 @@ def held(*goes_on_s: float) -> BusyState:
 
 @pytest.mark.parametrize(
     ("goes_on_s", "after_s"),
-    [((), 0.52), ((1,), 1.0), ((2, 1), 2.0), ((50,) * 3, 4.0), ((50,) * 4, 8.0), ((10,) * 9, 8.0), ((61,) * 9, 0.52)],
+    [
+        ((), 0.52),
+        ((1,), 1.0),
+        ((2, 1), 2.0),
+        ((50,) * 3, 4.0),
+        ((50,) * 4, 8.0),
+        ((10,) * 9, 8.0),
+        ((61,) * 9, 0.52),
+        ((59.48,), 0.52),
+    ],
 )
 def test_the_more_often_it_was_held_the_longer_it_waits(goes_on_s: tuple[float, ...], after_s: float) -> None:
     assert settled(held(*goes_on_s), HELD, 20) == [pytest.approx(after_s)]
@@ -200,6 +289,13 @@ def test_the_more_often_it_was_held_the_longer_it_waits(goes_on_s: tuple[float, 
 )  # fmt: skip
 def test_it_stays_held_until_everybody_is_heard_seen_ours_and_at_rest(robot: dict[str, object]) -> None:
     assert settled(held(), HELD, 30, **robot) == []
+
+
+def test_all_must_be_well_for_300_ms() -> None:
+    for well_ns, event in ((300 * MS - 1, None), (300 * MS, Event.CAUGHT_UP)):
+        memory = held()._replace(held_ns=NOW - S, fresh_ns=NOW - well_ns)
+        _, happening = busy.go_on(memory, HELD, seen(), ())
+        assert (happening and happening.event) is event
 
 
 def test_all_must_be_well_for_a_while() -> None:
@@ -257,11 +353,24 @@ def test_it_goes_on_at_most_ten_times_a_minute_however_late_who_is(runs: list[in
 
 def test_words() -> None:
     robots = ("r1", "r2")
-    said = [Lateness(TRACKER, 310 * MS), Lateness(DRIVERS + 1, 120 * MS), Lateness(SUPERVISOR, 70 * MS)]
-    assert busy.words(said, 6.13, 2, robots) == (
+    lateness = [Lateness(TRACKER, 310 * MS), Lateness(DRIVERS + 1, 120 * MS), Lateness(SUPERVISOR, 70 * MS)]
+    assert busy.words(lateness, 6.13, 2, robots) == (
         "load 6.1 on 2 cores, the tracker was late by 310 ms, the driver of r2 was late by 120 ms, "
         "the supervisor was late by 70 ms"
     )
-    assert busy.words([*said, Lateness(CONTROLLER, 1)], 1.0, 1, robots).startswith("load 1.0 on 1 core, ")
-    assert "controller" not in busy.words([*said, Lateness(CONTROLLER, 1)], 1.0, 1, robots)  # three are enough
-    assert busy.name(DRIVERS + 9, robots) == "another driver"
+    assert busy.words([*lateness, Lateness(CONTROLLER, 1)], 1.0, 1, robots).startswith("load 1.0 on 1 core, ")
+    assert "controller" not in busy.words([*lateness, Lateness(CONTROLLER, 1)], 1.0, 1, robots)  # three are enough
+    names = [
+        "the supervisor",
+        "the controller",
+        "the tracker",
+        "the driver of r1",
+        "the driver of r2",
+        "another driver",
+    ]
+    assert [busy.name(process, robots) for process in range(DRIVERS + 3)] == names
+
+
+def test_the_latest_process_is_named_first() -> None:
+    late_ = [Lateness(TRACKER, 70 * MS), Lateness(DRIVERS, 310 * MS), Lateness(CONTROLLER, 120 * MS)]
+    assert [process for process, _ in busy.latest(late_)] == [DRIVERS, CONTROLLER, TRACKER]

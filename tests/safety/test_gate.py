@@ -6,20 +6,14 @@ from typing import Any
 
 import pytest
 
-from robofleet.safety.gate import NEVER_NS, VALID_NS, GateState, LeaseAction
+from robofleet.safety.gate import VALID_NS, LeaseAction
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WheelSpeeds
-from tests.safety.gated import BOOT, MS, NOW, OTHER, SESSION, WHEELS, Gate, Step, opened
+from tests.safety.gated import MS, NOW, OTHER, SESSION, WHEELS, Gate, Step, opened
 
 
 def test_it_is_120_ms() -> None:
     assert VALID_NS == 120_000_000
-
-
-def test_it_starts_disarmed(step: Step) -> None:
-    gate = Gate(step)
-    assert gate.out == (STOP, STOP, GateStatus.NO_LEASE, None, None)
-    assert gate.state == GateState(boot_id=BOOT, at_ns=NOW, deadline_ns=NEVER_NS)
 
 
 @pytest.mark.parametrize(("lease", "enable", "command", "latch"), list(product((False, True), repeat=4)))
@@ -55,18 +49,6 @@ def test_a_message_counts_by_its_nonce_not_its_arrival(step: Step, which: str, a
     assert gate.refuses(**{which: made._replace(nonce=NOW - age)}) is not accepted
 
 
-@pytest.mark.parametrize("which", ["command", "permission"])
-@pytest.mark.parametrize("change", [{"boot_id": BOOT + 1}, {"boot_id": BOOT - 1}, {"epoch": 0}, {"epoch": 2}])
-def test_another_boot_s_and_another_lease_s_messages_are_refused(
-    step: Step, which: str, change: dict[str, int]
-) -> None:
-    gate = opened(step)
-    gate.wait(10 * MS)
-    made: Any = gate.a_command() if which == "command" else gate.an_enable()
-    assert gate.refuses(**{which: made._replace(**change)})
-    assert gate.out.target == WHEELS
-
-
 @pytest.mark.parametrize("session", [0, OTHER])
 def test_only_the_holder_of_the_lease_drives(step: Step, session: int) -> None:
     gate = opened(step)
@@ -82,14 +64,6 @@ def test_a_command_must_be_newer_than_the_last(step: Step, seq: int, accepted: b
     gate.lease()
     gate.command(seq=42)
     assert gate.refuses(command=gate.a_command(seq=seq)) is not accepted
-
-
-def test_after_the_last_sequence_number_there_is_none(step: Step) -> None:
-    gate = opened(step)
-    gate.command(seq=2**32 - 1)
-    assert gate.refuses(command=gate.a_command(seq=0))
-    assert gate.refuses(command=gate.a_command(seq=2**32 - 1))
-    assert gate.wait(VALID_NS).target == STOP
 
 
 @pytest.mark.parametrize(
@@ -176,17 +150,6 @@ def test_a_permission_to_creep_permits_creeping(step: Step) -> None:
     assert gate.enable(limit=0.5).target == (0.4, -0.4)
 
 
-def test_a_refused_message_feeds_no_watchdog(step: Step) -> None:
-    gate = opened(step)
-    closes = gate.out.deadline_ns
-    for _ in range(11):
-        gate.wait(10 * MS)
-        assert gate.refuses(command=gate.a_command(wheels=WheelSpeeds(99.0, 0.0)))
-        assert gate.refuses(permission=gate.an_enable(boot_id=BOOT + 1))
-        assert gate.out.deadline_ns == closes == NOW + 150 * MS + VALID_NS
-    assert gate.wait(10 * MS).target == STOP
-
-
 @pytest.mark.parametrize("renewed", ["command", "enable"])
 def test_validity_ends_with_the_older_of_the_two(step: Step, renewed: str) -> None:
     gate = opened(step)
@@ -200,30 +163,3 @@ def test_validity_ends_with_the_older_of_the_two(step: Step, renewed: str) -> No
     assert gate.give().target == STOP
     assert gate.out.status is (GateStatus.NO_ENABLE if renewed == "command" else GateStatus.NO_COMMAND)
     assert gate.state.target_after_ns == VALID_NS
-
-
-def test_on_the_way_up_too_it_wakes_when_validity_ends(step: Step) -> None:
-    gate = Gate(step)
-    gate.lease()
-    gate.wait(VALID_NS)
-    gate.enable(nonce=gate.now - VALID_NS + 3 * MS)
-    assert gate.command(wheels=WheelSpeeds(9.0, 9.0)).deadline_ns == gate.now + 3 * MS
-
-
-def test_the_status_is_renewed_when_its_reason_runs_out(step: Step) -> None:
-    gate = Gate(step)
-    gate.lease()
-    gate.enable()
-    assert gate.command(wheels=STOP).deadline_ns == NOW + VALID_NS  # nothing moves, and yet
-    gate.now += 50 * MS
-    gate.enable()
-    gate.now = NOW + VALID_NS
-    assert gate.give()[2:] == (GateStatus.NO_COMMAND, None, NOW + 50 * MS + VALID_NS)
-    gate.now = NOW + 50 * MS + VALID_NS
-    assert gate.give()[2:] == (GateStatus.NO_ENABLE, None, None)
-
-
-def test_a_new_command_replaces_the_old_one(step: Step) -> None:
-    gate = opened(step)
-    gate.wait(10 * MS)
-    assert gate.command(wheels=WheelSpeeds(1.0, 2.0)).target == (1.0, 2.0)

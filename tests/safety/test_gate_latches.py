@@ -1,35 +1,13 @@
 """Latches hold a gate closed; leases say whose it is."""
 
-from itertools import product
-
 import pytest
 
-from robofleet.safety.gate import LAPSE_NS, VALID_NS, GateState, LeaseAction
+from robofleet.safety.gate import GateState, LeaseAction
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP
-from tests.safety.gated import BOOT, MS, NOW, OTHER, SESSION, WHEELS, Gate, Step, opened
+from tests.safety.gated import BOOT, MS, OTHER, SESSION, WHEELS, Gate, Step, opened
 
 LATCHES = [latch for latch in Latch if latch]
-
-
-@pytest.mark.parametrize("latch", LATCHES)
-@pytest.mark.parametrize("own", [True, False])
-def test_a_latch_closes_at_once_and_holds(step: Step, latch: Latch, own: bool) -> None:
-    gate = opened(step)
-    gate.wait(10 * MS)
-    out = gate.give(latch=latch) if own else gate.enable(latch=latch)
-    assert (out.target, out.status) == (STOP, GateStatus.LATCHED)
-    assert (gate.state.latch, gate.state.latch_id) == (latch, 1)
-    gate.wait(100 * MS)
-    gate.enable()
-    assert gate.command().status is GateStatus.LATCHED
-
-
-@pytest.mark.parametrize(("held", "latch"), list(product(LATCHES, LATCHES)))
-def test_the_gravest_latch_holds_and_each_has_its_number(step: Step, held: Latch, latch: Latch) -> None:
-    gate = Gate(step, GateState(boot_id=BOOT, latch=held, latch_id=5))
-    gate.give(latch=latch)
-    assert (gate.state.latch, gate.state.latch_id) == ((latch, 6) if latch > held else (held, 5))
 
 
 @pytest.mark.parametrize("epoch", [0, 9])
@@ -39,33 +17,6 @@ def test_an_e_stop_needs_no_lease(step: Step, epoch: int) -> None:
     gate.enable(latch=Latch.EMERGENCY_STOP, epoch=epoch)
     assert gate.state.latch == Latch.EMERGENCY_STOP
     assert gate.out.target == STOP
-
-
-def test_a_reset_clears_a_latch_and_moves_nothing(step: Step) -> None:
-    gate = opened(step)
-    gate.give(latch=Latch.DRILL)
-    gate.wait(100 * MS)
-    gate.command()
-    assert gate.enable(clear=1).target == STOP
-    assert (gate.state.latch, gate.state.latch_id, gate.out.status) == (Latch.NONE, 1, GateStatus.NO_ENABLE)
-    assert gate.enable().target == WHEELS
-
-
-@pytest.mark.parametrize(
-    "hindered",
-    [
-        {"clear": 4},
-        {"clear": 6},
-        {"clear": 0},
-        {"clear": 5, "boot_id": BOOT + 1},
-        {"clear": 5, "epoch": 3},
-        {"clear": 5, "nonce": NOW - VALID_NS},
-    ],
-)
-def test_who_may_not_clears_nothing(step: Step, hindered: dict[str, int]) -> None:
-    gate = Gate(step, GateState(boot_id=BOOT, latch=Latch.EMERGENCY_STOP, latch_id=5))
-    gate.enable(**hindered)
-    assert gate.state.latch == Latch.EMERGENCY_STOP
 
 
 def test_nothing_is_cleared_in_motion_or_while_it_is_asked_for(step: Step) -> None:
@@ -84,18 +35,6 @@ def test_nothing_is_cleared_in_motion_or_while_it_is_asked_for(step: Step) -> No
     gate.held = Latch.NONE
     gate.enable(clear=1)
     assert gate.state.latch == Latch.NONE
-
-
-def test_a_latch_without_a_number_is_not_cleared_by_those_who_clear_nothing(step: Step) -> None:
-    gate = Gate(step, GateState(boot_id=BOOT, latch=Latch.EMERGENCY_STOP))
-    gate.enable(clear=0)
-    assert gate.state.latch == Latch.EMERGENCY_STOP
-
-
-def test_an_e_stop_that_clears_is_an_e_stop(step: Step) -> None:
-    gate = Gate(step, GateState(boot_id=BOOT, latch=Latch.DRILL, latch_id=1))
-    gate.enable(clear=1, latch=Latch.EMERGENCY_STOP)
-    assert gate.state.latch == Latch.EMERGENCY_STOP
 
 
 def test_after_a_latch_from_the_bus_an_old_permission_is_gone(step: Step) -> None:
@@ -120,48 +59,6 @@ def test_nobody_has_no_lease(step: Step, action: LeaseAction) -> None:
     gate = Gate(step)
     assert gate.lease(0, action) is False
     assert gate.state.epoch == 0
-
-
-@pytest.mark.parametrize(("silent", "granted"), [(LAPSE_NS - 1, False), (LAPSE_NS, True)])
-def test_a_lease_lapses_a_second_after_the_last_command(step: Step, silent: int, granted: bool) -> None:
-    gate = Gate(step)
-    gate.lease()
-    gate.wait(900 * MS)
-    gate.command()
-    gate.refuses(command=gate.a_command(seq=0))
-    gate.wait(silent)
-    gate.refuses(command=gate.a_command(seq=0))  # does not count
-    assert gate.lease(OTHER) is granted
-
-
-def test_a_lease_lapses_also_if_there_never_was_a_command(step: Step) -> None:
-    gate = Gate(step)
-    gate.lease()
-    gate.wait(LAPSE_NS - 1)
-    assert gate.lease(OTHER) is False
-    gate.wait(1)
-    assert gate.lease(OTHER) is True
-
-
-@pytest.mark.parametrize("action", [LeaseAction.ACQUIRE, LeaseAction.TAKE_OVER])
-@pytest.mark.parametrize("moving", ["output", "wheel"])
-def test_no_lease_is_given_in_motion(step: Step, action: LeaseAction, moving: str) -> None:
-    gate = opened(step)
-    gate.lease(SESSION, LeaseAction.RELEASE)
-    gate.wait(10 * MS if moving == "output" else 200 * MS)
-    gate.turning = moving == "wheel"
-    assert gate.lease(OTHER, action) is False
-    gate.wait(200 * MS)
-    gate.turning = False
-    assert gate.lease(OTHER, action) is True
-
-
-def test_at_rest_a_lease_is_taken_over_from_a_controller_that_is_alive(step: Step) -> None:
-    gate = Gate(step)
-    gate.lease()
-    gate.command()
-    assert gate.lease(OTHER, LeaseAction.TAKE_OVER) is True
-    assert (gate.state.epoch, gate.state.session, gate.state.seq) == (2, OTHER, 0)
 
 
 def test_neither_permission_nor_command_outlives_the_lease(step: Step) -> None:

@@ -24,7 +24,7 @@ WAITS = st.sampled_from([0, 1, 5 * MS, 7 * MS, 33 * MS, 60 * MS, 119 * MS, FRESH
 
 
 @dataclass
-class Told:
+class Accepted:
     """Everything that was accepted, and what follows from it."""
 
     boot: int = BOOT
@@ -34,7 +34,7 @@ class Told:
     permitted_from: int = 0
     epoch: int = 0
     holder: int = 0
-    heard: int = 0
+    heard_ns: int = 0
     latch: Latch = Latch.NONE
     latches: int = 0
     refused: int = 0
@@ -59,7 +59,7 @@ class GateMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.now, self.told, self.state = NOW, Told(), GateState(boot_id=BOOT)
+        self.now, self.model, self.state = NOW, Accepted(), GateState(boot_id=BOOT)
         self.pressed, self.turning = Latch.NONE, False
         self.deadline: int | None = None
         self.was_open, self.closed_since = False, NOW
@@ -81,31 +81,31 @@ class GateMachine(RuleBasedStateMachine):
     @rule(wheels=st.sampled_from([(9.0, -4.0), (-12.5, 7.0), (12.62, 0.0), (10.0, 10.0), (-10.0, -10.05), (1.0, 12.6)]))
     def drive(self, wheels: tuple[float, float]) -> None:
         """A healthy robot, controller and supervisor; what was latched is reset."""
-        told, self.pressed, self.turning = self.told, Latch.NONE, False
-        if told.latch:
+        model, self.pressed, self.turning = self.model, Latch.NONE, False
+        if model.latch:
             self.enable(0, 0, 0, 0, Latch.NONE, 0, 0.0)
-        if not told.holder:
+        if not model.holder:
             self.lease(SESSION, LeaseAction.ACQUIRE)
         self.enable(0, 0, 0, 0, Latch.NONE, None, 12.5)
-        self.command(0, 0, 0, told.holder, 0, wheels)
+        self.command(0, 0, 0, model.holder, 0, wheels)
 
     @rule(
         boot=MOSTLY_RIGHT, age=AGES, epoch=MOSTLY_RIGHT, session=SESSIONS, seq=MOSTLY_RIGHT,
         wheels=st.tuples(SPEEDS, SPEEDS),
     )  # fmt: skip
     def command(self, boot: int, age: int, epoch: int, session: int, seq: int, wheels: tuple[float, float]) -> None:
-        told = self.told
-        last = max((c.seq for c in told.commands if c.epoch == told.epoch), default=0)
+        model = self.model
+        last = max((c.seq for c in model.commands if c.epoch == model.epoch), default=0)
         sent = Command(
-            told.epoch + epoch, session, last + 1 + seq, told.boot + boot, self.now - age, WheelSpeeds(*wheels)
+            model.epoch + epoch, session, last + 1 + seq, model.boot + boot, self.now - age, WheelSpeeds(*wheels)
         )
-        fine = boot == 0 and 0 <= age < FRESH_NS and epoch == 0 and session == told.holder != 0
+        fine = boot == 0 and 0 <= age < FRESH_NS and epoch == 0 and session == model.holder != 0
         if fine and sent.seq > last and fits(sent.wheels):
-            told.commands.append(sent)
-            told.heard = self.now
+            model.commands.append(sent)
+            model.heard_ns = self.now
             self.after(command=sent)
         else:
-            told.refused += 1
+            model.refused += 1
             self.after(refused=True, command=sent)
 
     @rule(
@@ -114,40 +114,40 @@ class GateMachine(RuleBasedStateMachine):
         clear=st.none() | MOSTLY_RIGHT, limit=st.sampled_from([12.5, 12.5, 9.0, 4.0, 0.0]),
     )  # fmt: skip
     def enable(self, boot: int, age: int, epoch: int, seq: int, latch: Latch, clear: int | None, limit: float) -> None:
-        told = self.told
-        newest = max(((p.nonce, p.seq) for p in told.permissions), default=(-1, 0))
-        clears = 0 if clear is None else told.latches + clear
+        model = self.model
+        newest = max(((p.nonce, p.seq) for p in model.permissions), default=(-1, 0))
+        clears = 0 if clear is None else model.latches + clear
         sent = Permission(
-            told.epoch + epoch, newest[1] + 1 + seq, told.boot + boot, self.now - age, latch, clears, limit
+            model.epoch + epoch, newest[1] + 1 + seq, model.boot + boot, self.now - age, latch, clears, limit
         )
         fine = boot == 0 and 0 <= age < FRESH_NS and (epoch == 0 or latch) and (sent.nonce, sent.seq) > newest
         if not fine:
-            told.refused += 1
+            model.refused += 1
             self.after(refused=True, permission=sent)
             return
-        told.permissions.append(sent)
+        model.permissions.append(sent)
         if latch:
             self.hold(latch)
-            told.permitted_from = len(told.permissions)
-        elif told.latch and clears == told.latches and self.at_rest() and not self.pressed:
-            told.latch = Latch.NONE
-            told.permitted_from = len(told.permissions)
+            model.permitted_from = len(model.permissions)
+        elif model.latch and clears == model.latches and self.at_rest() and not self.pressed:
+            model.latch = Latch.NONE
+            model.permitted_from = len(model.permissions)
         self.after(permission=sent)
 
     @rule(session=SESSIONS, action=st.sampled_from(LeaseAction))
     def lease(self, session: int, action: LeaseAction) -> None:
-        told = self.told
+        model = self.model
         if action is LeaseAction.RELEASE:
-            granted = session == told.holder != 0
-            told.holder = 0 if granted else told.holder
-        elif session in (0, told.holder):
+            granted = session == model.holder != 0
+            model.holder = 0 if granted else model.holder
+        elif session in (0, model.holder):
             granted = session != 0
         else:
-            free = not told.holder or self.now - told.heard >= S or action is LeaseAction.TAKE_OVER
+            free = not model.holder or self.now - model.heard_ns >= S or action is LeaseAction.TAKE_OVER
             granted = free and self.at_rest()
             if granted:
-                told.epoch, told.holder, told.heard = told.epoch + 1, session, self.now
-                told.given_at, told.permitted_from = len(told.commands), len(told.permissions)
+                model.epoch, model.holder, model.heard_ns = model.epoch + 1, session, self.now
+                model.given_at, model.permitted_from = len(model.commands), len(model.permissions)
         assert self.after(lease=(session, action)).granted is granted
 
     @rule(pressed=st.sampled_from([Latch.NONE, Latch.NONE, Latch.WIRED_STOP, Latch.DRIVER_FAILED]))
@@ -161,14 +161,14 @@ class GateMachine(RuleBasedStateMachine):
         """A wheel is measured to turn, or not."""
         self.turning = turning
 
-    @precondition(lambda self: len(self.told.commands) > 3)
+    @precondition(lambda self: len(self.model.commands) > 3)
     @rule(ns=st.integers(1, 2 * S))
     def set_back(self, ns: int) -> None:
         """The clock."""
-        told = self.told
+        model = self.model
         self.now -= ns
-        told.boot, told.heard = told.boot + 1, self.now
-        told.permissions, told.given_at, told.permitted_from = [], len(told.commands), 0
+        model.boot, model.heard_ns = model.boot + 1, self.now
+        model.permissions, model.given_at, model.permitted_from = [], len(model.commands), 0
         self.closed_since = self.now
         self.after()
 
@@ -178,28 +178,28 @@ class GateMachine(RuleBasedStateMachine):
         return self.state.output == STOP and not self.turning
 
     def hold(self, latch: Latch) -> None:
-        if latch > self.told.latch:
-            self.told.latch, self.told.latches = latch, self.told.latches + 1
+        if latch > self.model.latch:
+            self.model.latch, self.model.latches = latch, self.model.latches + 1
 
     def expected(self) -> tuple[WheelSpeeds, GateStatus]:
         """Return what is allowed now, from all that was accepted."""
-        told, command = self.told, self.told.command()
-        enabled = bool(told.permissions) and self.now - told.permissions[-1].nonce < FRESH_NS
-        if told.latch:
+        model, command = self.model, self.model.command()
+        enabled = bool(model.permissions) and self.now - model.permissions[-1].nonce < FRESH_NS
+        if model.latch:
             return STOP, GateStatus.LATCHED
-        if not told.holder:
+        if not model.holder:
             return STOP, GateStatus.NO_LEASE
-        if not (enabled and told.limit() > 0):
+        if not (enabled and model.limit() > 0):
             return STOP, GateStatus.NO_ENABLE
         if command is None or self.now - command.nonce >= FRESH_NS:
             return STOP, GateStatus.NO_COMMAND
-        if max(map(abs, command.wheels)) > 1.01 * told.limit():
+        if max(map(abs, command.wheels)) > 1.01 * model.limit():
             return STOP, GateStatus.NO_ENABLE
         return command.wheels, GateStatus.OPEN
 
     def after(self, *, refused: bool = False, **arrived: Any) -> Any:
         """Step the gate and hold what it did against the rules."""
-        before, told = self.state, self.told
+        before, model = self.state, self.model
         self.hold(self.pressed)
         inputs = Arrived(latch=self.pressed, turning=self.turning)
         self.state, out = step(before, DRIVE, inputs._replace(**arrived), self.now)
@@ -208,9 +208,9 @@ class GateMachine(RuleBasedStateMachine):
             assert self.state == replace(alone, refused=before.refused + 1)
         assert (out.target, out.status) == self.expected()
         state = self.state
-        assert (state.boot_id, state.epoch, state.session) == (told.boot, told.epoch, told.holder)
-        assert (state.latch, state.latch_id, state.refused) == (told.latch, told.latches, told.refused)
-        accepted = [(c.epoch, c.seq) for c in told.commands[-2:]]
+        assert (state.boot_id, state.epoch, state.session) == (model.boot, model.epoch, model.holder)
+        assert (state.latch, state.latch_id, state.refused) == (model.latch, model.latches, model.refused)
+        accepted = [(c.epoch, c.seq) for c in model.commands[-2:]]
         assert accepted == sorted(set(accepted))
         self.moved(before, out)
         self.deadline = out.deadline_ns

@@ -51,6 +51,10 @@ def robot(row: int, **changes: Any) -> Change:
     )
 
 
+def only_first(view: FleetView) -> FleetView:
+    return view._replace(robots=view.robots[:1])
+
+
 def told(
     change: Change,
     phase: Phase = Phase.RUNNING,
@@ -130,7 +134,12 @@ def test_a_tag_that_is_unseen_for_two_seconds_is_lost_and_no_longer_late() -> No
     assert told(robot(1, unseen_ns=2 * S, lost=True)) == [Happening(Event.TAG_LOST, 1)]
 
 
-@pytest.mark.parametrize(("x_m", "outside"), [(-0.0501, False), (-0.0499, True), (0.7, True)])
+def test_a_robot_that_only_a_camera_sees_that_is_out_is_not_lost() -> None:
+    assert told(robot(1, unseen_ns=2 * S - 1, camera_out=4)) == [Happening(Event.TAG_LATE, 1)]
+    assert told(robot(1, unseen_ns=2 * S, camera_out=4)) == [Happening(Event.CAMERA_OUT, 1, 3)]
+
+
+@pytest.mark.parametrize(("x_m", "outside"), [(-0.05, False), (-0.0499, True), (0.7, True)])
 def test_a_robot_off_a_floor_that_is_a_polygon_is_outside(x_m: float, outside: bool) -> None:
     corners = ((-1.5, -1.0), (1.5, -1.0), (1.5, 0.3), (0.0, 0.3), (0.0, 1.0), (-1.5, 1.0))
     settings = replace(SETTINGS, floors=(Solid("floor", corners, floor=True),))
@@ -164,8 +173,9 @@ def test_two_are_too_close_wherever_they_are(y: float) -> None:
     def pair(gap_m: float) -> Change:
         return lambda view: robot(0, pose=(-1.0, y, 0.0))(robot(1, pose=(gap_m - 1.0, y, 0.0))(view))
 
-    assert told(pair(0.1151), before=pair(0.1151)) == []
-    assert told(pair(0.1149), before=pair(0.1149)) == [Happening(Event.TOO_CLOSE, 0, 1)]
+    far, close = pair(0.115 + 5e-10), pair(0.115 - 5e-10)
+    assert told(far, before=far) == []
+    assert told(close, before=close) == [Happening(Event.TOO_CLOSE, 0, 1)]
 
 
 def test_two_that_are_just_as_far_apart_as_they_must_be_are_not_too_close() -> None:
@@ -178,8 +188,8 @@ def test_two_that_are_just_as_far_apart_as_they_must_be_are_not_too_close() -> N
 
 
 def test_a_robot_that_is_not_seen_still_stands_in_the_way() -> None:
-    there = robot(1, pose=(0.45, 0.0, 0.0), unseen_ns=S)
-    assert told(there, before=there) == [
+    standing = robot(1, pose=(0.45, 0.0, 0.0), unseen_ns=S)
+    assert told(standing, before=standing) == [
         Happening(Event.TAG_LATE, 1),
         Happening(Event.TOO_CLOSE, 1, 2),
     ]
@@ -204,9 +214,9 @@ def test_a_change_is_told_once(change: Change, happening: Happening, phase: Phas
 def test_a_robot_that_is_seen_where_it_cannot_have_driven_was_moved(way: tuple[float, float]) -> None:
     def moved(by_m: float, seen_again_ns: int) -> list[list[Happening]]:
         """Robot 1 has a body of 60 mm and drives 0.5 m/s."""
-        place = robot(1, pose=(by_m * way[0], by_m * way[1], 0.0))
+        body = robot(1, pose=(by_m * way[0], by_m * way[1], 0.0))
         later = healthy(NOW + seen_again_ns)
-        return follow([healthy(NOW), place(later), place(healthy(NOW + seen_again_ns + 40 * MS))], Phase.RUNNING)
+        return follow([healthy(NOW), body(later), body(healthy(NOW + seen_again_ns + 40 * MS))], Phase.RUNNING)
 
     assert moved(0.0799, 40 * MS) == [[], [], []]
     quiet, jump, after = moved(0.0801, 40 * MS)
@@ -270,6 +280,14 @@ def test_a_computer_of_its_own_that_is_silent_or_starts_again_has_lost_its_link(
         assert [told(robot(row, **what), Phase.RUNNING, settings=elsewhere)[0].event for row in (0, 1)] == [
             told(robot(0, **what), Phase.RUNNING)[0].event
         ] * 2
+
+
+def test_the_lease_of_a_robot_that_drives_alone_is_lost_too() -> None:
+    alone = replace(SETTINGS, body_radius=(0.05,), max_speed=(0.5,))
+    held, taken = (robot(0, session=session) for session in (SESSION, SESSION + 1))
+    memory, _ = monitor.watch(MonitorState(), alone, Phase.RUNNING, only_first(held(healthy(NOW))))
+    _, happenings = monitor.watch(memory, alone, Phase.RUNNING, only_first(taken(healthy(NOW + 40 * MS))))
+    assert happenings == (Happening(Event.LEASE_LOST, 0),)
 
 
 def test_all_leases_taken_at_once_are_lost_too() -> None:
@@ -349,6 +367,25 @@ def test_a_filter_that_found_an_answer_in_between_is_given_its_time_again() -> N
     assert follow([*views, stuck(healthy(NOW + 820 * MS))], Phase.RUNNING)[-1] == [
         Happening(Event.FILTER_INFEASIBLE, 2)
     ]
+
+
+@pytest.mark.parametrize("wheel", ["left", "right"])
+def test_a_wheel_that_stands_is_told_after_a_second_in_which_it_was_told_to_turn(wheel: str) -> None:
+    """At 2 rad/s or more, with up to 0.5 rad/s measured; of a robot whose encoders have counted."""
+    other = "right" if wheel == "left" else "left"
+
+    def told_at(stalled_for_ms: int, output: float = -2.0, speed: float = 0.5, turned: float = 0.1) -> list[Happening]:
+        standing = {f"{wheel}_output": output, f"{wheel}_speed": speed, f"{wheel}_angle": turned}
+        turning = {f"{other}_output": 12.0, f"{other}_speed": 0.0 if turned == 0.0 else 12.0}
+        views = [robot(2, **standing, **turning)(healthy(NOW + k * 20 * MS)) for k in range(stalled_for_ms // 20 + 1)]
+        return follow(views, Phase.RUNNING)[-1]
+
+    assert told_at(980) == []
+    assert (
+        told_at(1000) == told_at(1100, speed=-0.5) == told_at(1100, output=2.0) == [Happening(Event.WHEEL_STALLED, 2)]
+    )
+    assert told_at(1100, speed=-0.51) == told_at(1100, output=1.99) == []
+    assert told_at(1100, speed=0.0, turned=0.0) == [], "it counts nothing"
 
 
 def test_robots_that_block_each_other_are_told_while_they_drive() -> None:
@@ -549,6 +586,10 @@ def test_a_bystanders_wheel_that_turns_by_itself_is_told(phase: Phase) -> None:
     latched, turning = robot(2, latch=Latch.RUNAWAY), robot(2, latch=Latch.RUNAWAY, right_speed=6.1)
     assert of_bystander(turning, phase) == [Happening(Event.RUNAWAY, 2)]
     assert of_bystander(latched, phase) == ([] if phase is Phase.IDLE else [Happening(Event.RUNAWAY, 2)])
+
+
+def test_a_bystander_that_is_pushed_along_does_not_turn_its_wheels_by_itself() -> None:
+    assert rolled_on(Phase.RUNNING, 9, driven=False) == []
 
 
 def test_a_bystanders_stop_that_was_pressed_waits_for_its_reset_in_idle() -> None:

@@ -31,8 +31,8 @@ WISHES = {  # what an operator may ask for, and where it was met already, or is 
 
 def why(event: Event, phase: Phase, *robots: RobotView, standing: tuple[Happening, ...] = ()) -> str | None:
     """Return why it is refused in a view of three robots; those that are not named are healthy."""
-    there = (*robots, THERE, THERE, THERE)[:3]
-    return refusal(event, RunStatus(phase), standing, FleetView(NOW, there), IDS)
+    group = (*robots, THERE, THERE, THERE)[:3]
+    return refusal(event, RunStatus(phase), standing, FleetView(NOW, group), IDS)
 
 
 @pytest.mark.parametrize(("event", "phase"), list(product(WISHES, Phase)))
@@ -51,7 +51,7 @@ def test_every_phase_has_a_way_out_in_words() -> None:
 
 @pytest.mark.parametrize("phase", [Phase.FAULT, Phase.ESTOP, Phase.IDLE])
 @pytest.mark.parametrize(
-    ("hindrance", "told"),
+    ("hindrance", "message"),
     [
         ({"left_speed": 0.1}, "b is not at rest: wait until it stands"),
         ({"right_output": -0.1}, "b is not at rest: wait until it stands"),
@@ -68,17 +68,19 @@ def test_every_phase_has_a_way_out_in_words() -> None:
         ),
     ],
 )
-def test_a_reset_waits_for_every_robot_and_names_the_one(phase: Phase, hindrance: dict[str, float], told: str) -> None:
+def test_a_reset_waits_for_every_robot_and_names_the_one(
+    phase: Phase, hindrance: dict[str, float], message: str
+) -> None:
     hindered = HELD._replace(**hindrance)  # type: ignore[arg-type]
-    assert why(Event.RESET, phase, HELD, hindered, HELD) == told
+    assert why(Event.RESET, phase, HELD, hindered, HELD) == message
     assert why(Event.RESET, phase, HELD, hindered._replace(heard_ns=NOW - SILENT_NS - 1), HELD) is None, "it is gone"
 
 
 @pytest.mark.parametrize("latch", [Latch.NONE, Latch.DRILL])
 def test_an_emergency_stop_is_reset_when_everybody_has_acknowledged_it(latch: Latch) -> None:
     deaf = THERE._replace(latch=latch)
-    told = "c has not acknowledged the emergency stop: look at its driver"
-    assert why(Event.RESET, Phase.ESTOP, HELD, HELD, deaf) == told
+    message = "c has not acknowledged the emergency stop: look at its driver"
+    assert why(Event.RESET, Phase.ESTOP, HELD, HELD, deaf) == message
     assert why(Event.RESET, Phase.FAULT, HELD, HELD, deaf) is None
     assert why(Event.RESET, Phase.ESTOP, HELD, HELD, HELD._replace(latch=Latch.WIRED_STOP, faults=4)) is None
 
@@ -89,19 +91,19 @@ def test_an_e_stop_or_worse_acknowledges(latch: Latch) -> None:
 
 
 def test_no_start_with_a_latched_gate_and_all_of_them_are_named() -> None:
-    told = "a, c: the gate is latched: look at the robot, then reset"
-    assert why(Event.START_REQUESTED, Phase.IDLE, HELD, THERE, THERE._replace(latch=Latch.DRILL)) == told
+    message = "a, c: the gate is latched: look at the robot, then reset"
+    assert why(Event.START_REQUESTED, Phase.IDLE, HELD, THERE, THERE._replace(latch=Latch.DRILL)) == message
     assert why(Event.START_REQUESTED, Phase.ARMED, HELD) is None, "it was met already"
     assert why(Event.START_REQUESTED, Phase.IDLE, HELD._replace(heard_ns=NOW - SILENT_NS - 1)) is None
     assert why(Event.STOP_REQUESTED, Phase.IDLE, HELD) is None
-    assert why(Event.ARM_REQUESTED, Phase.IDLE, HELD, THERE, THERE._replace(latch=Latch.DRILL)) == told
+    assert why(Event.ARM_REQUESTED, Phase.IDLE, HELD, THERE, THERE._replace(latch=Latch.DRILL)) == message
     assert latched(FleetView(NOW, (THERE, HELD, HELD._replace(heard_ns=NEVER))), IDS) == ["b"]
 
 
 def test_a_fleet_that_waits_is_not_started_while_something_is_missing() -> None:
     unready = Happening(Event.TAG_LOST, 1)
-    view, told = FleetView(NOW, (THERE,) * 3), "b: the tracker lost the robot: mend it, then start, or stop"
-    assert refusal(Event.START_REQUESTED, RunStatus(Phase.ARMED), (), view, IDS, unready) == told
+    view, message = FleetView(NOW, (THERE,) * 3), "b: the tracker lost the robot: mend it, then start, or stop"
+    assert refusal(Event.START_REQUESTED, RunStatus(Phase.ARMED), (), view, IDS, unready) == message
     for event in (Event.ARM_REQUESTED, Event.STOP_REQUESTED, Event.ESTOP_REQUESTED):
         assert refusal(event, RunStatus(Phase.ARMED), (), view, IDS, unready) is None
 
@@ -109,8 +111,8 @@ def test_a_fleet_that_waits_is_not_started_while_something_is_missing() -> None:
 def test_a_run_is_not_resumed_into_what_would_end_it_again() -> None:
     harmless = Happening(Event.TAG_LATE, 0)
     late = (harmless, Happening(Event.DRIVER_SILENT, 2), Happening(Event.DISK_FULL))
-    told = "c: the driver went silent: mend it, then resume, or stop"
-    assert why(Event.RESUME_REQUESTED, Phase.HOLD, standing=late) == told
+    message = "c: the driver went silent: mend it, then resume, or stop"
+    assert why(Event.RESUME_REQUESTED, Phase.HOLD, standing=late) == message
     assert why(Event.RESUME_REQUESTED, Phase.HOLD, standing=(harmless,)) is None
     assert why(Event.HOLD_REQUESTED, Phase.RUNNING, standing=late) is None
     assert why(Event.RESUME_REQUESTED, Phase.RUNNING, standing=late) is None, "it was met already"

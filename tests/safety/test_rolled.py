@@ -48,15 +48,15 @@ def test_every_wiring_is_named(wiring: str) -> None:
 
 
 @pytest.mark.parametrize("wiring", list(WIRINGS))
-@pytest.mark.parametrize("asked", [FORTH, BACK])
+@pytest.mark.parametrize("wheels", [FORTH, BACK])
 @given(gain=st.floats(0.75, 1.3), errors=st.tuples(st.floats(-0.075, 0.075), st.floats(-0.075, 0.075)))
 def test_every_wiring_is_named_whatever_the_gain_and_the_noise(
-    wiring: str, asked: Wheels, gain: float, errors: Wheels
+    wiring: str, wheels: Wheels, gain: float, errors: Wheels
 ) -> None:
     """Errors of four sigmas of one stroke."""
     wires, event = WIRINGS[wiring]
-    left, right = wires(*asked)
-    fault = wiring_fault(Leg(asked, asked, (gain * left + errors[0], gain * right + errors[1])))
+    left, right = wires(*wheels)
+    fault = wiring_fault(Leg(wheels, wheels, (gain * left + errors[0], gain * right + errors[1])))
     assert (None if fault is None else fault[0]) == event
 
 
@@ -75,6 +75,12 @@ def test_an_encoder_that_does_not_count_what_its_wheel_turns_is_found(counts: Wh
 @pytest.mark.parametrize("counts", [(1.0, 1.0), (0.7, 0.7), (1.3, 1.3), (0.0, 0.0)])
 def test_encoders_that_count_about_what_was_asked_or_nothing_are_no_fault(counts: Wheels) -> None:
     assert wiring_fault(Leg(FORTH, (counts[0] * FORTH[0], counts[1] * FORTH[1]), FORTH)) is None
+
+
+@pytest.mark.parametrize("counts", [(0.0, 0.0), (0.5, -0.5)])
+def test_wheels_that_were_told_nothing_yet_have_no_fault(counts: Wheels) -> None:
+    """Somebody pushes the robot at the beginning of its stroke."""
+    assert wiring_fault(Leg((0.0, 0.0), counts, (0.5, -0.5))) is None
 
 
 def test_an_encoder_at_its_tolerance_passes() -> None:
@@ -128,8 +134,8 @@ def wiggled(rng: np.random.Generator, error: float, error_right: float) -> Leg:
     slip = 1.0 - 0.02 * 0.37  # at 0.37 rad/s of turning
     noise = np.array([0.0003, 0.0003, 0.004]) / math.sqrt(3.0)
     poses = [(0.0, 0.0, 0.0)]
-    for asked in (FORTH, BACK):
-        poses.append(after(poses[-1], (slip * left * asked[0], slip * right * asked[1]), base))
+    for wheels in (FORTH, BACK):
+        poses.append(after(poses[-1], (slip * left * wheels[0], slip * right * wheels[1]), base))
     a, b, c = (tuple(pose + noise * rng.standard_normal(3)) for pose in poses)
     return mean_of(
         Leg(FORTH, FORTH, rolled(a, b, RADIUS, BASE)),  # type: ignore[arg-type]
@@ -148,6 +154,6 @@ def test_no_healthy_robot_is_refused_and_none_that_is_a_fifth_off_passes() -> No
         assert refused(error, error, 2) == 1.0
 
 
-@pytest.mark.parametrize("one", [(0.2, 0.0), (0.0, 0.2), (-0.2, 0.0), (0.0, -0.2)])
-def test_one_wheel_that_is_a_fifth_off_is_found_nearly_always(one: tuple[float, float]) -> None:
-    assert refused(*one, 3) > 0.97
+@pytest.mark.parametrize("scales", [(0.2, 0.0), (0.0, 0.2), (-0.2, 0.0), (0.0, -0.2)])
+def test_one_wheel_that_is_a_fifth_off_is_found_nearly_always(scales: tuple[float, float]) -> None:
+    assert refused(*scales, 3) > 0.97

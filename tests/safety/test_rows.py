@@ -19,8 +19,9 @@ def drawn(rng: random.Random) -> tuple[RobotView, ...]:
     """Return robots in a small room, some never seen, the last ones bystanders."""
     return tuple(
         RobotView(
-            battery=rng.random(), lost=rng.random() < 0.5, seen_ns=rng.choice((NOW, NOW, NEVER)), driven=row < N - 5,
-            pose=(rng.uniform(-0.25, 0.25), rng.uniform(-0.25, 0.25), rng.uniform(-3.0, 3.0)), latch_id=2**63 + row,
+            battery=rng.random(), lost=rng.random() < 0.5, blocked=rng.random() < 0.5, driven=row < N - 5,
+            seen_ns=rng.choice((NOW, NOW, NEVER)), latch_id=2**63 + row,
+            pose=(rng.uniform(-0.25, 0.25), rng.uniform(-0.25, 0.25), rng.uniform(-3.0, 3.0)),
         )
         for row in range(N)
     )  # fmt: skip
@@ -33,6 +34,12 @@ def test_rows_are_the_robots_that_they_were_made_of() -> None:
     assert [rows[row] for row in range(N)] == list(robots)
     assert tuple(rows[2:4]) == robots[2:4]
     assert Rows.of(rows) is rows
+
+
+@pytest.mark.parametrize("wheel", ["left_speed", "right_speed", "left_output", "right_output"])
+def test_a_robot_of_which_one_wheel_turns_is_not_at_rest(wheel: str) -> None:
+    for rad_s, at_rest in ((0.05, False), (0.049, True), (-0.049, True), (-0.05, False)):
+        assert RobotView()._replace(**{wheel: rad_s}).at_rest is at_rest
 
 
 @pytest.mark.parametrize("seed", range(10))

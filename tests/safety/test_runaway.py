@@ -18,12 +18,12 @@ FAST = 6.1
 Pose = tuple[float, float, float]
 
 
-def looked(speeds: Iterable[float], *, told: bool = False, every_ns: int = LOOP_NS) -> list[bool]:
+def looked(speeds: Iterable[float], *, commanded: bool = False, every_ns: int = LOOP_NS) -> list[bool]:
     """Return whether a wheel runs by itself, at each look."""
     since_ns, found = NOW, []
     for k, speed in enumerate(speeds):
         looked_ns, now_ns = NOW + k * every_ns, NOW + (k + 1) * every_ns
-        since_ns = turning_since_ns(since_ns, looked_ns, told, speed, now_ns)
+        since_ns = turning_since_ns(since_ns, looked_ns, commanded, speed, now_ns)
         found.append(runaway.runs(since_ns, now_ns))
     return found
 
@@ -41,7 +41,7 @@ def test_a_wheel_that_is_no_faster_than_that_is_at_rest(speed: float) -> None:
 
 
 def test_a_wheel_that_is_told_to_turn_may() -> None:
-    assert not any(looked([FAST] * 1000, told=True))
+    assert not any(looked([FAST] * 1000, commanded=True))
 
 
 def test_one_moment_of_rest_begins_anew() -> None:
@@ -169,7 +169,7 @@ def test_no_pose_that_can_be_said_raises(value: float) -> None:
 @pytest.mark.parametrize("sigma_m", [0.0003, 0.002])
 def test_noise_is_no_motion(sigma_m: float, noise: Callable[[float, int], list[Pose]]) -> None:
     poses = noise(sigma_m, 4000)
-    assert any(one != other for one, other in pairwise(poses))
+    assert any(before != other for before, other in pairwise(poses))
     assert not any(seen(poses))
 
 

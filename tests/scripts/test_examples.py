@@ -191,8 +191,8 @@ def test_a_policy_that_knows_how_reaches_the_goals_and_equal_seeds_give_equal_ep
     assert rollout.rollout(env, rollout.straight, 1) == (total, steps)
     assert env.step(np.zeros((4, 2)))[0] == pytest.approx(0.0, abs=rollout.NEAR)
     seen, _ = env.reset(2)
-    *_, there, over, _ = [env.step(rng.uniform(-1, 1, seen.shape)) for _ in range(3)][-1]
-    assert (there, over) == (False, False)
+    *_, terminated, over, _ = [env.step(rng.uniform(-1, 1, seen.shape)) for _ in range(3)][-1]
+    assert (terminated, over) == (False, False)
     env.close()
 
 

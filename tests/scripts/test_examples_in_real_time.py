@@ -15,14 +15,14 @@ pytestmark = pytest.mark.long
 
 @pytest.fixture(scope="module")
 def arena(alone_for_a_module: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RealRun]:
-    one = RealRun(
+    run = RealRun(
         tmp_path_factory.mktemp("arena"), "--set", "tracker.source=truth", config=EXAMPLES.parent / "script.yaml"
     )
     try:
-        one.wait_until_running()
-        yield one
+        run.wait_until_running()
+        yield run
     finally:
-        one.clean_up()
+        run.clean_up()
 
 
 @pytest.fixture

@@ -170,12 +170,12 @@ def nested(levels: int) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def driven() -> Any:
-    with fleet() as one:
-        yield one
+    with fleet() as first:
+        yield first
 
 
-def of_wish(said: ScriptWish, n: int = 4, v: float = 0.1) -> bytes:
-    return SCRIPT_WISH.encode(said._replace(robots=tuple(RobotWish(1, v, 0.0, 0.0) for _ in range(n))))
+def of_wish(wish: ScriptWish, n: int = 4, v: float = 0.1) -> bytes:
+    return SCRIPT_WISH.encode(wish._replace(robots=tuple(RobotWish(1, v, 0.0, 0.0) for _ in range(n))))
 
 
 @pytest.mark.parametrize("what", ["not finite", "too few robots", "unknown kind", "of the future", "beyond", "cut"])
@@ -188,8 +188,8 @@ def test_the_controller_takes_no_wish_that_fleet_would_not_have_sent(what: str) 
                 good = echo(driven)
                 continue
             tick = 10_000_000 if what == "of the future" else echo(driven)
-            said = ScriptWish(driven._epoch, 1000 + k, 99 if what == "unknown kind" else 1, 0, tick, ())
-            payload = of_wish(said, 3 if what == "too few robots" else 4, 1e7 if what == "beyond" else 0.1)
+            wish = ScriptWish(driven._epoch, 1000 + k, 99 if what == "unknown kind" else 1, 0, tick, ())
+            payload = of_wish(wish, 3 if what == "too few robots" else 4, 1e7 if what == "beyond" else 0.1)
             if what == "not finite":
                 payload = payload[:-24] + np.array([np.nan] * 3).tobytes()
             driven._commanded = True  # `ticks` says nothing for it

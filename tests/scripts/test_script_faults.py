@@ -71,10 +71,10 @@ def test_a_run_of_its_own_begins_and_ends_with_the_script_and_goes_on_after_it_w
     command = [sys.executable, "-W", "error", str(file)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    assert (said["outcome"], said["cause"]) == ("completed", None)
-    assert said["groups"]["script"]["kept"] == {"rounds": 3}
-    assert said == json.loads((tmp_path / "run" / "summary.json").read_text())
+    result = json.loads(done.stdout)
+    assert (result["outcome"], result["cause"]) == ("completed", None)
+    assert result["groups"]["script"]["kept"] == {"rounds": 3}
+    assert result == json.loads((tmp_path / "run" / "summary.json").read_text())
     recording = read(tmp_path / "run")
     assert np.abs(Run(recording).items["left_rad_s"]).max() > 0.0
     assert Event.SCRIPT_SILENT in {event for event, *_ in stops(recording)}, "it was late, and held"
@@ -86,8 +86,8 @@ def test_a_run_of_its_own_ends_with_a_script_that_is_killed(alone_for_a_module: 
     environment, folder = own_folders(tmp_path), tmp_path / "run"
     file = tmp_path / "own.py"
     loop = "fleet.ticks():\n        print(t, flush=True)"
-    told = OWN.format(config=str(CONFIG), out=str(folder)).replace("fleet.ticks(1, resume=True):", loop)
-    file.write_text(told)
+    source = OWN.format(config=str(CONFIG), out=str(folder)).replace("fleet.ticks(1, resume=True):", loop)
+    file.write_text(source)
     script = subprocess.Popen([sys.executable, str(file)], stdout=subprocess.PIPE, text=True, env=environment)
     assert script.stdout is not None
     script.stdout.readline()
@@ -111,15 +111,15 @@ class Scripts:
         self._folder = folder
         self.run = RealRun(folder, "--set", "tracker.source=truth", config=CONFIG)
         self._environment = own_folders(folder)
-        self.said = 0
+        self.count = 0
         self._started: list[subprocess.Popen[str]] = []
 
     def start(self, body: str) -> "subprocess.Popen[str]":
         """Start a script and wait until it has driven for a second."""
-        self.said += 1
-        file = self._folder / f"script{self.said}.py"
+        self.count += 1
+        file = self._folder / f"script{self.count}.py"
         file.write_text(SCRIPT.format(body="".join(f"    {line}\n" for line in body.splitlines())))
-        with (self._folder / f"script{self.said}.stderr").open("w") as errors:
+        with (self._folder / f"script{self.count}.stderr").open("w") as errors:
             script = subprocess.Popen(
                 [sys.executable, str(file)], stdout=subprocess.PIPE, stderr=errors, text=True, env=self._environment
             )
@@ -136,7 +136,7 @@ class Scripts:
 
     @property
     def errors(self) -> str:
-        return (self._folder / f"script{self.said}.stderr").read_text()
+        return (self._folder / f"script{self.count}.stderr").read_text()
 
     def status(self) -> str:
         return self.run.asked("status", "--json").stdout
@@ -148,12 +148,12 @@ class Scripts:
 
 @pytest.fixture(scope="module")
 def scripts(alone_for_a_module: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scripts]:
-    one = Scripts(tmp_path_factory.mktemp("scripts"))
+    scripts = Scripts(tmp_path_factory.mktemp("scripts"))
     try:
-        one.run.wait_until_running()
-        yield one
+        scripts.run.wait_until_running()
+        yield scripts
     finally:
-        one.clean_up()
+        scripts.clean_up()
 
 
 def stops(recording: Recording) -> list[tuple[Event, float, float]]:
@@ -165,10 +165,10 @@ def stops(recording: Recording) -> list[tuple[Event, float, float]]:
     found = []
     for k in np.flatnonzero((failed > 0) & (np.roll(failed, 1) == 0)).tolist():
         newest = run.told[0].figures["wish"][k, 0]
-        wishes = [SCRIPT_WISH.decode_head(p) for p in recording.messages[key(arena, WISH, "script")]]
+        setpoints = [SCRIPT_WISH.decode_head(p) for p in recording.messages[key(arena, WISH, "script")]]
         epoch = run.told[0].figures["wish_epoch"][k, 0]
-        said = next(w for w in wishes if w is not None and (w.epoch, w.seq) == (epoch, newest))
-        since_ns = ticks[said.echo_tick]
+        wish = next(w for w in setpoints if w is not None and (w.epoch, w.seq) == (epoch, newest))
+        since_ns = ticks[wish.echo_tick]
         assert not np.abs(run.items["left_rad_s"][k:][:3]).any()  # what is commanded from that tick on
         target_ms = (int(run.ticks["stamp_ns"][k]) + int(run.ticks["lateness_ns"][k]) - since_ns) / MS
         output_ms = (
@@ -222,7 +222,7 @@ def test_its_robots_stand_at_once_the_run_is_held_and_another_script_goes_on(scr
     (stop,) = stops(read(scripts.run.folder))[before:]
     print(case, stop)
     assert stop[0] is event
-    if not was_busy(scripts.run.said):
+    if not was_busy(scripts.run.count):
         assert stop[1] <= TARGET_MS
         assert stop[2] <= OUTPUT_MS
 

@@ -1,4 +1,4 @@
-"""Bodies in arrays do what ``drivers/simulated.py`` does with one robot, to the last bit."""
+"""The plant compiled on arrays does what it does plain with one robot, to the last bit."""
 
 from dataclasses import replace
 from random import Random
@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from robofleet.core.clock import MS, S
 from robofleet.drivers.simulated import SimulatedRobot
-from robofleet.simulation import bodies as arrays
-from robofleet.simulation.bodies import Bodies
+from robofleet.simulation.bodies import Bodies, measured
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import (
     BodyTrouble,
@@ -65,22 +64,15 @@ class Both:
         return DriverContext(robot=f"r{row}", drive=drive, simulation=simulation, now_ns=lambda: self.now_ns)
 
     def write(self, row: int, left: float, right: float) -> None:
-        b, now_ns = self.bodies, self.bodies.prepare()
-        arrays.tell(b.bodies[row], b.plants[row], b.coming[row], b.noise[row], left, right, now_ns)
+        self.bodies.write(row, left, right)
         self.robots[row].write(WheelSpeeds(left, right))
 
     def compare(self) -> None:
-        truths, b = self.bodies.truths(), self.bodies
+        truths = self.bodies.truths()
         for row, robot in enumerate(self.robots):
+            body, build, *_ = self.bodies.row(row)
             assert [x.hex() for x in truths[row].tolist()] == [x.hex() for x in robot.truth()], row
-            p, reading = b.plants[row], robot.read()
-            for sides, quantum, measured in (
-                (("left_angle", "right_angle"), p["speed_quantum"] * p["loop_period"], reading[:2]),
-                (("left_speed", "right_speed"), p["speed_quantum"], reading[2:4]),
-            ):
-                seen = arrays.through_wires(p, *(float(b.bodies[row][side]) for side in sides))
-                assert tuple(arrays.quantised(x, quantum).hex() for x in seen) == tuple(x.hex() for x in measured)
-            assert max(0.0, 1.0 - b.bodies[row]["used"] / p["battery_life"]) == reading.battery
+            assert [x.hex() for x in measured(body, build)] == [x.hex() for x in robot.read()[:5]], row
 
 
 @settings(EXACT, max_examples=15)

@@ -30,12 +30,12 @@ class Bench:
 
     def loop(self, times: int = 1) -> bytes:
         """Let loops pass; returns what was streamed in the last."""
-        said = b""
+        answer = b""
         for _ in range(times):
             self.now_ns += LOOP_NS
             self.plant.step(self.hardware.command, LOOP_NS * 1e-9)
-            said = self.firmware.loop(self.now_ns)
-        return said
+            answer = self.firmware.loop(self.now_ns)
+        return answer
 
 
 @pytest.fixture

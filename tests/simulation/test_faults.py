@@ -23,8 +23,8 @@ from robofleet.simulation.faulty_bus import FaultyBus
 from robofleet.tracking.events import TrackerEvent
 from tests.bus.alone import ROBOT_STATUS, WHEEL_COMMAND, Alone, WheelCommand
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 WHEN = "at_s: 0.5, duration_s: 1.0"
 BEGIN, END = 0.5, 1.5  # after the start of the run [s]
 
@@ -54,8 +54,8 @@ class Drive:
         units, unit_of = self.run.recording.config.units, self.run.recording.config.unit_of
         payloads = self.run.recording.messages[key("platoon", topic, unit_of.get(name, name))]
         if isinstance(layout, Alone):
-            place = units[unit_of[name]].index(name)
-            messages: list[Any] = [layout.of(payload, place) for payload in payloads]
+            row = units[unit_of[name]].index(name)
+            messages: list[Any] = [layout.of(payload, row) for payload in payloads]
         else:
             messages = [layout.decode(payload) for payload in payloads]
         return [((getattr(m, stamp) - self.began_ns) / S, m) for m in messages]
@@ -147,19 +147,19 @@ def test_swapped_tags_are_where_the_other_robot_is() -> None:
     drive = Drive(f"{{kind: id_swap, robots: [r1, r3], {WHEN}}}")
     rows, robots = drive.rows(POSES, FLEET_POSES, "overhead"), drive.run.recording.config.robots
     where = [{p.tag: (p.x_m, p.y_m) for p in fleet.poses} for fleet in (before(rows)[-1], during(rows)[0])]
-    for one, other in ((0, 2), (2, 0)):
-        assert math.dist(where[0][robots[one].tag], where[1][robots[other].tag]) < 0.05
+    for row, other in ((0, 2), (2, 0)):
+        assert math.dist(where[0][robots[row].tag], where[1][robots[other].tag]) < 0.05
     assert math.dist(where[0][robots[1].tag], where[1][robots[1].tag]) < 0.05
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"),
+    ("kind", "event"),
     [("camera_frozen", TrackerEvent.CAMERA_FROZEN), ("camera_stalled", TrackerEvent.CAMERA_STALLED)],
 )
-def test_a_camera_that_gives_nothing_new_is_named_and_comes_back(kind: str, told: TrackerEvent) -> None:
+def test_a_camera_that_gives_nothing_new_is_named_and_comes_back(kind: str, event: TrackerEvent) -> None:
     drive = Drive(f"{{kind: {kind}, {WHEN}}}")
     assert during(drive.rows(POSES, FLEET_POSES, "overhead")) == []
-    assert [m.event for _, m in drive.rows(NEWS, TRACKER_NEWS, "overhead")] == [told, TrackerEvent.CAMERA_BACK]
+    assert [m.event for _, m in drive.rows(NEWS, TRACKER_NEWS, "overhead")] == [event, TrackerEvent.CAMERA_BACK]
     assert drive.phases[1].phase is Phase.HOLD
 
 
@@ -208,10 +208,10 @@ def test_every_robot_of_a_process_that_is_struck_stands_and_is_seen_on(what: str
     for robot in ("r1", "r2"):
         instants = [t for t, _ in drive.rows(TRUTH, TRUTH_LAYOUT, robot)]
         assert max(np.diff(instants)) < 0.03
-        said = [t for t, _ in drive.rows(STATUS, ROBOT_STATUS, robot) if t > 0.0]
-        assert max(np.diff(said)) > END - BEGIN - 0.1
-    said = [t for t, _ in drive.rows(STATUS, ROBOT_STATUS, "r3") if t > 0.0]
-    assert max(np.diff(said)) < 0.03, "it has another process"
+        times = [t for t, _ in drive.rows(STATUS, ROBOT_STATUS, robot) if t > 0.0]
+        assert max(np.diff(times)) > END - BEGIN - 0.1
+    times = [t for t, _ in drive.rows(STATUS, ROBOT_STATUS, "r3") if t > 0.0]
+    assert max(np.diff(times)) < 0.03, "it has another process"
 
 
 def test_a_cut_to_a_driver_process_parts_all_its_robots() -> None:
@@ -234,8 +234,8 @@ def test_a_second_controller_is_refused_and_says_nothing() -> None:
     assert drive.effects == 1
     assert drive.causes == []
     for topic, name in ((COMMAND, "r1"), (TICK, "")):
-        said, usual = (d.run.recording.messages[key("platoon", topic, name)] for d in (drive, plain))
-        assert len(said) == len(usual)
+        messages, usual = (d.run.recording.messages[key("platoon", topic, name)] for d in (drive, plain))
+        assert len(messages) == len(usual)
 
 
 def test_a_full_disk_stops_the_run() -> None:
@@ -328,8 +328,8 @@ def test_the_same_burst_takes_what_a_robot_says_and_what_it_is_told() -> None:
     config = load_config(PLATOON, ["drivers.robots_per_process=1", fault])
     clock = SimulatedClock()
     bus, schedule = MemoryBus("platoon", clock, 0), Schedule(config, clock)
-    told = FaultyBus(bus, schedule, "driver-r1", clock).newest(COMMAND, "r1")
-    said = FaultyBus(bus, schedule, "controller", clock).newest(STATUS, "r1")
+    commands = FaultyBus(bus, schedule, "driver-r1", clock).newest(COMMAND, "r1")
+    statuses = FaultyBus(bus, schedule, "controller", clock).newest(STATUS, "r1")
     others = FaultyBus(bus, schedule, "controller", clock).newest(STATUS, "r2")
     publish = [bus.publisher(COMMAND, "r1"), bus.publisher(STATUS, "r1"), bus.publisher(STATUS, "r2")]
     came: list[list[bool]] = [[], [], []]
@@ -337,8 +337,8 @@ def test_the_same_burst_takes_what_a_robot_says_and_what_it_is_told() -> None:
         clock.advance_to(ms * S // 1000)
         for say in publish:
             say(b"something")
-        for heard, subscription in zip(came, (told, said, others), strict=True):
-            heard.append(subscription.take() is not None)
+        for subscription_heard, subscription in zip(came, (commands, statuses, others), strict=True):
+            subscription_heard.append(subscription.take() is not None)
     assert came[0] == came[1]
     assert came[0] != came[2]
     assert 0.05 < came[0].count(False) / 5000 < 0.2
@@ -377,11 +377,11 @@ def test_a_malformed_payload_has_another_length_or_version(delivered: Deliver) -
 def test_a_cut_lets_nothing_through_and_brings_what_it_held_back_in_order(delivered: Deliver, held: str) -> None:
     cut = f"{{kind: network_cut, processes: [controller], duration_s: 1.0, held_back: {held}}}"
     arrived = delivered(cut)
-    said = [sent_ms(payload) for _, payload in arrived]
+    stamps = [sent_ms(payload) for _, payload in arrived]
     assert arrived[0][0] == 1000
-    assert said == sorted(said)
-    assert (said[0] < 900) == (held == "true")
-    assert [ms for ms, _ in arrived[-50:]] == said[-50:]
+    assert stamps == sorted(stamps)
+    assert (stamps[0] < 900) == (held == "true")
+    assert [ms for ms, _ in arrived[-50:]] == stamps[-50:]
 
 
 def test_a_cut_between_others_is_none(delivered: Deliver) -> None:
@@ -397,11 +397,14 @@ def test_a_cut_around_the_tracker_of_one_camera_stops_what_it_says_alone() -> No
     clock.advance_to(S)
     bus = MemoryBus(config.arena.name, clock, 0)
     faulty = FaultyBus(bus, Schedule(config, clock), "controller", clock, simulated_router=True)
-    heard = {(topic, name): faulty.newest(topic, name) for topic in (POSES, NEWS) for name in ("left", "right")}
-    for topic, name in heard:
+    subscriptions = {(topic, name): faulty.newest(topic, name) for topic in (POSES, NEWS) for name in ("left", "right")}
+    for topic, name in subscriptions:
         bus.publisher(topic, name)(b"said")
     clock.advance_to(2 * S)
-    assert {where for where, its in heard.items() if its.take() is not None} == {(POSES, "right"), (NEWS, "right")}
+    assert {where for where, subscription in subscriptions.items() if subscription.take() is not None} == {
+        (POSES, "right"),
+        (NEWS, "right"),
+    }
 
 
 @pytest.mark.slow
@@ -415,9 +418,9 @@ def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_
     assert all(injection.effects > 100 for injection in run.faults.injections)
     for robot in ("r1", "r2", "r3", "r4"):
         statuses = [ROBOT_STATUS.decode(p) for p in run.recording.messages[key("platoon", STATUS, robot)]]
-        told = len(run.recording.messages[key("platoon", COMMAND, robot)])
+        count = len(run.recording.messages[key("platoon", COMMAND, robot)])
         assert any(status is not None and status.hurry for status in statuses)
-        assert told > 100 * 10
+        assert count > 100 * 10
     healthy = Lockstep(
         load_config(PLATOON, ["tracker.source=truth", "run.duration_s=2", "drivers.robots_per_process=1"])
     )
@@ -457,5 +460,5 @@ def test_robots_with_computers_of_their_own_bear_that_radio_with_few_messages(fa
     assert len(worst_ns) == 4
     assert max(worst_ns.values()) < (120 if faults else 70) * MS  # safety.gate closes a gate then
     for robot in ("r1", "r2", "r3", "r4"):
-        said = sum(len(run.recording.messages[full]) - before[full] for full in topics if f"/{robot}/" in full)
-        assert said < (110 if faults else 80) * 10
+        count = sum(len(run.recording.messages[full]) - before[full] for full in topics if f"/{robot}/" in full)
+        assert count < (110 if faults else 80) * 10

@@ -21,8 +21,8 @@ NOTHING = {"status": [], "body": []}
 
 
 def line(*requests: tuple[str, str, dict[str, Any]]) -> bytes:
-    asked, interfaces, bodies = zip(*requests, strict=True)
-    return json.dumps({"request": asked, "iface": interfaces, "body": bodies}).encode()
+    drives, interfaces, bodies = zip(*requests, strict=True)
+    return json.dumps({"request": drives, "iface": interfaces, "body": bodies}).encode()
 
 
 def motion(v: float, w: float) -> bytes:

@@ -1,14 +1,11 @@
 """Poses that come later than the next tick are late, and not gone."""
 
-from pathlib import Path
-
 import pytest
 
 from robofleet.config.load import load_config
 from robofleet.recording.run import Run
 from robofleet.runs.lockstep import Lockstep
-
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 @pytest.mark.slow

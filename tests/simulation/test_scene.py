@@ -1,7 +1,6 @@
 """What a configuration draws, and what happens in it while the camera looks: read back by the tracker's detector."""
 
 import math
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,8 +15,8 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.detection import TagDetector
 from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import Target
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
 PLACES = np.array([(-0.9, 0.4, 0.3), (0.8, 0.5, 2.0), (-0.6, -0.5, -2.5), (0.7, -0.4, 1.0)])
 SIDE, HEIGHT = 0.07, 0.08
 NEAR = (3e-4, 3e-4, 4e-3)  # of one image: about five standard deviations of the detector's noise [m, m, rad]
@@ -54,8 +53,8 @@ def calibrated(config: Config) -> CameraGeometry:
 def test_every_robot_carries_its_tag_at_its_own_height() -> None:
     config = load("robots.1.tag_height_m=0.15", "robots.2.tag_height_m=0.03")
     image = drawn(config).render(PLACES)
-    for place, tag, height in zip(PLACES, (1, 2, 3, 4), (HEIGHT, 0.15, 0.03, HEIGHT), strict=True):
-        assert_near(look(calibrated(config), image, Target(tag, SIDE, height, 0.2)), place)
+    for pose, tag, height in zip(PLACES, (1, 2, 3, 4), (HEIGHT, 0.15, 0.03, HEIGHT), strict=True):
+        assert_near(look(calibrated(config), image, Target(tag, SIDE, height, 0.2)), pose)
 
 
 @pytest.mark.parametrize("noise", [2.0, 5.0])
@@ -232,8 +231,8 @@ def test_covered_tags_are_not_seen_and_exchanged_ones_are_elsewhere() -> None:
     eye, renderer = calibrated(config), drawn(config)
     renderer.looks = np.array([1, 0, 4, 3])
     image = renderer.render(PLACES)
-    for tag, place in ((1, 1), (2, 0), (4, 3)):
-        assert_near(look(eye, image, Target(tag, SIDE, HEIGHT, 0.2)), PLACES[place])
+    for tag, position in ((1, 1), (2, 0), (4, 3)):
+        assert_near(look(eye, image, Target(tag, SIDE, HEIGHT, 0.2)), PLACES[position])
     assert look(eye, image, Target(3, SIDE, HEIGHT, 0.2)) == []
 
 

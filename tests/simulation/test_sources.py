@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,8 @@ from robofleet.simulation.sources import SimulatedCamera, Trigger, TruthSource, 
 from robofleet.tracking.sources import CameraContext, ScheduledCamera
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.bus.alone import Truth
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parent.parent.parent / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
 LEAD_NS = 18 * MS
 SPEED = 0.05  # of a robot, times its row [m/s]
@@ -158,8 +157,8 @@ def test_a_robot_that_does_not_say_any_more_where_it_is_is_not_seen(how: str) ->
     (floor.silent if how == "silent" else floor.nowhere).add("r3")
     seen = floor.observe(source, 6)
     for observed in seen:
-        told = [1, 2, 3, 4] if observed.exposure_ns <= last_ns + 100 * MS else [1, 2, 4]
-        assert [pose.tag for pose in observed.poses] == told
+        expected = [1, 2, 3, 4] if observed.exposure_ns <= last_ns + 100 * MS else [1, 2, 4]
+        assert [pose.tag for pose in observed.poses] == expected
     assert len(seen[-1].poses) == 3
     assert len(seen[0].poses) == 4
 
@@ -202,8 +201,8 @@ def test_a_robot_that_never_spoke_is_not_drawn() -> None:
 def test_a_robot_that_stands_in_no_arena_is_not_drawn() -> None:
     absent, silent = Floor("robots.1.reality=simulated"), Floor()
     silent.silent.add("r2")
-    one, other = (floor.observe(floor.camera(), 1)[0].image for floor in (absent, silent))
-    assert np.array_equal(one, other)
+    first, other = (floor.observe(floor.camera(), 1)[0].image for floor in (absent, silent))
+    assert np.array_equal(first, other)
 
 
 @pytest.mark.parametrize("kind", ["truth", "camera"])

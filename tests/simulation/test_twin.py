@@ -37,10 +37,10 @@ class Bench(TwinStand):
 
     def answer(self) -> bytes:
         """Return what has been answered: a pseudo-terminal takes a moment in real time."""
-        said = b""
-        while self.host.wait(0.05 if said else 1.0):
-            said += self.host.read()
-        return said
+        answer = b""
+        while self.host.wait(0.05 if answer else 1.0):
+            answer += self.host.read()
+        return answer
 
 
 @pytest.fixture

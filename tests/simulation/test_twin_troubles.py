@@ -70,13 +70,13 @@ def test_a_share_of_the_lines_is_struck_and_the_others_come_as_they_were_sent(ma
 
 def test_late_lines_keep_their_order(made: Made) -> None:
     bench = made("{kind: line_late, share: 0.5, delay_s: 0.04}")
-    told = [b"%d,0\n" % (100 + k) for k in range(40)]
-    for line in told:
+    lines = [b"%d,0\n" % (100 + k) for k in range(40)]
+    for line in lines:
         bench.say(line)
         bench.pass_time(0.01)
     bench.pass_time(0.2)
     counts = [int(line.split(b",")[0]) for line in bench.answer().splitlines()]
-    assert len(counts) == len(told)  # none is lost
+    assert len(counts) == len(lines)  # none is lost
     assert counts == sorted(counts)
 
 

@@ -1,14 +1,12 @@
 """The shipped platoon with keys changed."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-
-PLATOON = Path(__file__).parents[2] / "configs" / "platoon.yaml"
+from tests.shipped import PLATOON
 
 
 @pytest.fixture(scope="session")

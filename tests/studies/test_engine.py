@@ -24,11 +24,11 @@ def _all(on: str) -> list[Finished[int]]:
 
 
 def _holds(found: list[Finished[int]]) -> None:
-    assert [one.item for one in found] == [*range(8)]
-    assert [one.result for one in found] == [0, 1, 4, None, 16, None, 36, 49]
+    assert [finished.item for finished in found] == [*range(8)]
+    assert [finished.result for finished in found] == [0, 1, 4, None, 16, None, 36, 49]
     assert found[3].failure.startswith("ValueError: three is odd (work.py:")
     assert found[5].failure == WORKER_DIED
-    assert not any(one.failure for one in found if one.item not in (3, 5))
+    assert not any(finished.failure for finished in found if finished.item not in (3, 5))
 
 
 def test_a_unit_that_fails_and_one_whose_worker_dies_are_named_and_the_others_are_finished() -> None:
@@ -48,7 +48,7 @@ def test_ray_gives_the_same_on_loopback_alone_to_whoever_has_its_token() -> None
     done = subprocess.run([sys.executable, "-m", "tests.studies.on_ray"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])  # Ray prints, too
-    _holds([Finished(*one) for one in seen["finished"]])
+    _holds([Finished(*fields) for fields in seen["finished"]])
     assert len(seen["listening"]) > 3
     assert {ip.removeprefix("::ffff:") for ip in seen["listening"]} == {"127.0.0.1"}
     assert seen["answers"] == {"its own": "OK", "another": "UNAUTHENTICATED", "none": "UNAUTHENTICATED"}
@@ -85,7 +85,7 @@ def test_ray_that_does_not_start_is_said_in_one_line(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize(
-    ("on", "said"),
+    ("on", "message"),
     [
         ("slurm", "--on: 'slurm' is no engine: write local, ray, or ray://HOST:PORT"),
         ("ray://here", "--on: ray://here is no address: write ray://HOST:PORT"),
@@ -93,13 +93,13 @@ def test_ray_that_does_not_start_is_said_in_one_line(monkeypatch: pytest.MonkeyP
     ],
 )
 def test_an_engine_that_is_not_there_is_refused_in_one_line(
-    on: str, said: str, monkeypatch: pytest.MonkeyPatch
+    on: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     has_all: Callable[..., None] = lambda *_: None  # noqa: E731
     monkeypatch.setattr("robofleet.studies.cluster.need_extra", has_all)
     with pytest.raises(RefusedError) as refused, cluster.opened(on, None):
         pass
-    assert str(refused.value).startswith(said)
+    assert str(refused.value).startswith(message)
     assert "\n" not in str(refused.value)
 
 

@@ -115,20 +115,20 @@ def test_a_storm_that_never_brought_what_it_planned_proves_too_little(fleet: Con
 
 
 @pytest.mark.parametrize(
-    ("off_m", "off_deg", "there"), [(0.0, 0.0, True), (0.0039, 1.7, True), (0.0041, 0.0, False), (0.0, 2.0, False)]
+    ("off_m", "off_deg", "is_free"), [(0.0, 0.0, True), (0.0039, 1.7, True), (0.0041, 0.0, False), (0.0, 2.0, False)]
 )
 @pytest.mark.parametrize("assignment", ["labelled", "nearest"])
 def test_a_robot_is_at_its_goal_by_where_it_truly_is(
-    off_m: float, off_deg: float, there: bool, assignment: str
+    off_m: float, off_deg: float, is_free: bool, assignment: str
 ) -> None:
     """A robot that has arrived need not turn again, and one that is elsewhere must."""
     config = load_config(CONFIGS / "go-to.yaml", [f"groups.0.settings.assignment={assignment}"])
     goal = config.groups[0].settings["goals"]["r1"]
     psi = math.radians(goal["heading_deg"] + off_deg)
     poses = {"r1": (goal["x_m"] + off_m, goal["y_m"], psi), "r2": (0.0, 0.0, 0.0)}
-    assert at_goals(config, poses) == ({"r1"} if there else set())
+    assert at_goals(config, poses) == ({"r1"} if is_free else set())
     elsewhere = {"r2": poses["r1"]}
-    assert at_goals(config, elsewhere) == ({"r2"} if there and assignment == "nearest" else set())
+    assert at_goals(config, elsewhere) == ({"r2"} if is_free and assignment == "nearest" else set())
 
 
 @pytest.mark.long

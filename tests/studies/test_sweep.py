@@ -60,9 +60,9 @@ def interrupted(file: Path) -> Iterator[tuple[Path, str]]:
             with suppress(subprocess.TimeoutExpired):
                 process.wait(0.005)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate()
+        _, output = process.communicate()
     assert process.returncode == 1
-    yield folder, said
+    yield folder, output
 
 
 def _lines(folder: Path) -> list[bytes]:
@@ -72,10 +72,10 @@ def _lines(folder: Path) -> list[bytes]:
 
 @pytest.mark.slow
 def test_an_interrupted_sweep_keeps_what_is_finished_and_goes_on(file: Path, interrupted: tuple[Path, str]) -> None:
-    folder, said = interrupted
+    folder, output = interrupted
     kept = _lines(folder)
     assert 2 <= len(kept) < 5
-    assert f"interrupted: {len(kept) - 1} of 4 runs are kept; to go on: robofleet sweep" in said
+    assert f"interrupted: {len(kept) - 1} of 4 runs are kept; to go on: robofleet sweep" in output
     with (folder / journal.FILE).open("ab") as stream:
         stream.write(b'{"run": 4, "summ')  # of a run that was being written
 
@@ -90,13 +90,13 @@ def test_an_interrupted_sweep_keeps_what_is_finished_and_goes_on(file: Path, int
     assert [row["outcome"] for row in found] == ["completed", "completed", "fault", "fault"]
     assert len({row["trace_hash"] for row in found}) == 4
     assert all(float(row["min_gap_mm"]) > 0 for row in found[:2])
-    told = json.loads(out)
-    assert (told["runs"], told["completed"]) == (4, 2)
-    assert [run["run"] for run in told["failed"]] == [3, 4]
-    assert all(run["cause"] in err or run["run"] <= len(kept) - 1 for run in told["failed"])
+    status = json.loads(out)
+    assert (status["runs"], status["completed"]) == (4, 2)
+    assert [run["run"] for run in status["failed"]] == [3, 4]
+    assert all(run["cause"] in err or run["run"] <= len(kept) - 1 for run in status["failed"])
     page = html.unescape((folder / "sweep.html").read_text())
-    assert all(run["replay"] in page for run in told["failed"])
-    replayed = CliRunner().invoke(cli.app, [*shlex.split(told["failed"][0]["replay"])[1:], "--quiet", "--json",
+    assert all(run["replay"] in page for run in status["failed"])
+    replayed = CliRunner().invoke(cli.app, [*shlex.split(status["failed"][0]["replay"])[1:], "--quiet", "--json",
                                             f"--out={folder / 'again'}"])  # fmt: skip
     assert json.loads(replayed.stdout)["trace_hash"] == found[2]["trace_hash"]
     _same_in_parquet(folder, found)
@@ -121,7 +121,7 @@ def test_robots_are_opened_once_for_each_setting_that_is_theirs_and_not_for_each
         "config: lab.yaml\nset: {robots.0.driver: 'counted:Counted'}\n"
         "grid: {controller.alpha: [30, 31, 32], robots.1.tag: [12, 13], run.duration_s: [1, 2]}\n"
     )
-    study = load(tmp_path / "s.yaml", lambda of: bar("checks", of))
+    study = load(tmp_path / "s.yaml", lambda sweep: bar("checks", sweep))
     assert len(study.runs) == 12
     assert opened.read_text() == "xx", "once for each tag of robots"
 
@@ -198,26 +198,26 @@ BAD: dict[str, tuple[str, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "said"), BAD.values(), ids=BAD)
+@pytest.mark.parametrize(("text", "message"), BAD.values(), ids=BAD)
 def test_bad_input_is_one_line_and_nothing_is_written(
-    text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text(text)
     code, _, err = sweep("s.yaml", "--out", "out")
     assert (code, err.count("\n")) == (2, 1), err
-    assert err.startswith(said)
+    assert err.startswith(message)
     assert not Path("out").exists()
 
 
 def test_a_folder_of_another_sweep_is_refused(tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text(f"{HEAD}grid: {{controller.alpha: [30]}}")
     file = tmp_path / journal.FILE
-    for kept, said in ((b'{"sweep":"0","runs":1}\n', "is of another sweep"), (b"\x00\n", "is damaged")):
+    for kept, message in ((b'{"sweep":"0","runs":1}\n', "is of another sweep"), (b"\x00\n", "is damaged")):
         file.write_bytes(kept)
         code, _, err = sweep(str(tmp_path / "s.yaml"), "--out", str(tmp_path))
         assert code == 2
-        assert err.startswith(f"--out: {file} {said}")
+        assert err.startswith(f"--out: {file} {message}")
         assert file.read_bytes() == kept
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from robofleet.config.names import SHIPPED
 
 import robofleet.testing
 from robofleet import ConfigError, load_config
+from robofleet.config.files.names import SHIPPED
 from robofleet.testing import FakeDriver, run_lockstep
 
 GUIDE = Path(robofleet.testing.__file__).with_name("README.md")

@@ -27,7 +27,7 @@ _FAMILY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
 _CORNERS = np.array([-0.5 + 0.5j, 0.5 + 0.5j, 0.5 - 0.5j, -0.5 - 0.5j])
 
 
-class Sighting(NamedTuple):
+class PeerTag(NamedTuple):
     """What a candidate says of one tag."""
 
     tag: int
@@ -37,7 +37,7 @@ class Sighting(NamedTuple):
     after_ns: int = 0  # the tag's instant, minus the image's
 
 
-Candidate = Callable[[Image, int], list[Sighting]]  # image, exposure_ns
+Candidate = Callable[[Image, int], list[PeerTag]]  # image, exposure_ns
 
 
 class Setting(NamedTuple):
@@ -53,9 +53,9 @@ def robofleet(setting: Setting) -> Candidate:
     """Follow the tags; what was predicted and not measured does not count."""
     tracker = TagTracker(setting.geometry, setting.size, setting.targets, setting.line_time)
 
-    def see(image: Image, exposure_ns: int) -> list[Sighting]:
+    def see(image: Image, exposure_ns: int) -> list[PeerTag]:
         poses = tracker.track(image, exposure_ns).poses
-        return [Sighting(s.tag, s.x, s.y, s.psi, s.after_ns) for s in poses if s.coasted_ns == 0]
+        return [PeerTag(s.tag, s.x, s.y, s.psi, s.after_ns) for s in poses if s.coasted_ns == 0]
 
     return see
 
@@ -95,7 +95,7 @@ def apriltag(make: Any, decimate: float) -> Callable[[Setting], Candidate]:
     def candidate(setting: Setting) -> Candidate:
         detector = make(families=f"tag{setting.targets[0].family}", nthreads=1, quad_decimate=decimate)
 
-        def see(image: Image, exposure_ns: int) -> list[Sighting]:
+        def see(image: Image, exposure_ns: int) -> list[PeerTag]:
             found = detector.detect(image)
             corners = [tag.corners[[1, 0, 3, 2]] - 0.5 for tag in found]
             return _placed(setting, [tag.tag_id for tag in found], corners)
@@ -118,14 +118,14 @@ CANDIDATES: dict[str, Callable[[Setting], Candidate]] = {
 
 
 def _opencv(setting: Setting, detector: cv2.aruco.ArucoDetector, ids: Sequence[int]) -> Candidate:
-    def see(image: Image, exposure_ns: int) -> list[Sighting]:
+    def see(image: Image, exposure_ns: int) -> list[PeerTag]:
         corners, index, _ = detector.detectMarkers(image)
         return _placed(setting, [] if index is None else [ids[i] for i in index.ravel()], corners)
 
     return see
 
 
-def _placed(setting: Setting, tags: Sequence[int], corners: Sequence[NDArray[Any]]) -> list[Sighting]:
+def _placed(setting: Setting, tags: Sequence[int], corners: Sequence[NDArray[Any]]) -> list[PeerTag]:
     """Put corners [px], in the order of ``_CORNERS``, on the tags' plane."""
     if not tags:
         return []
@@ -134,6 +134,4 @@ def _placed(setting: Setting, tags: Sequence[int], corners: Sequence[NDArray[Any
     at = (x + 1j * y).reshape(-1, 4)
     centre = at.mean(1)
     psi = np.angle((at - centre[:, None]) @ _CORNERS.conj())
-    return [
-        Sighting(*each) for each in zip(tags, centre.real.tolist(), centre.imag.tolist(), psi.tolist(), strict=True)
-    ]
+    return [PeerTag(*each) for each in zip(tags, centre.real.tolist(), centre.imag.tolist(), psi.tolist(), strict=True)]

@@ -208,10 +208,10 @@ class RayCaster:
 
         (u_nodes, from_u), (v_nodes, from_v) = span(u), span(v)
         pixels = np.stack(np.meshgrid(u_nodes, v_nodes), axis=-1).reshape(-1, 2)
-        there = self.camera.on_plane(pixels, height)
+        point = self.camera.on_plane(pixels, height)
         for _ in range(6 if any(tilt) else 0):  # each brings it a hundred times nearer
-            there = self.camera.on_plane(pixels, height + _rise(there - origin[:2], origin[2], tilt))
-        x, y = there.T.reshape(2, _NODES, _NODES)
+            point = self.camera.on_plane(pixels, height + _rise(point - origin[:2], origin[2], tilt))
+        x, y = point.T.reshape(2, _NODES, _NODES)
         # On a busy machine BLAS's threads wait for each other longer than such a product takes: einsum has none.
         x = np.einsum("vi,ui->vu", from_v @ (x - origin[0]), from_u)
         y = np.einsum("vi,ui->vu", from_v @ (y - origin[1]), from_u)

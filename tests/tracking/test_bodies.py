@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from robofleet.config.names import SHIPPED
 
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.config.mocap import MocapSettings
 from robofleet.core.clock import MS, S
@@ -53,13 +53,13 @@ def test_the_systems_frame_lies_in_the_arena_where_it_is_said_to(
     x: float, y: float, psi: float, at: tuple[float, float, float]
 ) -> None:
     origin: Any = dict(zip(("x_m", "y_m", "heading_deg"), at, strict=True))
-    place = planar(Body(1e3 * x, 1e3 * y, 0, *turned("z", psi)), MocapSettings(unit_m=1e-3, origin=origin))
-    assert place is not None
-    there = complex(at[0], at[1]) + complex(x, y) * complex(
+    body = planar(Body(1e3 * x, 1e3 * y, 0, *turned("z", psi)), MocapSettings(unit_m=1e-3, origin=origin))
+    assert body is not None
+    position = complex(at[0], at[1]) + complex(x, y) * complex(
         math.cos(math.radians(at[2])), math.sin(math.radians(at[2]))
     )
-    assert place[:2] == pytest.approx((there.real, there.imag), abs=1e-9)
-    assert math.remainder(place[2] - psi - math.radians(at[2]), math.tau) == pytest.approx(0, abs=1e-9)
+    assert body[:2] == pytest.approx((position.real, position.imag), abs=1e-9)
+    assert math.remainder(body[2] - psi - math.radians(at[2]), math.tau) == pytest.approx(0, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -103,13 +103,13 @@ def test_robots_without_tags_are_known_by_numbers_of_their_own() -> None:
 def test_a_body_that_is_not_tracked_is_named_and_the_others_go_on() -> None:
     bodies = Bodies()
     bodies.frame(r1=0.0, r2=1.0)
-    told = []
+    notices = []
     for k in range(30):
         x = k / 1000
         tracked = {"r1": x} if k < 20 else {"r1": x, "r2": 1 + x}
         assert bodies.frame(**tracked) == list(range(len(tracked)))
-        told += [(k, *notice) for notice in bodies.bodies.news()]
-    (lost_at, *lost), (found_at, *found) = told
+        notices += [(k, *notice) for notice in bodies.bodies.news()]
+    (lost_at, *lost), (found_at, *found) = notices
     assert (lost_at, found_at) == (9, 20)
     assert lost == [TrackerEvent.BODY_LOST, 1, pytest.approx(0.1)]
     assert found == [TrackerEvent.BODY_FOUND, 1, pytest.approx(0.21)]

@@ -8,10 +8,10 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
-from robofleet.config.names import SHIPPED
 from typer.testing import CliRunner
 
 from robofleet.cli import app
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.mocap import MocapSettings
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.tracking import capture
@@ -47,7 +47,7 @@ def test_the_librarys_own_mock_is_asked_for_its_bodies_and_read_by_a_thread() ->
         "r2": Body(1, 0, 0, 0, 0, 0, 1),
     }
     arrivals = [frame.arrival_ns for frame in frames]
-    assert all(other - one > 5 * MS for one, other in itertools.pairwise(arrivals))
+    assert all(other - before > 5 * MS for before, other in itertools.pairwise(arrivals))
     assert CLOCK.now_ns() - arrivals[-1] < 10 * S
 
 
@@ -170,7 +170,7 @@ def refused(*keys: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "refusal"),
     [
         (["robots.0.body=Rigid 1"], "robots.0.body: mock tracks no body 'Rigid 1': known: box, r1, r2, r3, r4"),
         (NINE, "tracker.mocap.others: the body of no robot: r1: name the robot's body, or list it here"),
@@ -181,11 +181,11 @@ def refused(*keys: str) -> str:
         (["tracker.source=camera"], "robots.0.tag: is missing: a camera knows r1 by its tag"),
     ],
 )
-def test_what_cannot_work_is_refused_in_a_line(keys: list[str], said: str) -> None:
+def test_what_cannot_work_is_refused_in_a_line(keys: list[str], refusal: str) -> None:
     where = {"r1": (-1.2, 0.5), "r2": (-1.4, 0.25), "r3": (-1.48, 0.1), "r4": (-1.4, -0.2), "box": (1.0, 0.0)}
     bodies = ";".join(f"{name}({x},{y},0,1,0,0,0)" for name, (x, y) in where.items())
     mock = ["tracker.mocap.system=mock", f"tracker.mocap.options={{rigid_bodies: {bodies!r}}}"]
-    assert said in refused(*mock, *keys)
+    assert refusal in refused(*mock, *keys)
 
 
 def test_lockstep_waits_for_no_real_system() -> None:

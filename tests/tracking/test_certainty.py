@@ -34,6 +34,6 @@ def test_a_robots_centre_is_as_sure_as_its_tag_and_its_heading() -> None:
     centres = np.array([centre_from_tag(*pose, offset) for pose in drawn.tolist()])
     seen = np.cov(centres.T)
     xx, xy, yy = of_tag[0, 0], of_tag[0, 1], of_tag[1, 1]
-    said = centre_covariance((xx, xy, yy, of_tag[0, 2], of_tag[1, 2], of_tag[2, 2]), psi, offset)
-    for value, (i, j) in zip(said, ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), strict=True):
+    covariance = centre_covariance((xx, xy, yy, of_tag[0, 2], of_tag[1, 2], of_tag[2, 2]), psi, offset)
+    for value, (i, j) in zip(covariance, ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), strict=True):
         assert value == pytest.approx(seen[i, j], abs=0.04 * math.sqrt(seen[i, i] * seen[j, j]))

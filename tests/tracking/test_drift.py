@@ -68,7 +68,7 @@ class Lab:
         self, places: Sequence[tuple[float, float]], sigma: float = SIGMA, used: CameraGeometry = CALIBRATED
     ) -> None:
         self._rng, self._sigma, self.used = np.random.default_rng(len(places)), sigma, used
-        marks = [Landmark(100 + i, *place, 0.7 * i, 0.0) for i, place in enumerate(places)]
+        marks = [Landmark(100 + i, *position, 0.7 * i, 0.0) for i, position in enumerate(places)]
         self.tags = np.array([mark[1:4] for mark in marks])
         self.tags += self._rng.normal(0, 1, self.tags.shape) * SURVEY
         self.monitor = DriftMonitor(used, marks)
@@ -189,8 +189,8 @@ def test_slow_drift_is_followed(true: Callable[[float], CameraGeometry]) -> None
     assert max(errors) < 0.1
     assert error_mm(true(1.0), CALIBRATED) > 2.0
     assert set(lab.events()) == {TrackerEvent.CAMERA_CORRECTED}
-    told = [value for _, _, value in lab.news]
-    assert np.diff(told) == pytest.approx(1e-3, abs=3e-4)  # not again before a millimetre
+    drifts = [value for _, _, value in lab.news]
+    assert np.diff(drifts) == pytest.approx(1e-3, abs=3e-4)  # not again before a millimetre
     assert lab.monitor.trusted
 
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from importlib.metadata import entry_points
 
 import pytest
-from robofleet.config.names import SHIPPED
 
+from robofleet.config.files.names import SHIPPED
 from robofleet.core.plugins import PluginError, load
 from robofleet.testing import PoseBench, PoseContract
 

@@ -27,17 +27,17 @@ def test_no_robot_is_measured_in_the_wrong_place_while_a_knock_is_corrected(tilt
     config = load_config(ROOT / "configs/platoon.yaml", changes)
     renderer, play = scene_renderer(config, np.random.default_rng(3)), ScenePlay(config)
     sight, truth = FleetSight(config), {robot.tag: row for robot, row in zip(config.robots, STANDING, strict=True)}
-    said, measured = set(), 0
+    verdicts, measured = set(), 0
     for k in range(2 * KNOCKED):
         geometry = play.camera(k * PERIOD_S)
         if geometry is not None:
             renderer.moved(geometry)
         seen = sight.see(renderer.render(STANDING), round(k * PERIOD_S * 1e9))
-        said |= {event for event, _, _ in seen.happenings}
+        verdicts |= {event for event, _, _ in seen.happenings}
         for robot in (robot for robot in seen.robots if robot.coasted_ns == 0):
             assert math.dist((robot.x, robot.y), truth[robot.tag][:2]) < 1e-3, k
             measured += k > KNOCKED
-    assert TrackerEvent.CAMERA_CORRECTED in said
+    assert TrackerEvent.CAMERA_CORRECTED in verdicts
     assert measured > 0.7 * KNOCKED * len(STANDING)
 
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robofleet.core.arrays import Array
 from robofleet.vehicles import bicycle
-from robofleet.vehicles.bicycle import FALCONE_2007, ZHOU_2017, Array, BicycleParameters
+from robofleet.vehicles.bicycle import FALCONE_2007, ZHOU_2017, BicycleParameters
 
 EXACT = settings(deadline=None, derandomize=True, max_examples=60)
 STATES = st.tuples(

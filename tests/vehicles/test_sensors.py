@@ -118,7 +118,7 @@ def test_the_gyro_adds_up_to_the_heading() -> None:
         sensing=own,
     )
     robot = SimulatedRobot(DriverContext(robot="r1", drive=GTERNAL, simulation=simulation, now_ns=lambda: now_ns))
-    told: list[SensorReading] = []
+    readings: list[SensorReading] = []
     for loop in range(3000):
         if loop % 30 == 0:
             wheels = WheelSpeeds(*rng.uniform(-12.0, 12.0, 2))
@@ -126,12 +126,12 @@ def test_the_gyro_adds_up_to_the_heading() -> None:
         reading = robot.read().sensors
         assert reading is not None
         if loop % 3 == 0:
-            told.append(reading)
+            readings.append(reading)
             psi = robot.truth().psi
         now_ns += 10 * MS
-    assert told[-1].heading == pytest.approx(math.remainder(psi, math.tau))
+    assert readings[-1].heading == pytest.approx(math.remainder(psi, math.tau))
     assert abs(psi - 3.0) > 1.0
-    turned = sum(reading.gyro[2] * 0.03 for reading in told[1:] if reading.gyro is not None)
+    turned = sum(reading.gyro[2] * 0.03 for reading in readings[1:] if reading.gyro is not None)
     assert turned == pytest.approx(psi - 3.0, abs=1e-6)
 
 
@@ -177,8 +177,8 @@ def test_errors_are_as_large_as_configured() -> None:
     )  # fmt: skip
     own = sensors(kind)
     still = np.array([[0.6, 0.0, 0.0, 0.0, 0.0]])
-    said = np.concatenate([own.read(S + k * STEP_NS, still, np.zeros(1)) for k in range(2000)])
-    inertial, distances = said[:, :10], said[:, 10:]
+    readings = np.concatenate([own.read(S + k * STEP_NS, still, np.zeros(1)) for k in range(2000)])
+    inertial, distances = readings[:, :10], readings[:, 10:]
     assert inertial.std(axis=0) == pytest.approx([*noise, *noise, *noise, 0.05], rel=0.06)
     bias = inertial[:, :3].mean(axis=0)
     assert (np.abs(bias) < 3.1).all() and np.ptp(bias) > 0.1  # each axis its own, and within its bound
@@ -199,11 +199,11 @@ def test_a_robots_errors_are_its_own() -> None:
     both = [Sensing(kind, EDGES, np.random.default_rng(row)) for row, kind in enumerate(kinds)]
     alone = [Sensing(kind, EDGES, np.random.default_rng(row)) for row, kind in enumerate(kinds)]
     together = SimulatedSensors([0, 1], both)
-    said = together.readings(together.read(S, truths, radii))
-    for row, one in enumerate(alone):
-        single = SimulatedSensors([row], [one])
-        assert single.readings(single.read(S, truths, radii)) == [said[row]]
-    assert said[1].gyro is None and said[1].distances is None and said[1].heading is not None
+    readings = together.readings(together.read(S, truths, radii))
+    for row, reading in enumerate(alone):
+        single = SimulatedSensors([row], [reading])
+        assert single.readings(single.read(S, truths, radii)) == [readings[row]]
+    assert readings[1].gyro is None and readings[1].distances is None and readings[1].heading is not None
 
 
 @pytest.mark.parametrize(

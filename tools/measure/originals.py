@@ -29,7 +29,7 @@ class Compared(NamedTuple):
 
     name: str
     exit_code: int | None  # None: it did not end
-    said: str
+    output: str
     ours: dict[str, Any] | None  # what seeded.py tells
     theirs: dict[str, Any] | None
     summary: dict[str, Any]
@@ -48,10 +48,10 @@ class Compared(NamedTuple):
         own end anywhere."""
         if self.ours is None or self.theirs is None:
             return float("nan")
-        (x, y), (u, v) = (np.array(said["last"])[:2] for said in (self.ours, self.theirs))
-        here, there = x - x.mean() + 1j * (y - y.mean()), u - u.mean() + 1j * (v - v.mean())
-        turn = np.vdot(here, there)
-        return float(np.abs(here * turn / abs(turn) - there).max() * 1e3) if abs(turn) else 0.0
+        (x, y), (u, v) = (np.array(result["last"])[:2] for result in (self.ours, self.theirs))
+        ours_centred, theirs_centred = x - x.mean() + 1j * (y - y.mean()), u - u.mean() + 1j * (v - v.mean())
+        turn = np.vdot(ours_centred, theirs_centred)
+        return float(np.abs(ours_centred * turn / abs(turn) - theirs_centred).max() * 1e3) if abs(turn) else 0.0
 
 
 def version(checkout: Path) -> int:
@@ -68,34 +68,34 @@ def scripts(checkout: Path) -> list[Path]:
 def compared(checkout: Path, script: Path, how: Sequence[str] = (), theirs: bool = True) -> Compared:
     """Run a script here and, where wanted, there."""
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
+        scripts_folder = Path(folder)
         env = {**os.environ, "PYTHONPATH": str(checkout), "MPLBACKEND": "Agg"}
         mine = [
             sys.executable, "-m", "robofleet", "robotarium", str(_SEEDED), "--api", str(version(checkout)),
-            "--out", str(place / "run"), *how, "--", str(script), str(place / "ours"),
+            "--out", str(scripts_folder / "run"), *how, "--", str(script), str(scripts_folder / "ours"),
         ]  # fmt: skip
-        exit_code, said = _ended(mine, place, env)
+        exit_code, output = _ended(mine, scripts_folder, env)
         if theirs:
-            _ended([sys.executable, str(_SEEDED), str(script), str(place / "theirs")], place, env)
-        summary = place / "run" / "summary.json"
+            _ended([sys.executable, str(_SEEDED), str(script), str(scripts_folder / "theirs")], scripts_folder, env)
+        summary = scripts_folder / "run" / "summary.json"
         return Compared(
-            script.stem, exit_code, said, _read(place / "ours"), _read(place / "theirs"),
+            script.stem, exit_code, output, _read(scripts_folder / "ours"), _read(scripts_folder / "theirs"),
             json.loads(summary.read_text()) if summary.is_file() else {},
         )  # fmt: skip
 
 
-def _ended(command: Sequence[str], place: Path, env: dict[str, str]) -> tuple[int | None, str]:
+def _ended(command: Sequence[str], folder: Path, env: dict[str, str]) -> tuple[int | None, str]:
     """Run a command; return its exit code and what it said. None: it did not end."""
     with subprocess.Popen(
-        command, cwd=place, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        command, cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:  # fmt: skip
         try:
-            said, _ = process.communicate(timeout=_WITHIN_S)
-            return process.returncode, said
+            output, _ = process.communicate(timeout=_WITHIN_S)
+            return process.returncode, output
         except subprocess.TimeoutExpired:
             process.terminate()
-            said, _ = process.communicate()
-            return None, said
+            output, _ = process.communicate()
+            return None, output
 
 
 def _read(file: Path) -> dict[str, Any] | None:
@@ -108,9 +108,9 @@ def _rows(checkout: Path, only: Sequence[str], how: Sequence[str], theirs: bool)
             yield compared(checkout, script, how, theirs)
 
 
-def _speed(said: dict[str, Any]) -> float:
+def _speed(result: dict[str, Any]) -> float:
     """Return how many simulated seconds a second of CPU time gave."""
-    return said["steps"] * _STEP_S / said["cpu_s"] if said and said["cpu_s"] else float("nan")
+    return result["steps"] * _STEP_S / result["cpu_s"] if result and result["cpu_s"] else float("nan")
 
 
 def main() -> None:
@@ -121,13 +121,13 @@ def main() -> None:
     parser.add_argument("--here", action="store_true", help="not in their simulator")
     parser.add_argument("--ideal", action="store_true", help="robots without errors")
     parser.add_argument("--real-time", action="store_true", help="with a simulated camera")
-    asked = parser.parse_args()
-    how = [*(("--real-time", *_CAMERA) if asked.real_time else ()), *(("--ideal",) if asked.ideal else ())]
+    arguments = parser.parse_args()
+    how = [*(("--real-time", *_CAMERA) if arguments.real_time else ()), *(("--ideal",) if arguments.ideal else ())]
     print(
         f"{'script':36} exit  steps: ours theirs  apart mm  shape mm  barrier %  times real time: ours theirs  "
         "errors: ours / theirs"
     )
-    for row in _rows(asked.checkout.absolute(), asked.only, how, not asked.here):
+    for row in _rows(arguments.checkout.absolute(), arguments.only, how, not arguments.here):
         ours, theirs = row.ours or {}, row.theirs or {}
         changed = 100 * (row.summary.get("filtered_fraction") or 0.0)
         print(
@@ -136,7 +136,7 @@ def main() -> None:
             f"{ours.get('errors')} / {theirs.get('errors')}", flush=True,
         )  # fmt: skip
         if row.exit_code != 0:
-            print("    " + "\n    ".join(row.said.strip().splitlines()[-6:]), flush=True)
+            print("    " + "\n    ".join(row.output.strip().splitlines()[-6:]), flush=True)
 
 
 if __name__ == "__main__":

@@ -95,12 +95,12 @@ try:
     runpy.run_path(str(script), run_name="__main__")
 finally:
     if watched:
-        one = watched[-1]
-        errors = {name: count for name, count in one._errors.items() if not name.endswith("string")}
-        said = {
-            "first": one._harness_poses[0].tolist(),
-            "last": one._harness_poses[-1].tolist(),
-            "steps": one._harness_steps,
+        scene = watched[-1]
+        errors = {name: count for name, count in scene._errors.items() if not name.endswith("string")}
+        summary = {
+            "first": scene._harness_poses[0].tolist(),
+            "last": scene._harness_poses[-1].tolist(),
+            "steps": scene._harness_steps,
         }
-        cpu_s = one._harness_cpu_s[-1] - one._harness_cpu_s[0]
-        result.write_text(json.dumps(said | {"errors": errors, "cpu_s": cpu_s}))
+        cpu_s = scene._harness_cpu_s[-1] - scene._harness_cpu_s[0]
+        result.write_text(json.dumps(summary | {"errors": errors, "cpu_s": cpu_s}))

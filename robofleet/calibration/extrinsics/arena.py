@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.consensus import Agreement, agree, chance
 from robofleet.calibration.extrinsics.fiducials import Look, Marks, TagFinder, look
@@ -21,13 +20,12 @@ from robofleet.calibration.frames import Named, refuse_other_sizes
 from robofleet.calibration.store import CalibrationError, load, provenance, save
 from robofleet.config.calibrated import CameraModel, FloorTag, PoseSettings, SeenMark
 from robofleet.config.cameras import lens_fault
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
-
-Array = NDArray[np.float64]
 
 _USABLE_MM = 3.0  # predicted error on the floor; the paper's robots keep to about 5 mm
 _UNLIKELY = 1e-3  # chance of residuals, below which the marks contradict what was stated of the survey
-_WIDTH = (0.8, 1.25)  # of a tag as seen, over the surveyed side
+_WIDTH_RATIO = (0.8, 1.25)  # of a tag as seen, over the surveyed side
 
 
 class Result(NamedTuple):
@@ -246,7 +244,7 @@ def _refuse_poor(
     """Raise CalibrationError if the pose should not be used."""
     placement, faults = agreement.placement, []
     widths = _widths(placement, marks)
-    if len(widths) and not _WIDTH[0] < np.median(widths) < _WIDTH[1]:
+    if len(widths) and not _WIDTH_RATIO[0] < np.median(widths) < _WIDTH_RATIO[1]:
         faults.append(
             f"the tags look {np.median(widths):.3g} times as wide as their side_m: side_m or the survey's unit is wrong"
         )

@@ -12,18 +12,15 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.fiducials import Marks
 from robofleet.calibration.extrinsics.placing import Lens, Placement, met, place
 from robofleet.calibration.extrinsics.survey import LEAST, on_one_line
 from robofleet.calibration.store import CalibrationError
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from robofleet.core.arrays import Array, Flags
 
 _FALSE_ALARM = 0.01  # probability that a mark of a survey without faults is accused
-_ENOUGH = 7  # so many that agree accuse one mark, not two
+_ENOUGH_MARKS = 7  # so many that agree accuse one mark, not two
 _TIE = 0.01  # another choice of marks that fits by so much chance is as good
 _MOST_FOURS = 500
 _SEED = 1  # for the fours of a large survey: same input, same result
@@ -179,7 +176,7 @@ def _trimmed(part: float) -> float:
 def _refuse_ties(lens: Lens, marks: Marks, agreement: Agreement, survey_m: float | None) -> None:
     """Raise CalibrationError if another mark may as well be the one that was surveyed wrongly."""
     placement, inside = agreement.placement, agreement.inside
-    if np.count_nonzero(inside) >= _ENOUGH:
+    if np.count_nonzero(inside) >= _ENOUGH_MARKS:
         return
     for wrong, other in itertools.product(np.flatnonzero(~inside), np.flatnonzero(inside)):
         swapped = inside.copy()

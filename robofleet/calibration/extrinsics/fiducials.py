@@ -17,19 +17,17 @@ from numpy.typing import NDArray
 from robofleet.calibration.extrinsics.survey import Survey
 from robofleet.calibration.frames import MIRRORED, Named
 from robofleet.calibration.store import CalibrationError
+from robofleet.core.arrays import Array, Image
 from robofleet.core.settings import FAMILIES, FamilyName
 from robofleet.tracking.tags.families import finder, pattern
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
-_MARGIN = 0.5  # of the white around it that is compared, too [cells]
-_FINE = 16  # pixels of the drawn print, a cell
+_WHITE_MARGIN = 0.5  # of the white around it that is compared, too [cells]
+_CELL_PIXELS = 16  # of the drawn print
 _BLUR_PX = 0.6  # standard deviation expected of lens and pixel; a wrong one does not bias
 _ALIKE = 0.93  # least correlation with the print: a tag has 0.99, one with 3 cells wrong 0.91
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-7)
 _LEAST_PX = 0.01  # standard deviation of a tag's pixel that no averaging betters: interpolation, uneven light
-_FEW = 3  # frames, of which the scatter does not tell
+_FEW_FRAMES = 3  # frames, of which the scatter does not tell
 _SMOOTHED = 2 / 3  # of the noise's standard deviation that linear interpolation leaves, between pixels anywhere
 _BY_EYE_PX = 0.5  # of a point that was read off an image
 _MOVED_PX = 0.3  # spread over the images, beyond that of most tags, of a tag that was carried meanwhile
@@ -127,10 +125,10 @@ class TagFinder:
     def _template(self, tag: int, cell: float) -> tuple[NDArray[np.float32], float]:
         """Return the print as a camera shows it with ``cell`` pixels a cell, and its middle's coordinate."""
         white = np.pad(pattern(tag, self._name), 1, constant_values=True)
-        drawn = np.kron(255.0 * white, np.ones((_FINE, _FINE))).astype(np.float32)
-        scale = _FINE / cell
+        drawn = np.kron(255.0 * white, np.ones((_CELL_PIXELS, _CELL_PIXELS))).astype(np.float32)
+        scale = _CELL_PIXELS / cell
         blurred = cv2.GaussianBlur(drawn, (0, 0), _BLUR_PX * scale)
-        size = math.ceil((self._family.cells + 2.0 * _MARGIN) * cell)
+        size = math.ceil((self._family.cells + 2.0 * _WHITE_MARGIN) * cell)
         middle = (size - 1) / 2.0
         shift = (len(drawn) - 1) / 2.0 - scale * middle
         at = np.array([[scale, 0.0, shift], [0.0, scale, shift]])
@@ -209,7 +207,7 @@ def _marks(survey: Survey, tracks: dict[int, list[Seen]]) -> Marks:
 
 def _sigma_of_mean_px(track: list[Seen]) -> float:
     """Return the standard deviation of the mean over frames, one coordinate: by its scatter, of a few by the greys."""
-    if len(track) < _FEW:
+    if len(track) < _FEW_FRAMES:
         variance = float(np.mean([seen.sigma**2 for seen in track]))
     else:
         variance = float(np.var([seen.centre for seen in track], axis=0, ddof=1).mean())

@@ -10,20 +10,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.consensus import Agreement
 from robofleet.calibration.extrinsics.fiducials import Marks
 from robofleet.calibration.extrinsics.region import COLUMNS, ROWS, Region
 from robofleet.calibration.report import Report
 from robofleet.config.calibrated import CameraModel
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, INK, STYLE
 
-Array = NDArray[np.float64]
-
 _BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", COLOURS[0]])
-_WIDTH = 7.0  # of a plot [inch]
-_ARROW = 0.12  # of the longest arrow, over the region's width
+_PLOT_WIDTH = 7.0  # [inch]
+_ARROW_SHARE = 0.12  # of the longest arrow, over the region's width
 
 
 def write_page(
@@ -64,8 +62,8 @@ def write_page(
 
 def _axes(region: Region) -> tuple[Figure, Axes]:
     x, y = np.subtract(region.high, region.low)
-    height = min(1.5 * _WIDTH, _WIDTH * (y + 0.2 * x) / (1.2 * x)) if x > 0 else _WIDTH
-    figure = Figure(figsize=(_WIDTH, max(2.5, height)), layout="constrained")
+    height = min(1.5 * _PLOT_WIDTH, _PLOT_WIDTH * (y + 0.2 * x) / (1.2 * x)) if x > 0 else _PLOT_WIDTH
+    figure = Figure(figsize=(_PLOT_WIDTH, max(2.5, height)), layout="constrained")
     axes = figure.subplots()
     axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
     return figure, axes
@@ -89,7 +87,7 @@ def _arrows(region: Region, marks: Marks, agreement: Agreement) -> Figure:
     known = np.isfinite(agreement.error[:, 0])
     used = known & agreement.inside
     longest = np.hypot(*agreement.error[used].T).max() if used.any() else 1e-3
-    scale = _ARROW * (region.high[0] - region.low[0]) / longest
+    scale = _ARROW_SHARE * (region.high[0] - region.low[0]) / longest
     for which, colour in ((used, COLOURS[0]), (known & ~agreement.inside, COLOURS[1])):
         # One that was left out may be far off: its arrow is cut, its number is in the table.
         error = agreement.error[which]

@@ -20,14 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.fiducials import Marks
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
-
-Array = NDArray[np.float64]
 
 PARAMETERS = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "shift_x_m", "shift_y_m", "shift_z_m")  # of a covariance
 LEAST_SURVEY_M = 1e-4  # nobody surveys a floor better
-_STEPS = 8  # Gauss-Newton, from a pose that is right to some centimetres
-_STEP_PX = 0.25  # of the differences by pixel
+_GAUSS_NEWTON_STEPS = 8  # from a pose that is right to some centimetres
+_DIFFERENCE_PX = 0.25
 _HEADING_RAD = math.radians(1.0)  # standard deviation of a tag's heading laid out by hand, until the tags tell
 _LEAST_HEADING_RAD = math.radians(0.2)
 _TURNED = 4.0  # a heading so many standard deviations off was surveyed wrongly
@@ -47,8 +46,8 @@ class Lens:
 
     def by_pixel(self, pixels: Array) -> Array:
         """Return how the slopes change with the pixel (N, 2, 2) [1/px]."""
-        steps = _STEP_PX * np.eye(2)
-        return np.stack([self.slopes(pixels + s) - self.slopes(pixels - s) for s in steps], -1) / (2.0 * _STEP_PX)
+        steps = _DIFFERENCE_PX * np.eye(2)
+        return np.stack([self.slopes(pixels + s) - self.slopes(pixels - s) for s in steps], -1) / (2.0 * _DIFFERENCE_PX)
 
     def by_lens(self, pixels: Array) -> Array:
         """Return how the slopes change with the lens's values (N, 2, K)."""
@@ -144,7 +143,7 @@ def place(lens: Lens, marks: Marks, T_world_camera: Array, survey_m: float | Non
     by_pixel, by_lens = lens.by_pixel(marks.pixels), lens.by_lens(marks.pixels)
     freedom = 2 * len(marks) - 6
     T, sigma, r = T_world_camera, LEAST_SURVEY_M if survey_m is None else survey_m, np.zeros(0)
-    for _ in range(_STEPS):
+    for _ in range(_GAUSS_NEWTON_STEPS):
         seen, J, by_slope = on_plane(T, slopes, heights)
         r, J = (marks.points[:, :2] - seen).ravel(), J.reshape(-1, 6)
         V = noise(by_slope @ by_pixel, by_slope @ by_lens - marks.by_lens, marks.sigma_px, sigma, lens.covariance)

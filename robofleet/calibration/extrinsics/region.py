@@ -3,13 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.placing import Placement
 from robofleet.calibration.extrinsics.survey import Survey
 from robofleet.calibration.store import CalibrationError
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 COLUMNS, ROWS = 33, 21  # of the points at which the error is predicted
 

@@ -28,12 +28,11 @@ from robofleet.calibration.extrinsics.placing import (
 )
 from robofleet.calibration.extrinsics.survey import LEAST
 from robofleet.calibration.store import CalibrationError
+from robofleet.core.arrays import Array
 
-Array = NDArray[np.float64]
-
-_STEPS = 8  # Gauss-Newton
+_GAUSS_NEWTON_STEPS = 8
 _TIED_M = 0.003  # standard deviation at first of a place that another camera saw
-_ANYWHERE_M = 1.0  # standard deviation of a place that nobody surveyed
+_UNSURVEYED_SIGMA_M = 1.0
 
 
 class SurveyView(NamedTuple):
@@ -147,8 +146,8 @@ def _place(
     J, V, follows = np.zeros((ends[-1], 6 * cameras)), np.zeros((ends[-1], ends[-1])), [np.zeros(0)] * cameras
     r, P, weighted, covariance = (np.zeros(0),) * 4
     seen = surveyed
-    for last in [False] * _STEPS + [True]:
-        V[:] = np.kron(shared * np.where(open_, _ANYWHERE_M, sigma) ** 2, np.eye(2))
+    for last in [False] * _GAUSS_NEWTON_STEPS + [True]:
+        V[:] = np.kron(shared * np.where(open_, _UNSURVEYED_SIGMA_M, sigma) ** 2, np.eye(2))
         places = []
         for c, (camera_marks, part) in enumerate(zip(marks, parts, strict=True)):
             point, J_c, by_slope = on_plane(T[c], slopes[c], camera_marks.points[:, 2])

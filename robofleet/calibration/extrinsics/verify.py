@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.arena import covariance_of, lens_of
 from robofleet.calibration.extrinsics.consensus import agree, chance, distances, limit, refuse_undetermined
@@ -41,10 +40,8 @@ from robofleet.calibration.extrinsics.survey import LEAST, load_survey, on_one_l
 from robofleet.calibration.frames import Named, refuse_other_sizes
 from robofleet.calibration.store import CalibrationError, load
 from robofleet.config.calibrated import CameraModel, SeenMark
+from robofleet.core.arrays import Array, Flags
 from robofleet.tracking.camera import CameraGeometry
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _FALSE_ALARM = 1e-3  # probability of an accusation when nothing moved
 _SUFFICES = 0.01  # chance of what a turn alone leaves over, above which it explains a knock

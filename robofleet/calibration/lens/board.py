@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.store import CalibrationError
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from robofleet.core.arrays import Array, Image
 
 _RATIO = 0.12  # of the markers' side over a square's, measured against named: small ones are measured too small
 _CORNERS = 12  # fewer say little of a view's pose, and are often those of a board that is half out of focus

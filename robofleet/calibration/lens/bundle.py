@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.calibration.lens.board import Array, BoardView
+from robofleet.calibration.lens.board import BoardView
 from robofleet.calibration.lens.projection import Lens, cost
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import Lens as Kind
 
 _EVEN, _DECENTRED = ((2, 0.5), (4, 0.25), (6, 0.125), (8, 0.0625)), ((1, 0.05), (3, 0.05))

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.lens.board import Array
 from robofleet.calibration.lens.projection import Lens
+from robofleet.core.arrays import Array
 
 COLUMNS, ROWS = 24, 14  # of the pixels whose places are asked for
-_RIM = 0.8  # half the side of the floor tags' rectangle, of the image's
+_TAGS_SHARE = 0.8  # half the side of the floor tags' rectangle, of the image's
 _STEEPEST = 1.0  # slope of the rays that are asked for when no arena is given: 45 degrees
 
 
@@ -52,7 +52,7 @@ class FloorErrors:
         self._matters = ceiling.sees(slopes)
         around = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
         middle = np.array([width - 1, height - 1]) / 2
-        tags = lens.slopes(middle + _RIM * middle * np.array(around))
+        tags = lens.slopes(middle + _TAGS_SHARE * middle * np.array(around))
         tags = ceiling.limit(tags[np.isfinite(tags).all(axis=1)])
         self._fixed, by_pose = _shifts(lens, slopes[self._matters], ceiling.height_m - ceiling.tag_height_m)
         of_tags, tags_by_pose = _shifts(lens, tags, ceiling.height_m)

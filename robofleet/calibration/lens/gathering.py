@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from robofleet.calibration.frames import MIRRORED, images
-from robofleet.calibration.lens.board import Board, BoardCheck, BoardDetector, BoardView, Image
+from robofleet.calibration.lens.board import Board, BoardCheck, BoardDetector, BoardView
 from robofleet.calibration.lens.views import Collector, Offer
 from robofleet.calibration.store import CalibrationError
+from robofleet.core.arrays import Image
 
 FIRST = 3  # views before a lens is fitted at all
 

@@ -8,12 +8,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from robofleet.calibration.lens.board import Array, Board, BoardView
+from robofleet.calibration.lens.board import Board, BoardView
 from robofleet.calibration.lens.bundle import Fit, fit, typical
 from robofleet.calibration.lens.floor import Ceiling, FloorErrors
 from robofleet.calibration.lens.views import Coverage, Wanted, next_view
 from robofleet.calibration.store import CalibrationError, provenance
 from robofleet.config.calibrated import CameraModel
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import Lens as Kind
 
 COEFFICIENTS: dict[Kind, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12, 14), "fisheye": (4,)}  # OpenCV's models
@@ -27,7 +28,7 @@ _PULL_RATIO = 6.0  # over the median view's: a lens that the model does not quit
 _HOPELESS = "no lens explains the views: is the board another one?"
 _HOPELESS_PX = 20.0
 _FOLDS = 5
-_NAMED = 3  # views that contradict the others most
+_NAMED_VIEWS = 3  # those that contradict the others most
 _SHARED = 2.0  # what leaving out views tells over what noise tells: beyond it the views share errors
 
 
@@ -133,7 +134,7 @@ class Measured:
         names = [f"{view.name} ({miss:.2f} px)" for view, miss in self.outliers]
         warnings = [f"left out, as they do not fit: {', '.join(names)}"] if names else []
         if self.shared_errors > _SHARED:
-            most = sorted(zip(self.fit.surprise, self.fit.views, strict=True), key=lambda pair: -pair[0])[:_NAMED]
+            most = sorted(zip(self.fit.surprise, self.fit.views, strict=True), key=lambda pair: -pair[0])[:_NAMED_VIEWS]
             warnings.append(
                 f"views contradict one another {self.shared_errors:.1f} times more than their corners' noise explains, "
                 f"{', '.join(view.name for _, view in most)} most: "

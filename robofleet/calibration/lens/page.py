@@ -20,9 +20,9 @@ from robofleet.reports.pages import Marked, Picture
 
 _HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", COLOURS[0], "#0b2f4a"])
 _LEANS = dict(zip(Lean, (QUIET, *COLOURS[:4]), strict=True))
-_ARROWS = (16, 9)  # cells of the residuals' mean
-_RADII = 60  # points of the distortion's curve
-_THUMBNAIL_PX = 240  # width
+_ARROW_CELLS = (16, 9)
+_CURVE_POINTS = 60
+_THUMBNAIL_WIDTH_PX = 240
 _CORNER_BGR = (90, 60, 230)
 
 
@@ -56,7 +56,7 @@ def distortion_figure(measured: Measured) -> Figure:
     focal, centre = lens.values[:2], lens.values[2:4]
     corners = np.array([(x, y) for x in (0.0, width - 1.0) for y in (0.0, height - 1.0)])
     way = max((corners - centre).tolist(), key=lambda corner: float(np.hypot(*corner)))
-    pixels = centre + np.linspace(0.0, 1.0, _RADII)[1:, None] * way
+    pixels = centre + np.linspace(0.0, 1.0, _CURVE_POINTS)[1:, None] * way
     slopes = lens.slopes(pixels)
     known = np.isfinite(slopes).all(axis=1)  # a lens that folds has no rays there
     pixels, slopes = pixels[known], slopes[known]
@@ -124,7 +124,7 @@ def residual_figure(measured: Measured) -> Figure:
         _image_frame(field, measured)
         at, mean = _means(measured, residuals)
         longest = max(float(np.abs(mean).max(initial=0.0)), 1e-9)
-        scale = longest / (0.8 * measured.conditions.size[0] / _ARROWS[0])
+        scale = longest / (0.8 * measured.conditions.size[0] / _ARROW_CELLS[0])
         field.quiver(*at.T, *mean.T, angles="xy", scale_units="xy", scale=scale, color=COLOURS[1], width=0.004)
         field.set_title(f"longest arrow: {longest:.3f} px")
     return figure
@@ -134,7 +134,7 @@ def _means(measured: Measured, residuals: np.ndarray) -> tuple[np.ndarray, np.nd
     """Return cells' middles and mean residuals (K, 2) [px], of cells with enough corners."""
     pixels = np.concatenate([view.pixels for view in measured.fit.views])
     width, height = measured.conditions.size
-    cell = np.array([width / _ARROWS[0], height / _ARROWS[1]])
+    cell = np.array([width / _ARROW_CELLS[0], height / _ARROW_CELLS[1]])
     cells = ((pixels + 0.5) // cell).astype(int)
     found = [(key, mask) for key in np.unique(cells, axis=0) if (mask := (cells == key).all(axis=1)).sum() >= 5]
     at = np.array([(key + 0.5) * cell - 0.5 for key, _ in found]).reshape(-1, 2)
@@ -178,7 +178,7 @@ def _lens(report: Report, measured: Measured) -> None:
 
 def _thumbnail(view: BoardView, text: str, *, good: bool | None) -> Picture:
     """Return a view's image, small, with the corners that were found."""
-    scale = _THUMBNAIL_PX / view.image.shape[1]
+    scale = _THUMBNAIL_WIDTH_PX / view.image.shape[1]
     small = cv2.resize(view.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     drawn = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
     for u, v in (scale * (view.pixels + 0.5)).astype(int).tolist():

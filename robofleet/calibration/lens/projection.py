@@ -6,7 +6,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from robofleet.calibration.lens.board import Array, BoardView
+from robofleet.calibration.lens.board import BoardView
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera import Lens as Kind
 

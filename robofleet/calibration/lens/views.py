@@ -9,23 +9,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.lens.board import Array, Board, BoardView
+from robofleet.calibration.lens.board import Board, BoardView
 from robofleet.calibration.lens.bundle import Fit, inverse, view_information
 from robofleet.calibration.lens.floor import Ceiling, FloorErrors
 from robofleet.calibration.lens.projection import Lens
+from robofleet.core.arrays import Array
 
 COLUMNS, ROWS = 6, 4  # cells of the image
-_ENOUGH = 4  # corners in a cell
-_FEW = 3  # cells that may stay empty, but for the image's corners
-_ALIKE = 0.01  # rms of the corners' way, of the image's diagonal
-_STILL = 0.001  # the same, from one image to the next
-_COMMON = 6  # corners that two views must share to be alike
+_ENOUGH_CORNERS = 4  # in a cell
+_EMPTY_CELLS = 3  # at most, but for the image's corners
+_ALIKE_WAY = 0.01  # rms of the corners' way, of the image's diagonal
+_STILL_WAY = 0.001  # the same, from one image to the next
+_COMMON_CORNERS = 6  # that two views must share to be alike
 _TILTED_DEG = 12.0  # of the board against the image's plane; less is flat
 _TILTED_VIEWS = 2  # in each direction of a pair
-_DEPTHS = 1.25  # farthest corner over the nearest
+_DEPTH_RATIO = 1.25  # farthest corner over the nearest
 _ASKED_DEG = 30.0
 _ASKED_WIDTHS = (0.4, 0.7)  # of the board, in image widths
-_SEEN = 12  # corners of a view that is asked for
+_ASKED_CORNERS = 12  # of a view that is asked for
 
 
 class Lean(Enum):
@@ -59,9 +60,9 @@ class Collector:
     def offer(self, view: BoardView) -> Offer:
         """Take a view, or say why not."""
         before, self._before = self._before, view
-        if self._film and (before is None or self._apart(before, view) > _STILL):
+        if self._film and (before is None or self._apart(before, view) > _STILL_WAY):
             return Offer.MOVING
-        if any(self._apart(used, view) < _ALIKE for used in self.views):
+        if any(self._apart(used, view) < _ALIKE_WAY for used in self.views):
             return Offer.ALIKE
         self.views.append(view._replace(image=view.image.copy()))  # a camera may use its own again
         return Offer.NEW
@@ -69,7 +70,7 @@ class Collector:
     def _apart(self, first: BoardView, other: BoardView) -> float:
         """Return how far the corners are apart that both show, rms, of the diagonal."""
         _, i, j = np.intersect1d(first.ids, other.ids, return_indices=True)
-        if len(i) < _COMMON:
+        if len(i) < _COMMON_CORNERS:
             return math.inf
         way = first.pixels[i] - other.pixels[j]
         return float(np.sqrt((way * way).sum(axis=1).mean())) / self._diagonal
@@ -107,7 +108,7 @@ class Coverage:
             own = cell_counts(lens.size, view.pixels)
             lean, _ = tilt(pose)
             corners += own
-            leans[..., list(Lean).index(lean)] += own >= _ENOUGH
+            leans[..., list(Lean).index(lean)] += own >= _ENOUGH_CORNERS
             counts[lean] += 1
             depths.append((view.points @ cv2.Rodrigues(pose[:3])[0].T + pose[3:])[:, 2])
         z = np.concatenate(depths)
@@ -121,8 +122,8 @@ class Coverage:
     @property
     def empty(self) -> NDArray[np.bool_]:
         """Return the needed cells (ROWS, COLUMNS) that too few corners fell into: any corner, else more than a few."""
-        empty = self.needed & (self.corners < _ENOUGH)
-        if empty.sum() <= _FEW:
+        empty = self.needed & (self.corners < _ENOUGH_CORNERS)
+        if empty.sum() <= _EMPTY_CELLS:
             empty[1:-1] = empty[:, 1:-1] = False
         return np.asarray(empty)
 
@@ -145,7 +146,7 @@ class Coverage:
                     f"the {axis} edge was tilted away by {_TILTED_DEG:g} deg in {tilted} views: "
                     f"{_TILTED_VIEWS} or more are needed"
                 )
-        if self.depths < _DEPTHS:
+        if self.depths < _DEPTH_RATIO:
             faults.append(
                 f"all corners are about equally far: the farthest is {self.depths:.2f} times as far as the nearest"
             )
@@ -197,7 +198,7 @@ def next_view(fit: Fit, floor: FloorErrors, coverage: Coverage, board: Board) ->
         pixels, J_lens, J_pose = fit.lens.project(points, pose)
         covariance = fit.noise_px**2 * inverse(fit.information + view_information(J_lens, J_pose))
         rms_mm = floor.rms_mm(covariance)
-        fills = coverage.empty[row, column] and cell_counts(fit.lens.size, pixels)[row, column] >= _ENOUGH
+        fills = coverage.empty[row, column] and cell_counts(fit.lens.size, pixels)[row, column] >= _ENOUGH_CORNERS
         leans = lean in coverage.missing_leans
         ranked.append((not fills, not leans, rms_mm, Wanted(row, column, lean, distance, rms_mm)))
     if not ranked:  # the lens is still impossible
@@ -222,7 +223,7 @@ def _candidates(lens: Lens, board: Board) -> list[tuple[int, int, Lean, float, A
                 pixels, _, _ = lens.project(everything, pose)
                 inside = ((pixels > 2.0) & (pixels < np.array([width, height]) - 3.0)).all(axis=1)
                 if (
-                    inside.sum() >= _SEEN
+                    inside.sum() >= _ASKED_CORNERS
                     and np.linalg.matrix_rank(everything[inside, :2] - everything[inside, :2][0]) == 2
                 ):
                     candidates.append((row, column, lean, distance, everything[inside], pose))

@@ -21,6 +21,7 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.config import groups
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config, Group
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 from robofleet.operator.terminal.live_state import WAITING
 from robofleet.operator.terminal.terminal import Terminal
@@ -32,12 +33,11 @@ from robofleet.runs.launcher import Launcher
 from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.offset import tag_from_centre
 
-Array = NDArray[np.float64]
 Turned = tuple[Array, Array]  # at [s], angles (n, 2) [rad]
 Seen = tuple[float, float, float, float]  # at [s], x, y [m], psi [rad]
 
 _GROUP = "excitation"
-_AROUND_S = 0.5  # kept before the first and after the last motion
+_REST_AROUND_S = 0.5  # kept before the first and after the last motion
 
 
 def configure(
@@ -67,7 +67,7 @@ def configure(
     if config.run.attended and not lockstep and not sys.stdin.isatty():
         raise CalibrationError("run.attended: stdin is not a terminal: start the drive in one, or set it to false")
     end_s = float(_ends(config)[len(driving) - 1])
-    run = config.run.model_copy(update={"duration_s": end_s + _AROUND_S})
+    run = config.run.model_copy(update={"duration_s": end_s + _REST_AROUND_S})
     return config.model_copy(update={"run": run}), len(driving)
 
 
@@ -178,7 +178,7 @@ def _cut(
     moving = commands_s[wheels.any(axis=1)]
     if not len(moving):
         raise CalibrationError(f"{robot}: it was never commanded to move: did the tracker see it, and had it room?")
-    start_s, end_s = float(moving[0]) - _AROUND_S, float(moving[-1]) + _AROUND_S
+    start_s, end_s = float(moving[0]) - _REST_AROUND_S, float(moving[-1]) + _REST_AROUND_S
     seen = np.array(sorted(poses)).reshape(-1, 4)
     seen = seen[np.unique(seen[:, 0], return_index=True)[1]]
 

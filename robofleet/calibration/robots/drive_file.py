@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.store import CalibrationError
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 VERSION = 3
 FILE = "drive.npz"

@@ -13,19 +13,18 @@ from numpy.typing import NDArray
 
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
+from robofleet.core.arrays import Array
 from robofleet.safety.gate import RAMP_NS
 
-Array = NDArray[np.float64]
-
-_FEWEST = 3  # samples of an angle
-_OUTLIERS = 0.2  # of the poses, at most
+_FEWEST_SAMPLES = 3  # of an angle
+_OUTLIER_SHARE = 0.2  # of the poses, at most
 _SHORTEST_LAG_S = 1e-6
 _RAMP_S = RAMP_NS * 1e-9
-_SPIKE = 6.0  # standard deviations of a pose that is left out
-_SEEN = 0.6  # of the images, at least
+_SPIKE_SIGMA = 6.0  # of a pose that is left out
+_SEEN_SHARE = 0.6  # of the images, at least
 _LONGEST_GAP_S = 1.0
 _ALMOST_NOTHING = 1e-9  # noise of poses that have none [rad, m]
-_RATIOS = np.geomspace(1e-3, 1e3, 13).tolist()  # of what slip adds in a second to a pose's variance [1/s]
+_NOISE_RATIOS = np.geomspace(1e-3, 1e3, 13).tolist()  # of what slip adds in a second to a pose's variance [1/s]
 
 
 @dataclass(frozen=True)
@@ -66,13 +65,13 @@ class Solution:
 
 def refuse_unusable(drive: RobotDrive) -> None:
     """Raise a CalibrationError if a robot was not seen well enough, or stood still."""
-    if len(drive.told_s) < _FEWEST:
+    if len(drive.told_s) < _FEWEST_SAMPLES:
         raise CalibrationError(f"{drive.robot}: its driver did not report the wheels' commands: drive again")
     start_s, end_s = drive.commands_s[[0, -1]] if len(drive.commands_s) else (0.0, 0.0)
     seen = drive.poses_s[(drive.poses_s >= start_s) & (drive.poses_s <= end_s)]
     gap_s = float(np.diff(np.concatenate([[start_s], seen, [end_s]])).max())
     fraction = len(seen) / max(1, len(drive.commands_s))
-    if gap_s > _LONGEST_GAP_S or fraction < _SEEN:
+    if gap_s > _LONGEST_GAP_S or fraction < _SEEN_SHARE:
         raise CalibrationError(
             f"{drive.robot}: it was seen in {100 * fraction:.0f} % of the images, and once not for {gap_s:.1f} s: "
             "light its tag, clear the view, and drive again"
@@ -174,7 +173,7 @@ def solve(columns: Array, y: Array, inc: Increments) -> Solution:
 def noise_of(residuals: Array, inc: Increments) -> Noise:
     """Return the two variances that make residuals (m, n) likeliest, by a search over their ratio."""
     best, likeliest = Noise(_ALMOST_NOTHING**2, 0.0), -np.inf
-    for ratio in _RATIOS:
+    for ratio in _NOISE_RATIOS:
         scales, shares = _triangular(inc, Noise(1.0, ratio))
         white = np.array([_whitened(axis, scales, shares) for axis in residuals])
         variance = max(float((white**2).mean()), _ALMOST_NOTHING**2)
@@ -218,7 +217,7 @@ def left_out(drive: RobotDrive, kept: NDArray[np.bool_], residuals: Sequence[Arr
     """
     fewer = kept.copy()
     fewer[np.flatnonzero(kept)[_spikes(residuals)]] = False
-    if (~fewer).mean() > _OUTLIERS:
+    if (~fewer).mean() > _OUTLIER_SHARE:
         raise CalibrationError(
             f"{drive.robot}: {100 * (~fewer).mean():.0f} % of its poses do not fit any motion: did something else "
             "move it, or is its tag hard to see?"
@@ -233,5 +232,5 @@ def _spikes(residuals: Sequence[Array]) -> NDArray[np.bool_]:
         spike = np.concatenate([[0.0, 0.0], np.abs(e[:-1] - e[1:]) / 2.0, [0.0, 0.0]])
         sigma = 1.4826 * float(np.median(spike))
         beside = np.maximum(spike[:-2], spike[2:])  # a pose that is wrong makes its neighbours look wrong too
-        out |= (spike[1:-1] > _SPIKE * max(sigma, _ALMOST_NOTHING)) & (spike[1:-1] >= beside)
+        out |= (spike[1:-1] > _SPIKE_SIGMA * max(sigma, _ALMOST_NOTHING)) & (spike[1:-1] >= beside)
     return out

@@ -26,22 +26,21 @@ from robofleet.calibration.robots.increments import (
     whiten,
 )
 from robofleet.calibration.store import CalibrationError
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 PARAMETERS = ("delay_s", "motor_lag_s")
 
 _DELAYS = np.linspace(0.0, 0.35, 15).tolist()  # where the search begins [s]
 _LAGS = (0.005, 0.03, 0.06, 0.12, 0.24, 0.5)
-_STEP_S = 2e-4  # of the numerical derivative
+_DIFFERENCE_S = 2e-4
 _SETTLED_S = 1e-6
 _ROUNDS = 12
 _PASSES = 3
 _SMALL_LAG_S = 0.003  # one below cannot be told from a delay
 _LOWEST, _HIGHEST = (-0.1, 0.0), (1.0, 1.0)  # delay and lag that are tried [s]
 _LONGEST_S = 0.6
-_WORST_S = 0.002  # sigma that is refused
-_BEFORE_S = 0.003  # a delay so far below zero is still zero's
+_WORST_SIGMA_S = 0.002
+_NEGATIVE_DELAY_S = 0.003  # so far below zero it still counts as zero
 _LEAST_CHANGES = 20  # of the wheels' commands
 
 
@@ -108,12 +107,12 @@ def _find(drive: RobotDrive) -> Latency:
 def _refuse(found: Latency) -> None:
     """Say what the drive does not determine, and what cannot be."""
     robot, sigma = found.robot, found.sigma
-    if not max(sigma) <= _WORST_S:
+    if not max(sigma) <= _WORST_SIGMA_S:
         raise CalibrationError(
             f"{robot}: its delay is known to {1e3 * sigma[0]:.1f} ms and its lag to {1e3 * sigma[1]:.1f} only, "
-            f"{1e3 * _WORST_S:.0f} are allowed: drive longer, or with more changes"
+            f"{1e3 * _WORST_SIGMA_S:.0f} are allowed: drive longer, or with more changes"
         )
-    if not -_BEFORE_S <= found.delay_s <= _LONGEST_S or found.motor_lag_s >= _LONGEST_S:
+    if not -_NEGATIVE_DELAY_S <= found.delay_s <= _LONGEST_S or found.motor_lag_s >= _LONGEST_S:
         raise CalibrationError(
             f"{robot}: a delay of {1e3 * found.delay_s:.1f} ms and a lag of {1e3 * found.motor_lag_s:.1f} ms cannot "
             "be: are the camera's time stamps right?"
@@ -188,7 +187,7 @@ class _Model:
     def _derivative(self, theta: Array, noises: tuple[Noise, ...]) -> Array:
         columns = []
         for k in range(2):
-            ahead, behind = theta + _STEP_S * np.eye(2)[k], theta - _STEP_S * np.eye(2)[k]
+            ahead, behind = theta + _DIFFERENCE_S * np.eye(2)[k], theta - _DIFFERENCE_S * np.eye(2)[k]
             behind[1] = max(behind[1], 0.0)
             change = self._whitened(ahead, noises) - self._whitened(behind, noises)
             columns.append(change / (ahead - behind)[k])

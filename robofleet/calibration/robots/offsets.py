@@ -26,15 +26,14 @@ from robofleet.calibration.robots.increments import (
 )
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
+from robofleet.core.arrays import Array
 from robofleet.vehicles.differential_drive import DifferentialDrive
-
-Array = NDArray[np.float64]
 
 PARAMETERS = ("forward_m", "left_m", "heading_deg", "wheel_radius_m", "wheel_base_m")
 
-_SMOOTHED = 15  # poses
-_STEADIED = 25  # statuses: half a second
-_ROUNDS = 6  # of leaving outliers out
+_SMOOTHED_POSES = 15
+_SMOOTHED_STATUSES = 25  # half a second
+_OUTLIER_ROUNDS = 6
 _IN_TIME_S = 2e-4
 _LEAST_TURN = 1.5 * math.pi  # each way [rad]
 _LEAST_WAY = 0.05  # [m]
@@ -74,7 +73,7 @@ def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
         CalibrationError: the drive does not determine them.
     """
     refuse_unusable(drive)
-    by_encoders = len(drive.encoders_s) > _STEADIED
+    by_encoders = len(drive.encoders_s) > _SMOOTHED_STATUSES
     try:
         lag_s = latency.find(drive).motor_lag_s
     except CalibrationError:
@@ -87,7 +86,7 @@ def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
     late_s = 0.0  # of their instants: what the bus takes at least, and what the robot does
     kept = np.ones(len(drive.poses_s), dtype=np.bool_)
     try:
-        for _ in range(_ROUNDS):
+        for _ in range(_OUTLIER_ROUNDS):
             wheels = _between(at_s, angles, drive.poses_s + late_s)
             fit = _Fit(drive, wheels, kept, believed)
             later_s, fewer = fit.late_s(wheels[kept]), left_out(drive, kept, fit.residuals)
@@ -118,7 +117,7 @@ class _Fit:
         sides = np.column_stack([-self._angles[:, 0], self._angles[:, 1], -self._rate * turn])
         self._turning = solve(sides[None], self.inc.turn[None], self.inc)
         reckoned = np.concatenate([[0.0], np.cumsum(sides @ self._turning.values)])
-        self.heading = reckoned + _smoothed(measured - reckoned, _SMOOTHED)
+        self.heading = reckoned + _smoothed(measured - reckoned, _SMOOTHED_POSES)
         self._shifting = self._shifts(self._turning.values)
 
     def _shifts(self, per_side: Array) -> Solution:
@@ -201,12 +200,12 @@ def _put_right(told_s: Array, expected: Array, at_s: Array, counted: Array) -> A
     less: taken as they are they would make every turn look smaller. First the mean of that age is found.
     """
     late_s = 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_OUTLIER_ROUNDS):
         model = _between(told_s, expected, at_s - late_s)
         speed, error = np.gradient(model, at_s, axis=0), counted - model
-        quick, off = speed - _smoothed(speed, _STEADIED), error - _smoothed(error, _STEADIED)
+        quick, off = speed - _smoothed(speed, _SMOOTHED_STATUSES), error - _smoothed(error, _SMOOTHED_STATUSES)
         late_s -= float((off * quick).sum() / (quick * quick).sum())
-    return model + _smoothed(error, _STEADIED)
+    return model + _smoothed(error, _SMOOTHED_STATUSES)
 
 
 def _smoothed(values: Array, width: int) -> Array:

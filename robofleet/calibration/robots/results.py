@@ -19,7 +19,7 @@ from robofleet.core.figures import COLOURS, QUIET, STYLE
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-_SHOWN_S = 4.0  # of the turns
+_SHOWN_TURNS_S = 4.0
 
 
 def file_of(config: Path, robot: str) -> Path:
@@ -171,7 +171,7 @@ def _latency_figure(found: Latency, delay_s: float, lag_s: float) -> Figure:
         step.set(xlabel="after the tick [ms]", ylabel="of the commanded speed")
         step.legend()
         middle = found.at_s[int(0.8 * len(found.at_s))]
-        shown = np.abs(found.at_s - middle) < _SHOWN_S / 2
+        shown = np.abs(found.at_s - middle) < _SHOWN_TURNS_S / 2
         turns.plot(found.at_s[shown], found.turn_rad_s[shown], ".", ms=3, color=COLOURS[1], label="measured")
         turns.plot(found.at_s[shown], found.modelled_rad_s[shown], color=COLOURS[0], lw=1.0, label="fit")
         turns.set(xlabel="time [s]", ylabel="rate of turning [rad/s]")

@@ -6,7 +6,7 @@ from pathlib import Path
 from robofleet.config.files.yamlfile import Mistake, Node, Position, Source
 from robofleet.core.files import read_named
 
-_LARGEST = 1 << 20  # [bytes]
+_LARGEST_BYTES = 1 << 20
 _LONGEST_NUMBER = 100  # [characters]
 
 
@@ -20,7 +20,7 @@ def read_table(file: Path, source: Source, path: str, columns: tuple[str, ...]) 
     """
     begin = Position(source, 1, 1, "")
     try:
-        text = read_named(file, _LARGEST).decode("utf-8-sig")
+        text = read_named(file, _LARGEST_BYTES).decode("utf-8-sig")
     except FileNotFoundError:
         raise
     except UnicodeDecodeError:

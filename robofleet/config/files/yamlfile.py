@@ -16,9 +16,9 @@ Value = dict[str, "Node"] | list["Node"] | str | int | float | bool | None
 _TAG = "tag:yaml.org,2002:"
 _SCALARS = {_TAG + kind for kind in ("null", "bool", "int", "float", "str")}
 _ALIAS, _EXPLICIT = "!alias", "!explicit "
-_LARGEST = 1 << 20  # [bytes] of a document: a hundred robots with their calibrations fit twice
-_MCAP = b"\x89MCAP"  # what a recording begins with
-_DEEPEST = 32  # mappings and lists in each other
+_LARGEST_BYTES = 1 << 20  # of a document: a hundred robots with their calibrations fit twice
+_MCAP_MAGIC = b"\x89MCAP"
+_DEEPEST_NESTING = 32
 _LONGEST_NUMBER = 100  # [characters]; a longer one takes its time, and is none that can be meant
 _CLOSE = {True: "write ] at its end, and commas between its items", False: "write } at its end, and commas between"}
 _MISPLACED = re.compile("mapping values are not allowed|expected <block end>|expected <document start>")
@@ -115,7 +115,7 @@ def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Mistake]]:
         FileNotFoundError: there is no such file.
     """
     try:
-        data = read_named(file, _LARGEST)
+        data = read_named(file, _LARGEST_BYTES)
     except FileNotFoundError:
         raise
     except IsADirectoryError:
@@ -128,11 +128,11 @@ def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Mistake]]:
 
 def parse_bytes(data: bytes, source: Source) -> tuple[Node | None, list[Mistake]]:
     """Parse what a file holds: its tree (None when there is none) and its faults."""
-    if data.startswith(_MCAP):
+    if data.startswith(_MCAP_MAGIC):
         message = f"is a recording, not a configuration: `robofleet report {source.name}` reads it"
         return None, [Mistake(Position(source, 1, 1, source.key), message)]
-    if len(data) > _LARGEST:
-        return None, [Mistake(Position(source, 1, 1, source.key), f"is longer than {_LARGEST} bytes")]
+    if len(data) > _LARGEST_BYTES:
+        return None, [Mistake(Position(source, 1, 1, source.key), f"is longer than {_LARGEST_BYTES} bytes")]
     try:
         return parse_yaml(data.decode("utf-8-sig"), source)
     except UnicodeDecodeError as error:
@@ -215,7 +215,7 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         self._depth += 1
-        if self._depth > _DEEPEST:
+        if self._depth > _DEEPEST_NESTING:
             raise RecursionError
         node = self._composed(parent, index)
         self._depth -= 1

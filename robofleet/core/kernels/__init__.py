@@ -1,10 +1,14 @@
-"""``kernel``, ``model``: functions that numba compiles once, kept on disk by what they mean."""
+"""``kernel``, ``model``: functions that numba compiles once, kept on disk by what they mean.
 
-from collections.abc import Callable
+Numba, and the modules here that need it, are loaded where a kernel is first called: that takes a second.
+"""
+
+import functools
+import types
+from collections.abc import Callable, Iterator
 from typing import Any, ParamSpec, TypeVar, cast
 
-from robofleet.core.errors import RobofleetError
-from robofleet.core.kernels.lazy import Kernel, PlainKernel, reached
+from robofleet.core.errors import UnknownMeaningError
 
 __all__ = [
     "INFINITE",
@@ -27,8 +31,63 @@ _NO_CALLBACK = {"no_cfunc_wrapper": True}  # nobody calls a kernel from C
 _models: dict[str, Any] = {}
 
 
-class UnknownMeaningError(RobofleetError, TypeError):
-    """Raised where a function reads a value of which nobody can tell whether it changed. The message names both."""
+class Kernel:
+    """A function that numba compiles at its first call, or loads from disk.
+
+    Processes that only import it need no numba. Kernels may call each other.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func, self._options = function, {**options, **_NO_CALLBACK}
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Return what the compiled function returns."""
+        return self.compiled(*arguments)
+
+    @functools.cached_property
+    def compiled(self) -> Any:
+        """numba's dispatcher for calls from Python; the function itself where numba is switched off."""
+        return self._kept({}, self.meaning)
+
+    @functools.cached_property
+    def _inner(self) -> Any:
+        """numba's dispatcher for calls from other kernels."""
+        from robofleet.core.kernels.meaning import INNER  # noqa: PLC0415
+
+        return self._kept(INNER, lambda: f"{self.meaning()}, inner")
+
+    @property
+    def _numba_type_(self) -> Any:
+        """What numba takes a call in another kernel for."""
+        return self._inner._numba_type_
+
+    def meaning(self) -> str:
+        """Return the digest of the function and of all that it reads."""
+        return self._digest
+
+    @functools.cached_property
+    def _digest(self) -> str:
+        from robofleet.core.kernels.meaning import digest_of  # noqa: PLC0415
+
+        return digest_of(self.py_func, self._options)
+
+    def _kept(self, options: dict[str, Any], meaning: Callable[[], str]) -> Any:
+        from robofleet.core.kernels.store import kept  # noqa: PLC0415
+
+        return kept(self._dispatcher({**self._options, **options}), meaning)
+
+    def _dispatcher(self, options: dict[str, Any]) -> Any:
+        import numba  # noqa: PLC0415
+
+        return numba.njit(**options)(self.py_func)
+
+
+class PlainKernel(Kernel):
+    """A kernel whose function calls plain functions: numba compiles copies of them all."""
+
+    def _dispatcher(self, options: dict[str, Any]) -> Any:
+        return snapshot(self.py_func, options)[0]
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -41,7 +100,7 @@ def kernel_of_plain(function: Callable[P, R]) -> Callable[..., R]:
 
     The compiled form takes rows of arrays where the function takes records with the same fields.
     """
-    return cast("Callable[..., R]", PlainKernel(function, dict(_NO_CALLBACK)))
+    return cast("Callable[..., R]", PlainKernel(function, {}))
 
 
 def infinite_kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -79,4 +138,25 @@ def snapshot(function: Callable[..., Any], options: dict[str, Any]) -> tuple[Any
 
 
 def _kernel(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
-    return cast("Callable[P, R]", Kernel(function, {**options, **_NO_CALLBACK}))
+    return cast("Callable[P, R]", Kernel(function, options))
+
+
+def reached(*kernels: Callable[..., Any]) -> frozenset[Kernel]:
+    """Return these kernels and all that they call."""
+    found: set[Kernel] = set()
+    waiting: list[Any] = list(kernels)
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, Kernel) and value not in found:
+            found.add(value)
+            waiting += _named(value.py_func)
+    return frozenset(found)
+
+
+def _named(function: Any) -> Iterator[Any]:
+    """What a function's code names: globals, and attributes of modules that are globals."""
+    names = function.__code__.co_names
+    for value in (function.__globals__.get(name) for name in names):
+        yield value
+        if isinstance(value, types.ModuleType):
+            yield from (vars(value).get(name) for name in names)

@@ -14,20 +14,33 @@ import inspect
 import sys
 import types
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import llvmlite
 import numba
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
-from robofleet.core.kernels import UnknownMeaningError
-from robofleet.core.kernels.lazy import Kernel
+from robofleet.core.errors import UnknownMeaningError
 
 # what they compile to is known from their name and the version
 _LIBRARIES = {"numpy", "numba", "math", "cmath", "operator", "builtins"}
 _VERSIONS = (str(sys.implementation.cache_tag), numba.__version__, llvmlite.__version__, np.__version__)
+# A function that only compiled code calls becomes a part of each caller, and has no wrapper for Python. A copy beside a
+# caller would be shared by all callers that are loaded. Copies round differently where the order of sums is the
+# compiler's: results would depend on which caller was loaded first.
+INNER = {"no_cpython_wrapper": True, "forceinline": True}
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
+
+
+@runtime_checkable
+class LazyFunction(Protocol):
+    """A function that is compiled when it is called."""
+
+    py_func: Callable[..., Any]
+
+    def meaning(self) -> str:
+        """Return its digest."""
 
 
 def digest_of(function: Callable[..., Any], options: object) -> str:
@@ -68,8 +81,8 @@ class _Walk:
         self.top: Any = None
 
     def digest(self, function: Callable[..., Any], options: object) -> str:
-        self._say("versions", *_VERSIONS, "options", repr(options))
-        plain = function.py_func if isinstance(function, Dispatcher | Kernel) else function
+        self._say("versions", *_VERSIONS, "options", repr(options), repr(INNER))
+        plain = function.py_func if isinstance(function, Dispatcher | LazyFunction) else function
         if not isinstance(plain, types.FunctionType):
             raise UnknownMeaningError(f"expected a Python function, got a {type(function).__name__}")
         self.top = self._function(plain, numba.njit(**self._options))
@@ -106,11 +119,11 @@ class _Walk:
         return value
 
     def _by_name_or_code(self, value: Any, name: str) -> Any:
-        if isinstance(value, Kernel):
+        if isinstance(value, LazyFunction):
             if _is_ours(value.py_func):
                 self._say("kernel", value.meaning())
                 return value
-            value = value.compiled
+            value = numba.typeof(value).dispatcher  # type: ignore[no-untyped-call]
         if isinstance(value, Dispatcher):
             options = {**value.targetoptions, "locals": value.locals}
             self._say("compiled", repr(sorted(options.items(), key=str)))
@@ -119,7 +132,7 @@ class _Walk:
             self._say("library", library)
             return value
         if isinstance(value, types.FunctionType):
-            return self._function(value, numba.njit(**self._options))
+            return self._function(value, numba.njit(**{**self._options, **INNER}))
         raise UnknownMeaningError(
             f"{', which calls '.join(self._path)} reads {name}, of type {type(value).__name__}: nobody can tell when "
             "it changes; use numbers, tuples, arrays or functions"

@@ -4,18 +4,16 @@ from importlib import import_module
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from robofleet.control.bicycle import bicycle_plant
 from robofleet.control.flow import FlowSettings, NewtonRaphsonFlow
+from robofleet.core.arrays import Array
 from robofleet.core.errors import RobofleetError
 from robofleet.core.settings import Model, NonNegative, Positive
 from robofleet.experiments.baselines.geometric import CurvatureLqr, PurePursuit, Stanley
 from robofleet.experiments.baselines.problem import Controller, Input, Problem, RollForward
 from robofleet.experiments.driving import FlowParameters
-
-Array = NDArray[np.float64]
 
 
 class Flow:

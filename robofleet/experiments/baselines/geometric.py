@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.experiments.baselines.problem import Input, Problem
 from robofleet.vehicles.bicycle import BicycleParameters
-
-Array = NDArray[np.float64]
 
 _RICCATI_ROUNDS, _RICCATI_BOUND = 100_000, 1e100
 _TAYLOR_TERMS = 20

@@ -11,12 +11,11 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.experiments.baselines.problem import Input, Problem
 from robofleet.vehicles.bicycle import BicycleParameters
 
-Array = NDArray[np.float64]
 Solver = Literal["ipopt", "fatrop"]
 
 _START_BARRIER, _TOLERANCE = 1e-4, 1e-6  # a small first barrier parameter: the solution is near the last one

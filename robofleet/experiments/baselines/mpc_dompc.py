@@ -7,16 +7,14 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.experiments.baselines.mpc_casadi import derivative
 from robofleet.experiments.baselines.problem import Input, Problem
 
 with warnings.catch_warnings():  # it warns of each of its optional parts that is not installed
     warnings.filterwarnings("ignore", message="The .* feature", category=UserWarning)
     import do_mpc
-
-Array = NDArray[np.float64]
 
 _QUIET = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": 0}
 

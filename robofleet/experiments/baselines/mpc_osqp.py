@@ -8,16 +8,14 @@ min of  |z(U) + G dU - r|^2 + sum_k (u_k - u_k-1)' R (u_k - u_k-1),  |u_k| <= li
 
 import numpy as np
 import osqp
-from numpy.typing import NDArray
 from scipy import sparse
 
 from robofleet.control.arrays import cached
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
 from robofleet.experiments.baselines.problem import Input, Problem
 from robofleet.vehicles import bicycle
 from robofleet.vehicles.bicycle import Numbers
-
-Array = NDArray[np.float64]
 
 _derivative = cached(bicycle.derivative)
 _state_jacobian = cached(bicycle.state_jacobian)

@@ -4,16 +4,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.control.arrays import cached
+from robofleet.core.arrays import Array
 from robofleet.core.clock import stopwatch_ns
 from robofleet.core.kernels import kernel
 from robofleet.experiments.curves import Reference
 from robofleet.vehicles import bicycle
 from robofleet.vehicles.bicycle import BicycleParameters, Numbers
 
-Array = NDArray[np.float64]
 Input = tuple[float, float]  # a_l [m/s^2], delta_f [rad]
 
 _derivative = cached(bicycle.derivative)

@@ -63,17 +63,17 @@ class LinkedRobots:
 
     def __init__(self) -> None:
         self._complaints = Complaints()
-        self._left = 0  # to do, as bits of ``link.settle``
+        self._pending = 0  # what is still to do, as bits of ``link.settle``
 
     @property
     def hurries(self) -> bool:
         """Whether the link was bad a short while ago."""
-        return bool(self._left & link.HURRIES)
+        return bool(self._pending & link.HURRIES)
 
     @property
     def latch_is_new(self) -> bool:
         """Whether the newest status does not tell of a gate's latch yet."""
-        return bool(self._left & link.NEW_LATCH)
+        return bool(self._pending & link.NEW_LATCH)
 
     def say(self) -> None:
         """Say in the log what there is to complain about."""
@@ -123,7 +123,7 @@ class GatedRobots(LinkedRobots):
         """Let every gate begin anew: the clock was set back."""
         for robot in self._robots:
             robot.gate.at_ns = from_ns
-            self._left |= robot.pass_on(now_ns, Inputs(), 0)
+            self._pending |= robot.pass_on(now_ns, Inputs(), 0)
 
     def pass_on(
         self, _now_ns: int, command: tuple[NDArray[Any], NDArray[Any]] | None,
@@ -141,11 +141,11 @@ class GatedRobots(LinkedRobots):
             permission = UnitEnable._make([*enable[0][0].item()[1:-1], ()])
             for i, item in zip(inputs, enable[1].tolist(), strict=True):
                 link.put_permission(i, permission, Enable(*item))
-        self._left = 0
+        self._pending = 0
         for robot, given in zip(self._robots, inputs, strict=True):
             if due:
                 robot.look(self._now_ns())
-            self._left |= robot.pass_on(self._now_ns(), given, exposure_ns)
+            self._pending |= robot.pass_on(self._now_ns(), given, exposure_ns)
 
     def lease(self, session: int, action: LeaseAction, _now_ns: int) -> tuple[LeaseAnswer, ...]:
         """Answer a request for the leases."""
@@ -153,13 +153,13 @@ class GatedRobots(LinkedRobots):
 
     def keep(self, *, due: bool) -> None:
         """Keep what must be kept of the gates: a lease's epoch, a latch."""
-        if self._left & link.TO_STORE:
+        if self._pending & link.TO_STORE:
             for robot in self._robots:
                 robot.keep(due=due)
 
     def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
         """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
-        self._left &= ~link.NEW_LATCH
+        self._pending &= ~link.NEW_LATCH
         return np.array([robot.status(now_ns, refused) for robot in self._robots], UNIT_STATUS.item_dtype)
 
     def truths(self) -> NDArray[Any] | None:
@@ -223,7 +223,7 @@ class GatedRobot:
             self._write(STOP)
 
     def pass_on(self, now_ns: int, inputs: Inputs, exposure_ns: int) -> int:
-        """Let the gate decide on what arrived, and write the wheels; returns what is left to do, as ``link.settle``."""
+        """Let the gate decide on what arrived, and write the wheels; return what is still to do, as ``link.settle``."""
         self._decide(inputs, exposure_ns, now_ns)
         return link.settle(self.gate, self._link, now_ns)
 

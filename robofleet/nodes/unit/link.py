@@ -185,20 +185,20 @@ def take_output(g: GateState, l: Link, again: bool, now_ns: int) -> bool:
 
 
 def settle(g: GateState, l: Link, now_ns: int) -> int:
-    """Note which command has reached the wheels, after they were written; return what is left to do, as bits."""
+    """Note which command has reached the wheels, after they were written; return what is still to do, as bits."""
     if l.accepted_exposure_ns != _NO_EXPOSURE and g.status == GateStatus.OPEN:
         l.applied_exposure_ns, l.applied_ns, l.accepted_exposure_ns = l.accepted_exposure_ns, now_ns, _NO_EXPOSURE
-    left = 0
+    pending = 0
     if g.latch != l.reported_latch or g.latch_id != l.reported_latch_id:
-        left |= NEW_LATCH
+        pending |= NEW_LATCH
     lasting = _NONE if g.latch == _DRILL else g.latch
     if g.epoch != l.stored_epoch or lasting != l.stored_latch or g.latch_id != l.stored_latch_id:
-        left |= TO_STORE
+        pending |= TO_STORE
     if g.at_ns < l.hurry_until_ns:
-        left |= HURRIES
+        pending |= HURRIES
     if l.runaway == 1:
-        left |= NEW_RUNAWAY
-    return left
+        pending |= NEW_RUNAWAY
+    return pending
 
 
 def fill_status(s: Any, g: GateState, l: Link, now_ns: int, refused: int) -> None:

@@ -3,7 +3,6 @@
 The rules are those of ``link.py`` and ``safety/gate.py``, compiled; the bodies are those of ``simulation/bodies.py``.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import astuple
 from functools import partial
@@ -35,8 +34,7 @@ _NOTHING = np.array([astuple(Inputs())], INPUT)
 _put_command, _put_permission = kernel_of_plain(link.put_command), kernel_of_plain(link.put_permission)
 _look_at, _pass_to_gate = kernel_of_plain(link.look), kernel_of_plain(link.pass_on)
 _settle, _fill_status = kernel_of_plain(link.settle), kernel_of_plain(link.fill_status)
-_advance, _tell = simulated.advance, simulated.tell
-_quantised, _through_wires = simulated.quantised, simulated.through_wires
+_advance, _measured, _write_wheels = simulated.advance, simulated.measured, simulated.write
 
 
 class SimulatedRobots(LinkedRobots):
@@ -96,15 +94,15 @@ class SimulatedRobots(LinkedRobots):
     ) -> None:  # fmt: skip
         """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
         b = self._bodies
-        self._left, self.deadline_ns = _pass_on(
-            self._gates, self._inputs, self._links, self._drive_rows, b.bodies, b.plants, b.coming, b.noise,
+        self._pending, self.deadline_ns = _pass_on(
+            self._gates, self._inputs, self._links, self._drive_rows, b.bodies, b.builds, b.coming, b.noise,
             *(command or _NO_COMMAND), *(enable or _NO_ENABLE), now_ns, b.prepare(), due,
         )  # fmt: skip
         if self._probe is not None:
             for row in np.flatnonzero(self._links["stepped"]).tolist():
                 inputs, gate = record_of(Inputs, self._inputs[row]), record_of(GateState, self._gates[row])
                 self._probe(self._robots[row], now_ns, inputs, gate)
-        if self._left & link.NEW_RUNAWAY:
+        if self._pending & link.NEW_RUNAWAY:
             for row in np.flatnonzero(self._links["runaway"] == 1).tolist():
                 self._complaints.add(self._robots[row], link.runaway_complaint(record_of(Link, self._links[row])))
 
@@ -128,7 +126,7 @@ class SimulatedRobots(LinkedRobots):
 
     def keep(self, *, due: bool) -> None:
         """Keep what must be kept of the gates: a lease's epoch, a latch."""
-        if self._left & link.TO_STORE:
+        if self._pending & link.TO_STORE:
             for row, memory in enumerate(self._memories):
                 g, l = self._records(row)
                 link.store(g, l, memory, due=due)
@@ -141,13 +139,13 @@ class SimulatedRobots(LinkedRobots):
     def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
         """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
         _fill_statuses(self._gates, self._links, self._statuses, now_ns, refused)
-        self._left &= ~link.NEW_LATCH
+        self._pending &= ~link.NEW_LATCH
         return self._statuses
 
     def truths(self) -> NDArray[Any]:
         """Return every robot's part of a truth."""
         b = self._bodies
-        _fill_truths(b.bodies, b.plants, b.coming, b.noise, self._truths, b.prepare())
+        _fill_truths(b.bodies, b.builds, b.coming, b.noise, self._truths, b.prepare())
         return self._truths
 
     def sensors(self) -> SensorMessage:
@@ -162,8 +160,9 @@ class SimulatedRobots(LinkedRobots):
         """Motors off at once. Idempotent."""
         if not self._closed:
             self._closed = True
+            world_ns = self._bodies.prepare()
             for row in range(len(self)):
-                self._bodies.write(row, 0.0, 0.0)
+                simulated.write(*self._bodies.row(row), 0.0, 0.0, world_ns)
             self.say()
 
 
@@ -174,7 +173,7 @@ def _pass_on(  # type: ignore[no-untyped-def]
     links,
     drives,
     bodies,
-    plants,
+    builds,
     coming,
     noise,
     command,
@@ -185,9 +184,9 @@ def _pass_on(  # type: ignore[no-untyped-def]
     world_ns,
     due,
 ):
-    left, deadline_ns = 0, NEVER_NS
+    pending, deadline_ns = 0, NEVER_NS
     for k in range(len(gates)):
-        g, l, b, p = gates[k], links[k], bodies[k], plants[k]
+        g, l, b, p = gates[k], links[k], bodies[k], builds[k]
         if due:
             _look(g, l, b, p, coming[k], noise[k], now_ns, world_ns)
         inputs[k] = _NOTHING[0]
@@ -197,22 +196,16 @@ def _pass_on(  # type: ignore[no-untyped-def]
             _put_permission(inputs[k], enable[0], enables[k])
         if _pass_to_gate(g, l, drives[k], inputs[k], command[0].exposure_ns, now_ns):
             _write(l, b, p, coming[k], noise[k], g.output_left, g.output_right, world_ns)
-        left |= _settle(g, l, now_ns)
+        pending |= _settle(g, l, now_ns)
         deadline_ns = min(deadline_ns, g.deadline_ns)
-    return left, deadline_ns
+    return pending, deadline_ns
 
 
 @kernel
 def _look(g, l, b, p, coming, noise, now_ns, world_ns):  # type: ignore[no-untyped-def]
     """Read a robot, and command it again to stand, as ``GatedRobot.look``."""
     _advance(b, p, coming, noise, world_ns)
-    left, right = _through_wires(p, b.left_angle, b.right_angle)
-    count = p.speed_quantum * p.loop_period
-    l.left_angle, l.right_angle = _quantised(left, count), _quantised(right, count)
-    left, right = _through_wires(p, b.left_speed, b.right_speed)
-    l.left_speed, l.right_speed = _quantised(left, p.speed_quantum), _quantised(right, p.speed_quantum)
-    charge = max(0.0, 1.0 - b.used / p.battery_life)
-    l.battery = charge if math.isnan(b.low_charge) else b.low_charge
+    l.left_angle, l.right_angle, l.left_speed, l.right_speed, l.battery = _measured(b, p)
     l.faults = b.faults
     if _look_at(g, l, now_ns):
         _write(l, b, p, coming, noise, 0.0, 0.0, world_ns)
@@ -220,7 +213,7 @@ def _look(g, l, b, p, coming, noise, now_ns, world_ns):  # type: ignore[no-untyp
 
 @kernel
 def _write(l, b, p, coming, noise, left, right, world_ns):  # type: ignore[no-untyped-def]
-    _tell(b, p, coming, noise, left, right, world_ns)
+    _write_wheels(b, p, coming, noise, left, right, world_ns)
     l.left_written, l.right_written = left, right
 
 
@@ -231,28 +224,28 @@ def _fill_statuses(gates, links, statuses, now_ns, refused):  # type: ignore[no-
 
 
 @kernel
-def _fill_truths(bodies, plants, coming, noise, truths, world_ns):  # type: ignore[no-untyped-def]
+def _fill_truths(bodies, builds, coming, noise, truths, world_ns):  # type: ignore[no-untyped-def]
     for k in range(len(bodies)):
         b, t = bodies[k], truths[k]
-        _advance(b, plants[k], coming[k], noise[k], world_ns)
+        _advance(b, builds[k], coming[k], noise[k], world_ns)
         t.x_m, t.y_m, t.psi_rad, t.v_m_s, t.omega_rad_s = b.x, b.y, b.psi, b.v, b.omega
 
 
-KERNELS = (_pass_on, _look, _fill_statuses, _fill_truths, simulated.advance_all, simulated.tell)
+KERNELS = (_pass_on, _look, _fill_statuses, _fill_truths, simulated.advance_all, simulated.write)
 
 
 def compile_kernels(say: Say) -> None:
     """Compile every kernel, or load it from the cache, by calling it for no robots; ``say`` is told how far it is."""
     gates, inputs, links, drives = (np.ones(1, kind) for kind in (GATE, INPUT, LINK, DRIVE))
-    bodies, plants = np.zeros(1, simulated.BODY), np.ones(1, simulated.PLANT)
+    bodies, builds = np.zeros(1, simulated.BODY), np.ones(1, simulated.BUILD)
     coming, noise = np.zeros((1, 1), simulated.COMING), np.zeros((1, 1))
-    body = bodies[0], plants[0], coming[0], noise[0]
-    nobody = bodies[:0], plants[:0], coming[:0], noise[:0]
+    body = bodies[0], builds[0], coming[0], noise[0]
+    nobody = bodies[:0], builds[:0], coming[:0], noise[:0]
     statuses, truths = np.zeros(0, UNIT_STATUS.item_dtype), np.zeros(0, UNIT_TRUTH.item_dtype)
     with told("robots", KERNELS, say):
         _pass_on(gates[:0], inputs[:0], links[:0], drives[:0], *nobody, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)
         _look(gates[0], links[0], *body, 0, 0)
-        simulated.tell(*body, 0.0, 0.0, 0)
+        simulated.write(*body, 0.0, 0.0, 0)
         _fill_statuses(gates[:0], links[:0], statuses, 0, 0)
         _fill_truths(*nobody, truths, 0)
         simulated.advance_all(*nobody, 0)

@@ -26,10 +26,11 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.behaviours import described
-from robofleet.behaviours.interface import Array, Dots, Shape
+from robofleet.behaviours.interface import Dots, Shape
 from robofleet.config import barrier, obstacles
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, INK, QUIET
 from robofleet.safety.distances import apart
 from robofleet.vehicles.solids import area

@@ -19,7 +19,7 @@ _SLEEP_NS = 300_000_000_000
 _RESET_NS = 3_000_000_000
 _RESET, _START, _BAUD, _SAFE, _FULL, _POWER, _STOP_OI = 7, 128, 129, 131, 132, 133, 173
 _DRIVE_DIRECT, _STREAM, _PAUSE = 145, 148, 150
-_CLEANING = (134, 135, 136, 143)  # spot, clean, max, seek dock
+_CLEANING_OPCODES = (134, 135, 136, 143)  # spot, clean, max, seek dock
 _DATA = {  # bytes that follow an opcode; none after all others
     **{_BAUD: 1, 137: 4, 138: 1, 139: 3, 141: 1, 142: 1, 144: 3, _DRIVE_DIRECT: 4, 146: 4, _PAUSE: 1},
     **{162: 2, 163: 4, 164: 4, 165: 1, 167: 15, 168: 3},
@@ -100,7 +100,7 @@ class Create2Firmware:
             return
         elif opcode in (_POWER, _STOP_OI):
             self._enter(Mode.OFF, now_ns)
-        elif opcode in _CLEANING:
+        elif opcode in _CLEANING_OPCODES:
             self._enter(Mode.PASSIVE, now_ns)
             self._drive(_CLEANING_MM_S, _CLEANING_MM_S)
         elif opcode in (_SAFE, _FULL):

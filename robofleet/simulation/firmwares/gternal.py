@@ -24,11 +24,11 @@ from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.differential_drive import wheels_from_body
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
-_BYTE_NS = 1_000_000_000  # its patience with the next byte of an object
+_BYTE_PATIENCE_NS = 1_000_000_000  # for the next byte of an object
 _LEAST_V, _LEAST_W = 1e-4, 0.01  # less of both, and the motors get no current [m/s, rad/s]
 _EMPTY_V, _FULL_V = 3.3, 4.2  # assumed: a lithium cell, taken as linear between
 _STEP_V = 3.3 / 1023.0 * 20.0 / 15.0  # of its converter, behind a divider
-_DEEPEST = 10  # objects and lists within each other
+_DEEPEST_NESTING = 10
 _NUMBER = re.compile(r"[+-]?\d*\.?\d*(?:[eE][+-]?\d+)?")
 _UNQUOTED = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZ_`abcdefghijklmnopqrstuvwxyz0123456789+-.")
 
@@ -71,7 +71,7 @@ class GTernalFirmware:
     def loop(self, now_ns: int) -> bytes:
         """Look at the time, and at the wheels."""
         answer = b""
-        if self._byte_ns is not None and now_ns - self._byte_ns >= _BYTE_NS:
+        if self._byte_ns is not None and now_ns - self._byte_ns >= _BYTE_PATIENCE_NS:
             answer = self._obey({}, now_ns)
         if self._byte_ns is None and now_ns - self._written_ns > self.watchdog_s * 1e9:
             self._v = self._w = 0.0
@@ -137,7 +137,7 @@ class _Reader:
 
     def read(self) -> _Reading:
         """Read an object."""
-        return (yield from self._object(_DEEPEST))
+        return (yield from self._object(_DEEPEST_NESTING))
 
     def _object(self, depth: int) -> _Reading:
         return dict((yield from self._items("{", "}", self._pair, depth)))

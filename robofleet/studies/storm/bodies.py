@@ -12,6 +12,7 @@ from robofleet.behaviours.go_to import GoTo
 from robofleet.config import groups
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 from robofleet.safety.latches import Latch
 from robofleet.studies.storm.gates import intervals
@@ -19,14 +20,12 @@ from robofleet.studies.storm.ledger import GateDecision, Outage
 from robofleet.studies.storm.verdict import Violation
 from robofleet.vehicles.interface import STOP
 
-_GRID_NS = 10_000_000  # a robot goes 2 mm in it
+_GRID_STEP_NS = 10_000_000  # a robot goes 2 mm in it
 _REST_RAD_S = 0.02  # of a wheel; friction holds it soon after
 _STANDING_M_S = 1e-3
 _NAMED_WITHIN_NS = 1_200_000_000  # of a wheel that turns by itself: 0.8 s, and its lag up and down
 _COMMANDED_RAD_S = 2.0  # no wheel stays at rest then
 _HELD_WITHIN_NS = 1_500_000_000  # of a wheel that stands: 1 s, and the hold's way to the gate and down the ramp
-
-Array = NDArray[np.float64]
 
 
 def rest_within_s(robot: Robot) -> float:
@@ -138,7 +137,7 @@ def at_goals(config: Config, poses: Mapping[str, tuple[float, float, float]]) ->
 def apart(config: Config, sent_ns: list[Array], truths: list[NDArray[Any]], until_ns: float) -> list[Violation]:
     """Find two bodies that touch, and bodies that cross the arena's edge, before an instant."""
     start, end = max(times[0] for times in sent_ns), min(until_ns, *(times[-1] for times in sent_ns))
-    grid = np.arange(start, end, _GRID_NS)
+    grid = np.arange(start, end, _GRID_STEP_NS)
     if not len(grid):
         return []
     x, y = (

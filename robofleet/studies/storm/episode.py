@@ -33,12 +33,12 @@ from robofleet.studies.storm.stops import going_on, out_of_reach, stops, unlatch
 from robofleet.studies.storm.verdict import Violation
 from robofleet.vehicles.solids import distances
 
-_FIRST_S = 60.0  # a fleet without faults is armed long before
+_ARMED_WITHIN_S = 60.0  # without faults it takes far less
 _AGAIN_S, _SLOWER = 5.0, 2.0  # after healing, beside what the checks took at first: they are slower on the spot
 _STAY_S, _LONG_STAY_S, _LONG = 0.3, 6.0, 4  # how long it goes on then, in most seeds, and in one of so many
 _MOST_QUEUED = 5000  # a link that is cut for four seconds holds back three thousand
-_POLL_S = 0.002  # of whoever stops the fleet
-_LOOK_S = 0.05  # the operator's eye
+_STOP_POLL_S = 0.002
+_OPERATOR_POLL_S = 0.05
 _WAITING_S, _PAUSE_S = 30.0, 0.1  # of a robot that lets others by, and of all of them together
 _SETTLE_S = 0.5  # what was under way when the last fault ended may still arrive
 _NEXT = {Phase.IDLE: b"start", Phase.HOLD: b"resume", Phase.FAULT: b"reset", Phase.ESTOP: b"reset"}
@@ -102,7 +102,7 @@ class _Player:
         lockstep, storm = self._lockstep, self._plan
         started_ns = lockstep.clock.now_ns()
         self._ask(b"start")
-        if not lockstep.advance(_FIRST_S, lambda: lockstep.status.phase is Phase.RUNNING):
+        if not lockstep.advance(_ARMED_WITHIN_S, lambda: lockstep.status.phase is Phase.RUNNING):
             self._fail("the fleet never ran", str(lockstep.status))
         run_ns = lockstep.clock.now_ns()
         for at_s, request in self._restless():
@@ -150,7 +150,7 @@ class _Player:
         while lockstep.clock.now_ns() / S < end_s:
             self._look()
             everybody = turned >= members
-            lockstep.advance(stay_s if everybody else _LOOK_S)
+            lockstep.advance(stay_s if everybody else _OPERATOR_POLL_S)
             if everybody and Event.ACCOMPLISHED is lockstep.status.cause:
                 return
             if lockstep.status.phase is not Phase.RUNNING:
@@ -212,7 +212,7 @@ class _Player:
         self._stops_ns.append(clock.now_ns())
         stop = EmergencyStop(self._lockstep.bus, self._config.units, clock.now_ns())
         while stop.step(clock.now_ns()) is None:
-            self._lockstep.advance(_POLL_S)
+            self._lockstep.advance(_STOP_POLL_S)
 
     def _losing(self, topic: str) -> bool:
         """Whether messages of a topic may be lost now, or were a moment ago."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from robofleet.bus.layouts import VERSION
 from robofleet.bus.messages import RUN_STATE
 from robofleet.config.troubles import InjectedFault
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import CAUSES, Event, Phase
 from robofleet.studies.storm.gates import intervals
@@ -20,9 +21,6 @@ _STOPS_WITHIN_S = {
     "camera_frozen": 1.5, "killed": 1.2, "stopped": 1.2, "network_cut": 1.2, "disk_full": 1.0,
 }  # fmt: skip
 _WITHIN_NS = 130 * MS  # of a state that lets a robot's wheels turn no longer
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class States(NamedTuple):

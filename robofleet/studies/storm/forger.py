@@ -12,7 +12,7 @@ from robofleet.core.clock import MS
 from robofleet.recording.run import Recording
 
 _OLD_NS = 130 * MS
-_FAST = 3.0  # times the limit; the true command may be slow
+_SPEED_FACTOR = 3.0  # of the limit; the true command may be slow
 
 
 def _after(seq: int) -> int:
@@ -30,7 +30,7 @@ _COMMANDS: tuple[Callable[[UnitCommand, float], UnitCommand], ...] = (
     lambda c, _: c._replace(seq=c.seq + 1, session=c.session + 1),
     lambda c, _: c._replace(seq=c.seq + 1, boot_id=c.boot_id ^ 1),
     lambda c, _: c._replace(seq=c.seq + 1, nonce=c.nonce - _OLD_NS),
-    lambda c, top: _all(c._replace(seq=c.seq + 1), left_rad_s=_FAST * top, right_rad_s=-_FAST * top),
+    lambda c, top: _all(c._replace(seq=c.seq + 1), left_rad_s=_SPEED_FACTOR * top, right_rad_s=-_SPEED_FACTOR * top),
     lambda c, _: _all(c, left_rad_s=1.0, right_rad_s=1.0),  # a sequence number once more
     lambda c, _: c._replace(seq=c.seq + 1, robots=(*c.robots, *c.robots[:1])),  # of another unit
 )

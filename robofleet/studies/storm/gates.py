@@ -12,6 +12,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, S
 from robofleet.safety.gate import NEVER, GateState, LeaseAction
 from robofleet.safety.latches import Latch
@@ -27,7 +28,7 @@ _RAMP_NS = _OUTPUT_WITHIN_NS - _TARGET_WITHIN_NS
 _LAPSE_NS = 1 * S
 _CATCH_UP_NS = 20 * MS  # the longest stretch of a ramp that one step may make good
 _LIMIT = 1.01
-_IDS = 1 << 64  # boot ids have 64 bits
+_BOOT_IDS = 1 << 64  # they have 64 bits
 _PASSING = (
     "since_ns", "refused", "output_left", "output_right", "target_left", "target_right", "at_ns", "moved_by",
     "target_after_ns", "output_after_ns", "status", "deadline_ns",
@@ -36,8 +37,6 @@ _memory = attrgetter(*(field.name for field in fields(GateState) if field.name n
 _lease = attrgetter("epoch", "session")
 _command = attrgetter("seq", "command_nonce", "wheels", "heard_ns")
 _enable = attrgetter("enabled_nonce", "enabled_seq", "limit")
-
-Array = NDArray[np.float64]
 
 
 class GateAudit:
@@ -264,7 +263,7 @@ class GateAudit:
 
 def _set_back(decision: GateDecision, previous: GateDecision) -> bool:
     """Return whether a gate with a new boot id had its clock set back: a restart draws another number."""
-    return decision.state.boot_id == (previous.state.boot_id + 1) % _IDS
+    return decision.state.boot_id == (previous.state.boot_id + 1) % _BOOT_IDS
 
 
 def intervals(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:

@@ -6,19 +6,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import Line
 from robofleet.config import barrier, groups, slices
 from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config
 from robofleet.config.troubles import InjectedFault, PoseFault, Push
+from robofleet.core.arrays import Array
 from robofleet.core.settings import LAST_TAG
 from robofleet.safety.distances import apart, room_m
 
-Array = NDArray[np.float64]
-
-_SHARE = 0.4  # of the seeds
+_SEED_SHARE = 0.4  # of seeds with bystanders
 _MOST = 2
 _SPARE_M = 0.12  # further from a way than they must, at most
 _MARGIN_M = 0.003
@@ -38,7 +36,7 @@ class Parking:
 
     def draw(self) -> tuple[tuple[Robot, ...], tuple[InjectedFault, ...]]:
         """Return the bystanders of a seed, in most seeds none, and what befalls them."""
-        if self._rng.random() < _SHARE:
+        if self._rng.random() < _SEED_SHARE:
             self._lines = _lines(self._config)
             for number in range(1 + int(self._rng.integers(_MOST))):
                 self._park(number)

@@ -14,7 +14,7 @@ from robofleet.studies.storm.schedule import KINDS
 from robofleet.studies.storm.tally import REACTIONS, Tally
 from robofleet.studies.storm.workers import Watch
 
-_SHOWN = 5  # violations of one seed
+_SHOWN_VIOLATIONS = 5  # of one seed
 
 
 @contextmanager
@@ -37,10 +37,10 @@ def lines(episode: Episode, replay: str) -> Iterator[str]:
     if not episode.violations:
         return
     yield f"seed {episode.seed}: {replay} --seeds 1 --first {episode.seed}"
-    for violation in episode.violations[:_SHOWN]:
+    for violation in episode.violations[:_SHOWN_VIOLATIONS]:
         yield f"  {violation}"
-    if len(episode.violations) > _SHOWN:
-        yield f"  and {len(episode.violations) - _SHOWN} more"
+    if len(episode.violations) > _SHOWN_VIOLATIONS:
+        yield f"  and {len(episode.violations) - _SHOWN_VIOLATIONS} more"
     yield f"  the fleet ran first at {episode.run_s:.3f} s; from then on:"
     for fault in episode.plan.faults:
         fields = fault.model_dump(exclude_none=True, exclude={"kind", "at_s", "duration_s"})

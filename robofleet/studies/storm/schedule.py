@@ -16,8 +16,8 @@ from robofleet.studies.storm.parking import Parking
 WINDOW_S = 10.0  # of faults, from the first moment of running; with the checks before and the new start after it, 20 s
 _SHORTEST_S, _LONGEST_S = 0.05, 5.0
 _LONGER_S = {"motor_stuck": 1.0}  # than others: what is named only after so long
-_MOST = 6  # faults of one seed
-_CALM = 0.5  # share of seeds with gentle faults only, inside the envelope
+_MOST_FAULTS = 6  # of one seed
+_CALM_SHARE = 0.5  # of seeds with gentle faults only, inside the envelope
 _TOPICS = ("cmd", "enable", "status", "poses", "state", "tick")
 _FROZEN, _FROZEN_S = 0.3, (0.1, 2.0)  # share of seeds whose supervisor is frozen at an emergency stop, and how long
 _REQUESTS = (b"hold", b"resume", b"estop", b"reset", b"stop", b"start", b"status", b"\xff nonsense")
@@ -154,11 +154,11 @@ def shared(config: Config, seed: int) -> Config:
 def plan(config: Config, seed: int) -> Plan:
     """Return a seed's storm: the same one for the same seed and fleet."""
     dice = _Dice(shared(config, seed), generator(seed, "storm"))
-    calm = dice.likely(_CALM)
+    calm = dice.likely(_CALM_SHARE)
     pool = [(kind, make, False) for kind, make in _GENTLE.items()]
     pool += [] if calm else [(kind, make, True) for kind, make in _ROUGH.items()]
     faults, outside_s, healed_s = [], math.inf, 0.0
-    for _ in range(1 + int(dice.rng.integers(_MOST))):
+    for _ in range(1 + int(dice.rng.integers(_MOST_FAULTS))):
         kind, make, rough = dice.one(pool)
         at_s = dice.between(0.0, WINDOW_S - _SHORTEST_S)
         duration_s = round(min(dice.duration() + _LONGER_S.get(kind, 0.0), WINDOW_S - at_s), 3)

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import WishKind
 from robofleet.behaviours.script import Script
@@ -20,11 +19,10 @@ from robofleet.bus.setpoints import setpoint_topics
 from robofleet.config import groups, slices
 from robofleet.config.slices import generator
 from robofleet.config.tree import Config, Group
-
-Array = NDArray[np.float64]
+from robofleet.core.arrays import Array
 
 _EPOCH_BITS = 30
-_CHANGES_S = 0.3, 3.0  # after so long it does something else
+_CHANGE_EVERY_S = 0.3, 3.0  # from, to
 _SHARE, _TURN_RATE, _TURN_RAD_S = 0.5, 2.0, 1.0  # of its top speed; how it turns towards a goal, at most
 _INSIDE, _BEYOND = 0.6, 1.1  # of the half arena: goals of a sender that is calm, and of one that is not
 _KINDS = WishKind.BODY, WishKind.BODY, WishKind.POINT, WishKind.POSES, WishKind.STAND
@@ -98,7 +96,7 @@ class _Sender:
         self._kind = self.kinds[int(rng.integers(len(self.kinds)))]
         self._order += self._kind is WishKind.POSES
         self._goals = rng.uniform(-1.0, 1.0, self._goals.shape) * self.reach * self._half
-        self.left_ticks = round(float(rng.uniform(*_CHANGES_S)) / self._tick_s)
+        self.left_ticks = round(float(rng.uniform(*_CHANGE_EVERY_S)) / self._tick_s)
 
     def _towards(self, at: Array, psi: Array) -> Array:
         """Return velocities towards the goals: of the points, or v [m/s] and omega [rad/s] of the bodies, never 0."""

@@ -12,7 +12,7 @@ from robofleet.studies.storm.episode import Episode, play
 from robofleet.studies.storm.tally import Tally
 from robofleet.studies.storm.verdict import Violation
 
-_TWICE = 25  # one seed in so many is played twice
+_REPEAT_EVERY = 25  # seeds: one is played twice
 
 Watch = Callable[[Tally, Episode], None]  # called after every seed
 
@@ -35,7 +35,7 @@ def examine(config: Config, seed: int) -> Episode:
     """Play a seed, and one in some twice: the same seed must leave the same messages."""
     with redirect_stderr(StringIO()):  # processes complain as they should: thousands of lines
         episode = play(config, seed)
-        again = play(config, seed).trace_hash if seed % _TWICE == 0 else episode.trace_hash
+        again = play(config, seed).trace_hash if seed % _REPEAT_EVERY == 0 else episode.trace_hash
     if again != episode.trace_hash:
         different = Violation("the same seed left other messages", 0.0, "", f"{episode.trace_hash} and {again}")
         return episode._replace(violations=(*episode.violations, different))

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.load import spelled
+from robofleet.core.arrays import Array
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS
 from robofleet.reports.own_figures import own_figures
 from robofleet.studies.sweep.load import Study
 from robofleet.studies.sweep.table import Ran
 
 _MOST_LEVELS, _BINS = 12, 6  # of a key; more values are put into so many classes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

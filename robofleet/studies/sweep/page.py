@@ -17,8 +17,8 @@ from robofleet.studies.sweep.load import Study
 from robofleet.studies.sweep.table import TIMES, Ending, Ran
 
 FILE = "sweep.html"
-_PAIRS = 6  # of settings that are drawn
-_SHOWN = 50  # runs of a list
+_DRAWN_PAIRS = 6  # of settings
+_LISTED_RUNS = 50
 
 
 def write(study: Study, runs: Sequence[Ran], folder: Path, files: Sequence[Path]) -> Path:
@@ -99,7 +99,7 @@ def _plots(page: Page, varied: Sequence[Factor], shown: Sequence[Measure], endin
         return
     if len(varied) > 1:
         page.section("Two settings together", "Each cell is the median of its runs.")
-        for left, other in islice(combinations(varied, 2), _PAIRS):
+        for left, other in islice(combinations(varied, 2), _DRAWN_PAIRS):
             across, up = (left, other) if len(left) >= len(other) else (other, left)
             figure = plots.together(across, up, shown, endings)
             page.figure(figure, f"{up.key} over {across.key}.", title=f"{across.name} and {up.name}")
@@ -125,11 +125,11 @@ def _broken(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
         page.section(title, text)
         rows = [
             (ran.plan.number, _settings(ran), ran.plan.seed, ran.cause or "; ".join([*ran.missed, *ran.not_judged]))
-            for ran in found[:_SHOWN]
+            for ran in found[:_LISTED_RUNS]
         ]
         page.table(("run", "settings", "seed", "what happened"), rows)
-        page.listing("\n".join(f"# run {ran.plan.number}\n{ran.plan.replay}" for ran in found[:_SHOWN]))
-        if (more := len(found) - _SHOWN) > 0:
+        page.listing("\n".join(f"# run {ran.plan.number}\n{ran.plan.replay}" for ran in found[:_LISTED_RUNS]))
+        if (more := len(found) - _LISTED_RUNS) > 0:
             page.note(f"And {more:,} more: the table of all runs has them.")
 
 

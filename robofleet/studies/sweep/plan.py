@@ -11,7 +11,7 @@ from robofleet.config.files.parameters import Parameters
 from robofleet.config.slices import generator
 from robofleet.core.settings import MANY, Model, Named, within
 
-_DIGITS = 6  # of a drawn number: it can be read, and typed again
+_DRAWN_DIGITS = 6  # of a drawn number: it can be read, and typed again
 _MOST_RUNS = 1_000_000
 
 Key = Annotated[str, Field(min_length=1, max_length=4096)]
@@ -65,7 +65,7 @@ class Distribution(Model):
             assert self.uniform is not None
             low, high = self.uniform
             drawn = rng.uniform(low, high, size=count).tolist()
-        return [min(max(float(f"{value:.{_DIGITS}g}"), low), high) for value in drawn]
+        return [min(max(float(f"{value:.{_DRAWN_DIGITS}g}"), low), high) for value in drawn]
 
 
 class Random(Model):

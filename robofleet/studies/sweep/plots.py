@@ -11,9 +11,10 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, FAINT, INK, QUIET
 from robofleet.reports.canvas import WIDTH
-from robofleet.studies.sweep.factors import Array, Factor, Measure
+from robofleet.studies.sweep.factors import Factor, Measure
 from robofleet.studies.sweep.table import Ending
 
 _FAULT = COLOURS[1]
@@ -30,8 +31,8 @@ _REDS = LinearSegmentedColormap.from_list("reds", ["#f4f4f4", "#eeb8aa", _FAULT,
 MOST = 4  # figures that are drawn
 _ROW, _BAR = 2.5, 0.21  # heights [inch]
 _LONG_NAMES = 26  # letters of all level names of a panel that fit side by side
-_WRITTEN = 64  # cells with their numbers in them
-_DARK = 0.6  # brightness of a cell that is written on in white
+_LABELLED_CELLS = 64  # at most
+_DARK_BRIGHTNESS = 0.6  # of a cell that is written on in white
 
 _LEAST_SPAN = 0.1  # of a scale, as a share of the largest value or of the bound: smaller differences look alike
 
@@ -108,10 +109,10 @@ def _cells(axes: Axes, across: Factor, up: Factor, measure: Measure, *, red: boo
     image = axes.pcolormesh(
         medians, cmap=_REDS if red else _SHADES, vmin=low, vmax=high, edgecolors="white", linewidth=1.5
     )
-    if medians.size <= _WRITTEN:
+    if medians.size <= _LABELLED_CELLS:
         for (i, k), value in np.ndenumerate(medians):
             if np.isfinite(value):
-                dark = _brightness(image.to_rgba(value)) < _DARK
+                dark = _brightness(image.to_rgba(value)) < _DARK_BRIGHTNESS
                 axes.annotate(
                     _number(value, medians), (k + 0.5, i + 0.5), ha="center", va="center", fontsize=8,
                     color="white" if dark else INK,

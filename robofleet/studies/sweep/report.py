@@ -16,14 +16,14 @@ from robofleet.studies.sweep.factors import measures
 from robofleet.studies.sweep.load import Study
 from robofleet.studies.sweep.table import Ran
 
-_SHOWN = 10  # runs that are printed as they break
+_SHOWN_RUNS = 10  # that are printed as they break
 
 
 def lines(ran: Ran, before: int) -> Iterator[str]:
     """Yield what there is to say of a run that did not complete; ``before``: how many did not so far."""
-    if ran.outcome != "completed" and before == _SHOWN:
+    if ran.outcome != "completed" and before == _SHOWN_RUNS:
         yield "more runs break: the page and the table have them all"
-    elif ran.outcome != "completed" and before < _SHOWN:
+    elif ran.outcome != "completed" and before < _SHOWN_RUNS:
         yield f"run {ran.plan.number}: {ran.outcome}: {ran.cause}"
         yield f"  {ran.plan.replay}"
 

@@ -30,7 +30,7 @@ _NO_PYPYLON = "pypylon is not installed: pip install 'robofleet[basler]'"
 _TIMES, _GAINS = ("ExposureTime", "ExposureTimeAbs"), ("Gain", "GainRaw")  # of new and of old models
 _GAIN_DB = 24.0  # that the range of GainRaw is taken for
 _TIMEOUT_MS = 500  # of one wait for an image: then it is asked whether the camera is still there
-_WINDOW = 64  # images; the least delayed one of them tells
+_WINDOW_IMAGES = 64  # the least delayed one of them counts
 _POLL_NS = 1 * MS
 _TOO_LATE_NS = 2 * MS  # after a trigger's instant it is left out
 
@@ -175,7 +175,7 @@ class DeviceClock:
     def __init__(self, tick_ns: float) -> None:
         """Take the unit of the stamps [ns]."""
         self._tick_ns = tick_ns
-        self._offsets: deque[int] = deque(maxlen=_WINDOW)
+        self._offsets: deque[int] = deque(maxlen=_WINDOW_IMAGES)
         self._last = 0
 
     def arrival(self, stamp: int, arrival_ns: int) -> int:

@@ -21,15 +21,15 @@ from robofleet.tracking.tags.targets import robot_targets
 SATURATED = 250.0  # [grey levels] from here on a white is not known
 _FAINT = 30.0  # contrast [grey levels]: with less, tags may be lost and are hardly found again
 _DARK = 60.0  # light grey of an image without tags: white paper in it would be faint
-_KEPT = 40.0  # contrast of the faintest tag [grey levels], or middle grey: below it nothing is lowered
-_BLIND = 30  # images without a tag: then the whole image tells
-_BAND = (0.75, 1.1)  # of the aim: white may stay here
-_MIDDLE = (0.9, 1.03)  # and is brought here
-_SETTLING = 6  # images: webcams take over a setting up to so many late
-_WATCHED = 4  # images after these, of which the brightest counts when the light is to be raised
+_LEAST_CONTRAST = 40.0  # contrast of the faintest tag [grey levels], or middle grey: below it nothing is lowered
+_BLIND_IMAGES = 30  # without a tag: then the whole image counts
+_WHITE_BAND = (0.75, 1.1)  # of the aim: white may stay here
+_WHITE_AIM = (0.9, 1.03)  # of the aim: white is brought here
+_SETTLING_IMAGES = 6  # webcams take over a setting up to so many late
+_WATCHED_IMAGES = 4  # images after these, of which the brightest counts when the light is to be raised
 _RAISE_DB, _LOWER_DB, _SATURATED_DB = 0.42, -0.92, -1.94  # at most, at once: +5, -10 and -20 %
 _EPS = 1e-6
-_ROUNDED = 0.01  # by a camera that tells another exposure than it was asked for
+_ROUNDING_SHARE = 0.01  # by a camera that tells another exposure than it was asked for
 
 
 class ExposureController:
@@ -52,21 +52,21 @@ class ExposureController:
             self._exposure, self._images, self._peak = exposure, 0, None
         self._images += 1
         self._blind = 0 if light.tags else self._blind + 1
-        if self._images <= _SETTLING or 0 < self._blind < _BLIND:
+        if self._images <= _SETTLING_IMAGES or 0 < self._blind < _BLIND_IMAGES:
             return None
         if (within := self._within(exposure)) != exposure:
             self._images = 0
             return within
         if self._peak is None or light.white > self._peak.white:
             self._peak = light
-        watched = self._images >= _SETTLING + _WATCHED
+        watched = self._images >= _SETTLING_IMAGES + _WATCHED_IMAGES
         wanted_db = self._wanted_db(self._peak)
         if wanted_db > 0.0 and not watched:
             return None
         new = self._changed(exposure, wanted_db) if wanted_db else exposure
         if watched:
             self._judge(self._peak, stuck=new == exposure)
-            self._images, self._peak = _SETTLING, None
+            self._images, self._peak = _SETTLING_IMAGES, None
         if new == exposure:
             return None
         self._images = 0
@@ -80,18 +80,20 @@ class ExposureController:
         """Return the limits' nearest exposure to one that is not within them, as the first one may be."""
         low, high = self._limits.shortest, self._limits.longest
         time_s, gain = (min(max(x, a), b) for x, a, b in zip(exposure, low, high, strict=True))
-        near = abs(time_s - exposure.time_s) <= _ROUNDED * time_s and abs(gain - exposure.gain) <= _ROUNDED * abs(gain)
+        near = abs(time_s - exposure.time_s) <= _ROUNDING_SHARE * time_s and abs(
+            gain - exposure.gain
+        ) <= _ROUNDING_SHARE * abs(gain)
         return exposure if near else Exposure(time_s, gain)
 
     def _wanted_db(self, light: Light) -> float:
         """Return the change of brightness that is wanted [dB]; 0 while white is inside its band."""
         share = light.white / self._aim
-        low, high = _BAND[0], _BAND[1]
+        low, high = _WHITE_BAND[0], _WHITE_BAND[1]
         if self._correcting > 0:
-            low = _MIDDLE[0]
+            low = _WHITE_AIM[0]
         elif self._correcting < 0:
-            high = _MIDDLE[1]
-        raising, lowering = share < low, share > high and light.faintest >= _KEPT
+            high = _WHITE_AIM[1]
+        raising, lowering = share < low, share > high and light.faintest >= _LEAST_CONTRAST
         self._correcting = 1 if raising else -1 if lowering else 0
         return _db(1.0 / max(share, 1e-3)) if raising or lowering else 0.0
 
@@ -120,7 +122,7 @@ class ExposureController:
         trouble = None
         if stuck and light.white >= SATURATED:
             trouble = Notice(TrackerEvent.CAMERA_TOO_BRIGHT, value=light.white)
-        elif stuck and light.white < _BAND[0] * self._aim and light.clearest < (_FAINT if light.tags else _DARK):
+        elif stuck and light.white < _WHITE_BAND[0] * self._aim and light.clearest < (_FAINT if light.tags else _DARK):
             trouble = Notice(TrackerEvent.CAMERA_TOO_DARK, value=light.clearest)
         event = None if trouble is None else trouble.event
         if event is not self._trouble:

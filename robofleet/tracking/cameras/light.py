@@ -6,17 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Complex
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagSighting
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 _CELLS = 8  # of a colour that are looked at, those with the most neighbours of their colour
 _VEILED = 1 / 3  # a tag with less of its white as contrast lies under a reflection, which no exposure takes away
-_EVERY = 8  # pixel along each side, where there are no tags
+_SAMPLED_PX = 8  # along each side, one of so many, where there are no tags
 _LIGHT_GRAY = 99.0  # percentile: lamps and their reflections are smaller than the rest
 
 
@@ -43,7 +41,7 @@ class TagLight:
             z = complex(seen.x, seen.y) + target.whole * np.exp(1j * seen.psi) * cells
             points.append(np.stack([z.real, z.imag, np.full(len(z), target.height)], axis=1))
         if not points:
-            middle, gray = np.percentile(image[::_EVERY, ::_EVERY], (50.0, _LIGHT_GRAY)).tolist()
+            middle, gray = np.percentile(image[::_SAMPLED_PX, ::_SAMPLED_PX], (50.0, _LIGHT_GRAY)).tolist()
             return Light(gray, gray, middle, 0)
         pixels = np.rint(geometry.project(np.concatenate(points))).astype(np.int64)
         column, row = (np.clip(pixels[:, axis], 0, image.shape[1 - axis] - 1) for axis in (0, 1))

@@ -31,7 +31,7 @@ from robofleet.tracking.sources import (
 EXPOSURE_ABSOLUTE, GAIN = 0x009A0902, 0x00980913  # V4L2_CID_EXPOSURE_ABSOLUTE [100 us], V4L2_CID_GAIN
 _QUERYCTRL = 0xC0445624
 _CONTROL = struct.Struct("=II32siiiiI2I")  # id, type, name, low, high, step, default, flags
-_UNUSABLE = 0x1 | 0x4  # disabled, read only
+_UNUSABLE_FLAGS = 0x1 | 0x4  # disabled, read only
 
 Ioctl = Callable[[int, int, bytearray], object]
 
@@ -58,14 +58,14 @@ def control_range(path: str, control: int, ioctl: Ioctl = fcntl.ioctl) -> Range 
     finally:
         os.close(descriptor)
     _, _, _, low, high, step, _, flags, _, _ = _CONTROL.unpack(buffer)
-    return None if flags & _UNUSABLE else Range(low, high, step)
+    return None if flags & _UNUSABLE_FLAGS else Range(low, high, step)
 
 
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL
 _EXPOSURE_UNIT_S = 1e-4  # of V4L2_CID_EXPOSURE_ABSOLUTE
 _GAIN_DB = 24.0  # that a gain's range is taken for: no driver tells; the loop corrects what is wrong with it
 _ROUNDED = {cv2.CAP_PROP_FPS: 0.01, cv2.CAP_PROP_EXPOSURE: 0.05}  # drivers round to what the sensor can do
-_OLDEST_NS = 10 * S  # a stamp further off than this is of another clock
+_OLDEST_STAMP_NS = 10 * S  # an older stamp is of another clock
 _AHEAD_NS = 10 * MS
 _CLOSE_WITHIN_S = 0.2
 _SYSFS = Path("/sys/class/video4linux")
@@ -164,7 +164,7 @@ class V4L2Camera:
 
     def _frame(self, image: NDArray[np.uint8], stamp_ms: float) -> Frame:
         stamp_ns = from_monotonic(round(stamp_ms * MS))
-        if not self._stamped and not -_AHEAD_NS <= self._clock.now_ns() - stamp_ns <= _OLDEST_NS:
+        if not self._stamped and not -_AHEAD_NS <= self._clock.now_ns() - stamp_ns <= _OLDEST_STAMP_NS:
             raise CameraError(f"{self._device} stamps its images by another clock than CLOCK_MONOTONIC")
         self._stamped = True
         to_end_s = self._exposing.newest.time_s + self._camera.readout_s if self._camera.v4l2.stamp == "end" else 0.0

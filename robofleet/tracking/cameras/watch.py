@@ -19,9 +19,9 @@ _STALLED_PERIODS = 5
 _STALLED_NS = 250 * MS  # at least: a robot is lost without poses for half a second
 _FIRST_NS = 3 * S  # within which a camera that was just opened gives its first image
 _FROZEN_REPEATS = 3  # one may be a driver that hands a buffer out twice
-_AHEAD_NS = 100 * MS  # of now, that a driver's stamp may be
+_STAMP_AHEAD_NS = 100 * MS  # of now, at most
 _JUMPED_IMAGES = 3  # in a row, that agree on a jump of the clock
-_DELAYS = 64  # of images, the least of which is what one needs to come
+_DELAY_IMAGES = 64  # the least delay of them is what one needs to come
 _SAMPLED_ROWS = 64  # one of so many is compared: a few microseconds
 
 
@@ -37,7 +37,7 @@ class CameraWatch:
         self._last: bytes | None = None  # of the newest image's pixels
         self.exposed_ns: int | None = None  # mid-exposure of the newest image that was believed [this host's clock]
         self._ahead_ns = 0  # of the camera's clock, since it jumped
-        self._delays_ns: deque[int] = deque(maxlen=_DELAYS)  # of those that were believed
+        self._delays_ns: deque[int] = deque(maxlen=_DELAY_IMAGES)  # of those that were believed
         self._apart_ns: deque[int] = deque(maxlen=_JUMPED_IMAGES)  # now minus stamp, of those that cannot be right
         self._repeats = 0
         self._images = 0
@@ -102,7 +102,7 @@ class CameraWatch:
         """Return whether a stamp can be right, as it is or because the camera's clock jumped, and take it."""
         stamp_ns = exposure_ns - self._ahead_ns
         early = self.exposed_ns is not None and stamp_ns <= self.exposed_ns
-        if early or stamp_ns > now_ns + _AHEAD_NS:
+        if early or stamp_ns > now_ns + _STAMP_AHEAD_NS:
             if not self._jumped(now_ns - exposure_ns):
                 return False
             stamp_ns = exposure_ns - self._ahead_ns

@@ -18,20 +18,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.tracking.filter.estimator import COLUMNS
 from robofleet.tracking.filter.joined import Seen
 
-Array = NDArray[np.float64]
-
-_VARIANCES = [3, 5]  # columns of x and y
-_KEPT = 8  # images of each camera: so much later than another's may one come
+_VARIANCE_COLUMNS = [3, 5]  # of x and y
+_KEPT_IMAGES = 8  # images of each camera: so much later than another's may one come
 _NEAR_NS = 60_000_000  # from one image to the nearer of the two around it: beyond, a robot may have done anything
 _STRAIGHT_RAD = 1e-6  # turned by less, an arc is straight
 APART_M = 0.001  # two calibrated cameras agree to some tenths of a millimetre
 _NOISES = 4.0  # standard deviations of a measurement, where these are more
-_IMAGES = 3  # in a row: a tag that something covers for a moment is off in fewer
-_AGAIN = 30  # images in a row before a camera is believed again: a second
-_JUMPED = 2.0  # times as far from the expectation as the other
+_APART_IMAGES = 3  # in a row: a tag that something covers for a moment is off in fewer
+_FORGIVEN_IMAGES = 30  # in a row, before a camera is used again: a second
+_JUMP_RATIO = 2.0  # of the distances from the expectation
 
 
 class Verdict(NamedTuple):
@@ -54,7 +53,7 @@ class Agreement:
         self.believed = np.ones(cameras, np.bool_)
         self._compared, self._fixed = compared, fixed
         self._noise = noise
-        self._images: list[deque[Seen]] = [deque(maxlen=_KEPT) for _ in range(cameras)]
+        self._images: list[deque[Seen]] = [deque(maxlen=_KEPT_IMAGES) for _ in range(cameras)]
         self._off = np.zeros(cameras)  # of the newest image: median distance from the expectation [m]
         self._until_ns = np.zeros((cameras, cameras), np.int64)  # the newest image by which two were compared
         self._streaks = np.zeros((cameras, cameras), np.int64)  # images in a row in which two were apart
@@ -105,7 +104,7 @@ class Agreement:
         self._streaks[own, other] = self._streaks[other, own] = streak
         if streak == 1:
             self._onsets[own, other], self._onsets[other, own] = self._off[own], self._off[other]
-        if streak < _IMAGES:
+        if streak < _APART_IMAGES:
             return None
         worse = self._worse(own, other)
         self.believed[worse] = False
@@ -113,18 +112,18 @@ class Agreement:
         return Verdict(worse, False, far)
 
     def _worse(self, camera: int, other: int) -> int:
-        votes = (self._streaks[[camera, other]] >= _IMAGES - 1).sum(axis=1)  # a third one may be a little behind
+        votes = (self._streaks[[camera, other]] >= _APART_IMAGES - 1).sum(axis=1)  # a third one may be a little behind
         if votes[0] != votes[1]:
             return camera if votes[0] > votes[1] else other
         first, second = self._onsets[camera, other], self._onsets[other, camera]
-        clear = max(first, second) > _JUMPED * min(first, second)
+        clear = max(first, second) > _JUMP_RATIO * min(first, second)
         if not clear and self._fixed[camera] != self._fixed[other]:
             return other if self._fixed[camera] else camera
         return camera if first > second else other
 
     def _forgive(self, doubted: int, far: float, limit: float) -> Verdict | None:
         self._again[doubted] = self._again[doubted] + 1 if far < limit / 2 else 0
-        if self._again[doubted] < _AGAIN:
+        if self._again[doubted] < _FORGIVEN_IMAGES:
             return None
         self.believed[doubted] = True
         return Verdict(doubted, True, far)
@@ -153,5 +152,5 @@ def _variance(seen: Seen) -> Array:
     """Return the variance of each position (N,), the mean of x and y [m^2]; 0: nobody knows it."""
     if seen.poses.shape[1] < COLUMNS:
         return np.zeros(len(seen.poses))
-    variances: Array = seen.poses[:, _VARIANCES].mean(axis=1)
+    variances: Array = seen.poses[:, _VARIANCE_COLUMNS].mean(axis=1)
     return variances

@@ -7,11 +7,9 @@ overwritten: to allocate it for each robot would take longer than to compute.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
-
-Array = NDArray[np.float64]
 
 _MOST_EFFICIENT = 2.0
 _LEAST_VARIANCE = 1e-14  # of a measurement [m^2, rad^2]: a tenth of a micrometre

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
 from robofleet.tracking.filter import reckoning
 from robofleet.tracking.filter.correction import (
@@ -28,18 +29,16 @@ from robofleet.tracking.filter.correction import (
 from robofleet.tracking.filter.reckoning import advance
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
 FilterState = tuple[NDArray[Any], ...]
 
 UNUSED, USED, CARRIED = 0, 1, 2  # CARRIED: a kidnapped robot, which somebody carried away
 
 COLUMNS = 9  # of a measurement: x, y [m], psi [rad] and their covariance
-_TAGS = 1 << 16  # that a message can tell apart
+_TAG_NUMBERS = 1 << 16  # of a message
 _NOBODY = -1
-_HISTORY = 64  # commands
+_COMMANDS = 64
 _KNOWN_S = 0.5  # since a robot was measured: an older expectation says nothing
-_SMOOTHED_S = 0.1  # time constant of a bystander's velocity: noise of 0.4 mm then makes 4 mm/s
+_VELOCITY_TIME_S = 0.1  # time constant of a bystander's velocity: noise of 0.4 mm then makes 4 mm/s
 _CARRIED_AFTER = 5  # outliers in a row that agree with each other
 
 
@@ -79,10 +78,10 @@ class FleetFilter:
         self._covariance = np.zeros((n, 5, 5))
         self._wheels = np.zeros((n, 2))  # as modelled, at the state's instant [rad/s]
         self._instants_ns = np.zeros(n, dtype=np.int64)  # of each robot's state; 0: never seen
-        self._twice_ticks_ns = np.zeros(2 * _HISTORY, dtype=np.int64)  # each is written twice, _HISTORY apart:
-        self._twice_commands = np.zeros((2 * _HISTORY, n, 2))  # so the newest ones always lie side by side
+        self._twice_ticks_ns = np.zeros(2 * _COMMANDS, dtype=np.int64)  # each is written twice, _HISTORY apart:
+        self._twice_commands = np.zeros((2 * _COMMANDS, n, 2))  # so the newest ones always lie side by side
         self._command_count = 0  # commands so far
-        self._ticks_ns, self._commands = self._twice_ticks_ns[:_HISTORY], self._twice_commands[:_HISTORY]
+        self._ticks_ns, self._commands = self._twice_ticks_ns[:_COMMANDS], self._twice_commands[:_COMMANDS]
         self._moved = np.zeros((n, 3))  # as modelled, since the newest measurement used
         self._outliers = np.zeros(n, dtype=np.int64)
         self._outlier_pose = np.full((n, 3), np.nan)
@@ -90,12 +89,12 @@ class FleetFilter:
 
     def command(self, tick_ns: int, wheels: Array) -> None:
         """Remember a tick's commands (N, 2) [rad/s]; each acts when its robot's delay has passed."""
-        first = self._command_count % _HISTORY
-        for column in (first, first + _HISTORY):
+        first = self._command_count % _COMMANDS
+        for column in (first, first + _COMMANDS):
             self._twice_ticks_ns[column] = tick_ns
             self._twice_commands[column] = wheels
         self._command_count += 1
-        newest = slice(first + 1, first + 1 + _HISTORY)
+        newest = slice(first + 1, first + 1 + _COMMANDS)
         self._ticks_ns, self._commands = self._twice_ticks_ns[newest], self._twice_commands[newest]
 
     def observe(self, instants_ns: Instants, poses: Array) -> NDArray[np.int64]:
@@ -235,7 +234,7 @@ def ages(measured_ns: Instants, now_ns: int) -> Array:
 
 def rows_of(tags: dict[int, int]) -> Instants:
     """Return the row of each tag, for ``measurements``; ``tags``: the robots' rows by their tags."""
-    rows = np.full(_TAGS, _NOBODY)
+    rows = np.full(_TAG_NUMBERS, _NOBODY)
     rows[list(tags)] = list(tags.values())
     return rows
 
@@ -292,7 +291,7 @@ class Bystanders:
             duration = (instants_ns[row] - self.measured_ns[row]) * 1e-9
             moved = poses[row, :2] - self._poses[row, :2]
             if self.measured_ns[row] and math.hypot(*moved) <= self._jump[row]:
-                share = 1.0 - math.exp(-duration / _SMOOTHED_S)
+                share = 1.0 - math.exp(-duration / _VELOCITY_TIME_S)
                 self.velocities[row] += share * (moved / duration - self.velocities[row])
             else:
                 self.velocities[row] = 0.0

@@ -15,13 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Instants
 from robofleet.tracking.filter.estimator import UNUSED, FilterState, FleetFilter
 
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
-
-_TOGETHER_NS = 20_000_000  # between images of one instant: less than a tick
-_BACK_NS = 200_000_000  # so much later than another may one camera be
+_ONE_INSTANT_NS = 20_000_000  # between images of one instant: less than a tick
+_LATEST_NS = 200_000_000  # that one camera may be behind another
 _LEAST_BATCHES = 5  # or so many images, where these took longer
 _UNSEEN = np.iinfo(np.int64).max
 
@@ -74,7 +72,7 @@ class Joined:
             if believed:
                 self._batches.append((before, believed))
                 used = np.maximum(used, self._take(believed))
-        while len(self._batches) > _LEAST_BATCHES and self._age_ns() > _BACK_NS:
+        while len(self._batches) > _LEAST_BATCHES and self._age_ns() > _LATEST_NS:
             self._batches.popleft()
         return used
 
@@ -117,7 +115,7 @@ def _together(images: list[Seen]) -> Iterator[list[Seen]]:
     """Yield images that were exposed at about one instant, the oldest first."""
     batch: list[Seen] = []
     for seen in sorted(images, key=lambda seen: seen.exposed_ns):
-        if batch and seen.exposed_ns - batch[0].exposed_ns > _TOGETHER_NS:
+        if batch and seen.exposed_ns - batch[0].exposed_ns > _ONE_INSTANT_NS:
             yield batch
             batch = []
         batch.append(seen)

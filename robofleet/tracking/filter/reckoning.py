@@ -5,14 +5,11 @@ along the arcs of the wheel speeds.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
 from robofleet.tracking.filter.correction import copy
 from robofleet.vehicles import differential_drive
-
-Array = NDArray[np.float64]
-Instants = NDArray[np.int64]
 
 _LONGEST_STEP_NS = 17_000_000
 

@@ -17,33 +17,30 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Complex, Image
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.tags.detection import CORNERS, Findings, Region
 from robofleet.tracking.tags.families import Squares, dark_squares, patterns, same
 from robofleet.tracking.tags.photometric import ALIKE, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
 
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 _LIKELY = 0.7  # the same of a tag that is blurred, or of which each cell is right: light that overflows widens white
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
-_LEAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
+_LEAST_CONTRAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
 _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
 _SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
-_READ = 128  # sides of one length at once, of whose squares the cells are read
-_FAILURES = 6  # squares at once that no target fits: a millisecond each
+_SQUARES_AT_ONCE = 128  # sides of one length at once, of whose squares the cells are read
+_MOST_FAILURES = 6  # squares at once that no target fits: a millisecond each
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
 _ROUGHLY, _AT_LAST = 3, 1  # cells that may be wrong before the fit, and after it: a cover's edge may lie on one
 _SHARPER = 0.25  # of what a cell differs from each of its neighbours: blur took it away
 _HIDDEN = 0.04  # what a cell costs a cover that hides it; a cell as grey as its level costs one that does not 1
 _HIDES = 0.6  # of the rim, or of the paper, that a cover hides and that does not look as if it were seen
-_APART = 2  # bits by which another tag must be worse
+_APART_BITS = 2  # bits by which another tag must be worse
 
 
 class DeepSearch:
@@ -82,7 +79,7 @@ class DeepSearch:
         for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([(target.side, target.height) == (side, height) for target in self._targets])
             centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
-            chosen = self._order(len(centre))[:_READ]
+            chosen = self._order(len(centre))[:_SQUARES_AT_ONCE]
             centre, psi = centre[chosen], psi[chosen]
             pixels = self._pixels(centre, psi, side, height, self._grid)
             cells = _levels(part, pixels - corner).reshape(-1, *self._rim.shape)
@@ -116,7 +113,7 @@ class DeepSearch:
                 continue
             worth[k] = -1.0
             failures += 1
-            if failures == _FAILURES:
+            if failures == _MOST_FAILURES:
                 break
         order = np.argsort(-worth, kind="stable")
         return Findings(tuple(tags), 0, Squares(squares.corners[order], squares.which[order]))
@@ -172,7 +169,7 @@ class DeepSearch:
         box = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         darkest, brightest = cv2.erode(image, box), cv2.dilate(image, box)
         below = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
-        _, differ = cv2.threshold(cv2.subtract(brightest, darkest), _LEAST - 1, 255, cv2.THRESH_BINARY)
+        _, differ = cv2.threshold(cv2.subtract(brightest, darkest), _LEAST_CONTRAST - 1, 255, cv2.THRESH_BINARY)
         black = cv2.medianBlur(cv2.bitwise_and(below, differ), 3)  # specks would be most of the outlines
         outlines, _ = cv2.findContours(black, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         fewest, straight = _OUTLINE * small, max(1.0, _STRAIGHT * small)
@@ -217,7 +214,7 @@ class DeepSearch:
         inner = _sharp(cells)
         white, black = np.median(cells[:, self._paper], axis=1), np.median(cells[:, self._rim], axis=1)
         half = ((white + black) / 2.0)[:, None]
-        good = white - black > _LEAST
+        good = white - black > _LEAST_CONTRAST
         good &= ((cells[:, self._rim] < half).sum(1) >= _RIM * self._rim.sum()) & (
             (cells[:, self._paper] > half).sum(1) >= _PAPER * self._paper.sum()
         )
@@ -263,7 +260,7 @@ class DeepSearch:
         cells = _levels(part, pixels[None] - [left, top])[0].reshape(self._rim.shape)
         white = np.pad(self._white[target] > 0.5, 1, constant_values=True)
         low, high = np.median(cells[~white]), np.median(cells[white])
-        return None if high - low < _LEAST else (cells - low) / (high - low)
+        return None if high - low < _LEAST_CONTRAST else (cells - low) / (high - low)
 
     def _is_right(self, image: Image, fit: Fit, target: int) -> bool:
         """Return whether each cell of a print has the grey that it should have, and paper is around it."""
@@ -281,12 +278,15 @@ class DeepSearch:
 
     def _is_like_another(self, cells: Array, target: int, wrong: int) -> bool:
         """Return whether another tag of the family explains cells nearly as well, who leaves so many wrong."""
-        most = self._family.distance - _APART  # bits that a cover hides
+        most = self._family.distance - _APART_BITS  # bits that a cover hides
         for turns in range(4):
             bits = np.rot90(cells[1:-1, 1:-1] > 0.5, turns)
-            others = (self._all != bits)[:, self._free].sum(1) < wrong + _APART + most
+            others = (self._all != bits)[:, self._free].sum(1) < wrong + _APART_BITS + most
             others[self._targets[target].tag] &= turns > 0
-            if others.any() and self._wrong(bits[None].astype(np.float32), self._all[others]).min() < wrong + _APART:
+            if (
+                others.any()
+                and self._wrong(bits[None].astype(np.float32), self._all[others]).min() < wrong + _APART_BITS
+            ):
                 return True
         return False
 
@@ -349,4 +349,4 @@ def _covers(family: str) -> NDArray[np.bool_]:
         depth = math.cos(angle) * at + math.sin(angle) * at[:, None]
         covers += [depth > edge for edge in np.arange(depth.max() - 1.0, 0.0, -0.5)]
     bits = np.array([(cover & ~white & ~black).sum() for cover in covers])
-    return np.unique(np.stack(covers)[bits <= FAMILIES[family].distance - _APART], axis=0)
+    return np.unique(np.stack(covers)[bits <= FAMILIES[family].distance - _APART_BITS], axis=0)

@@ -13,17 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Complex, Image
 from robofleet.tracking.tags.families import Squares, finder
 from robofleet.tracking.tags.photometric import ALIKE, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
 
-Image = NDArray[np.uint8]
-Complex = NDArray[np.complex128]
-
-_SIZE = (0.8, 1.25)  # of a square on the plane, over the true one
+_SIZE_RATIO = (0.8, 1.25)  # of a square on the plane, over the true one
 _SKEW = 0.1  # its corners' largest distance from a true square's [sides]
 _DARK = 110  # an image whose brightest parts are darker than this is brightened first [grey]
-_BRIGHT = 200.0  # so far [grey]
+_BRIGHTENED = 200.0  # to this level [grey]
 _CHANGED = 0.04  # of its brightest part, by which one part of a tile must change: a tag's contrast is 0.8
 _SEARCHES, _ANYWAY = 3, 16  # visits in which a tile that changed is searched; of all visits, one in which any is
 
@@ -92,7 +90,7 @@ class TagDetector:
 
     def _squares(self, image: Image, bright: float) -> Squares:
         if bright < _DARK:  # noise is brightened too, so it is smoothed first
-            brightened = cv2.convertScaleAbs(cv2.blur(image, (3, 3)), alpha=_BRIGHT / max(bright, 1.0))
+            brightened = cv2.convertScaleAbs(cv2.blur(image, (3, 3)), alpha=_BRIGHTENED / max(bright, 1.0))
             image = np.asarray(brightened, np.uint8)
         longer = max(image.shape)
         # The rates are of the longer side. Contours count a diagonal step as one, and the image's corners show tags
@@ -112,7 +110,7 @@ class TagDetector:
         turn = arms @ CORNERS.conj() / 2.0  # 2 is the sum of |CORNERS|^2
         size = np.abs(turn)
         skew = np.abs(arms - turn[:, None] * CORNERS).max(1)
-        return centre, np.angle(turn), (size > _SIZE[0]) & (size < _SIZE[1]) & (skew < _SKEW)
+        return centre, np.angle(turn), (size > _SIZE_RATIO[0]) & (size < _SIZE_RATIO[1]) & (skew < _SKEW)
 
 
 class _Searched(NamedTuple):

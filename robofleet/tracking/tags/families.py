@@ -14,13 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Image
 from robofleet.core.settings import FAMILIES, Family
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
 _CONTRAST = 5.0  # least, of the cells that all tags have in common [grey levels]
-_SAME = 0.5  # squares closer than this are one [sides]
+_SAME_SQUARE = 0.5  # squares closer than this are one [sides]
 
 
 class Squares(NamedTuple):
@@ -181,7 +179,9 @@ def _widened(corners: Array) -> Array:
 
 
 def _are_same(first: Array, other: Array) -> bool:
-    return float(np.linalg.norm(first.mean(0) - other.mean(0))) < _SAME * float(np.linalg.norm(first[0] - first[1]))
+    return float(np.linalg.norm(first.mean(0) - other.mean(0))) < _SAME_SQUARE * float(
+        np.linalg.norm(first[0] - first[1])
+    )
 
 
 _NOTHING = Squares(np.empty((0, 4, 2)), np.empty(0, np.int64))

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
 from robofleet.tracking.tags.mapping import map_pixels, on_level, shift_map, sight_slope
 from robofleet.tracking.tags.pixels import CHUNK, PARAMETERS, SLOTS, accumulate, likeness
@@ -45,8 +46,6 @@ _PRIOR = 1.0 / math.radians(1.0) ** 2  # what is known of a tilt before it was l
 _LITTLE = 1e-3  # of that, which any image says
 _STUDY_DENIED = 4.0**2  # squared distance of what an image says from what is known
 _MOST_TILT = math.radians(10.0)
-
-Array = NDArray[np.float64]
 
 
 class _Room(NamedTuple):

@@ -10,11 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Complex, Indices
 from robofleet.core.kernels import kernel
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Indices = NDArray[np.int64]
 
 
 @kernel

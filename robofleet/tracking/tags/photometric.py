@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Complex, Indices
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.covariance import Covariance, covariance
@@ -23,10 +24,6 @@ from robofleet.tracking.tags.fit import fit_tags
 from robofleet.tracking.tags.mapping import quadratic
 from robofleet.tracking.tags.pixels import vertices
 from robofleet.tracking.tags.targets import Target
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Indices = NDArray[np.int64]
 
 _BLUR_PX = 0.9  # expected of a tag that was never fitted: a pixel, and a disc of defocus with a radius of 0.7 px
 _WIDE_PX = 2.2  # of one that is out of focus, or moves

@@ -16,8 +16,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Complex, Image, Indices
 from robofleet.core.clock import S
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
@@ -30,14 +30,9 @@ from robofleet.tracking.tags.photometric import NOBODY, Fit, Found, PhotometricF
 from robofleet.tracking.tags.suspects import SAME, Suspects
 from robofleet.tracking.tags.targets import Target
 
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Indices = NDArray[np.int64]
-
 CLEAR = 0.9  # a tag that is less alike may be placed better by what is not covered of it
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost
-_TILES = (4, 3)  # across and down: one is searched in each image
+_SWEEP_TILES = (4, 3)  # across and down: one is searched in each image
 _DEEP_TILES = (3, 3)  # of the deep search
 _BEGINNING = 30  # images that are searched as a whole as long as a tag was never seen
 _SEARCHES = 8  # hidden tags an image, at most: a flash that hides all at once may not stop the tracker
@@ -45,7 +40,7 @@ _DEEP_SEARCHES = 1  # of these, whose regions are searched deeply
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
 _OFTEN, _STUDIED_EVERY = 10, 8  # images from which each tilt is learnt at first; then one of so many
-_MARGIN = 0.6  # of a region around what a tag can have reached [sides]
+_REGION_MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
 
 class TagSighting(NamedTuple):
@@ -102,7 +97,7 @@ class TagTracker:
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
-        self._sweep = Sweep(self._detector, tiles(image_size, _TILES, overlap))
+        self._sweep = Sweep(self._detector, tiles(image_size, _SWEEP_TILES, overlap))
         self._deep_sweep = Sweep(self._deep, tiles(image_size, _DEEP_TILES, overlap))
         self._images = 0
         self._searches = self._deep_searches = 0  # that may be made still in this image
@@ -253,7 +248,9 @@ class TagTracker:
     def _region(self, i: int, exposure_ns: int) -> Region:
         """Return the pixels where a hidden tag may be."""
         (u, v) = self._fit.pixels(np.array([i]), self._centre[[i]])[0]
-        half = (self._reach(i, exposure_ns) + _MARGIN * self._targets[i].whole * math.sqrt(2.0)) * self._pixels_per_m
+        half = (
+            self._reach(i, exposure_ns) + _REGION_MARGIN * self._targets[i].whole * math.sqrt(2.0)
+        ) * self._pixels_per_m
         width, height = self._size
         u, v = min(max(u, 0.0), width - 1.0), min(max(v, 0.0), height - 1.0)
         return Region(

@@ -210,7 +210,7 @@ def test_marks_on_a_line_are_refused(n: int, angle: float, off: float, waver: fl
     rng = np.random.default_rng(seed)
     along = np.linspace(-1.0, 1.0, n)
     line = np.column_stack([along * math.cos(angle) + off, along * math.sin(angle)])
-    marks = seen_by(CAMERA, [tuple(place) for place in line + rng.uniform(-waver, waver, (n, 2))], rng)
+    marks = seen_by(CAMERA, [tuple(position) for position in line + rng.uniform(-waver, waver, (n, 2))], rng)
     with pytest.raises(CalibrationError, match=r"tag 0, tag 1, .* lie on one line"):
         agree(LENS, marks, None)
 

@@ -143,7 +143,7 @@ def test_images_average_and_show_what_moved_meanwhile(floor: Image) -> None:
     seen = look(survey, noisy, SIZE)
     assert seen.notes == ("tag 107: moved while images were taken; left out",)
     assert len(seen.marks) == 7
-    off = seen.marks.pixels - TRUTH.project(np.array([(*place, 0.0) for place in LAYOUT[:7]]))
+    off = seen.marks.pixels - TRUTH.project(np.array([(*position, 0.0) for position in LAYOUT[:7]]))
     assert np.sqrt((off**2).mean()) < 2.0 * seen.marks.sigma_px.max() < 0.1
     each = np.array([look(survey, [image], SIZE).marks.pixels[:7] for image in noisy])
     assert seen.marks.sigma_px == pytest.approx(np.sqrt(each.var(axis=0, ddof=1).mean(axis=1) / 4).clip(0.01), rel=1e-6)
@@ -164,8 +164,8 @@ def test_print_that_only_reads_like_a_tag_is_not_taken() -> None:
 def test_camera_is_placed_and_verified(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(4))})
-    code, said = lab.arena("--arena-m", "3.2x2.0")
-    assert (code, error_mm(lab) < 0.6) == (0, True), said
+    code, output = lab.arena("--arena-m", "3.2x2.0")
+    assert (code, error_mm(lab) < 0.6) == (0, True), output
     tree = yaml.safe_load(lab.camera.read_text())
     figures = tree["arena"]["figures"]
     assert 0.2 < figures["predicted_rms_mm"] < 0.6
@@ -188,24 +188,24 @@ def test_a_camera_is_named_as_a_configuration_names_it(lab: Lab, floor: Image, m
     file.parent.mkdir(parents=True)
     lab.camera.rename(file)
     monkeypatch.chdir(lab.folder)
-    code, said = lab.run("arena", "overhead", "survey.yaml", "floor.png", "--arena-m", "3.2x2.0")
-    assert (code, "configs/cameras/overhead.yaml: written" in said) == (0, True), said
+    code, output = lab.run("arena", "overhead", "survey.yaml", "floor.png", "--arena-m", "3.2x2.0")
+    assert (code, "configs/cameras/overhead.yaml: written" in output) == (0, True), output
     assert lab.run("verify", "overhead", "survey.yaml", "floor.png")[0] == 0
     monkeypatch.chdir("/")
     assert lab.run("verify", "overhead", lab.survey, lab.image, "--configs", lab.folder / "configs")[0] == 0
-    code, said = lab.run("verify", "overhaed", lab.survey, lab.image, "--configs", lab.folder / "configs")
-    assert (code, "overhaed.yaml (did you mean overhead?)" in said) == (2, True)
-    code, said = lab.run("verify", lab.folder / "other.yaml", lab.survey, lab.image)
-    assert (code, f"there is no camera {lab.folder / 'other.yaml'}" in said) == (2, True)
+    code, output = lab.run("verify", "overhaed", lab.survey, lab.image, "--configs", lab.folder / "configs")
+    assert (code, "overhaed.yaml (did you mean overhead?)" in output) == (2, True)
+    code, output = lab.run("verify", lab.folder / "other.yaml", lab.survey, lab.image)
+    assert (code, f"there is no camera {lab.folder / 'other.yaml'}" in output) == (2, True)
 
 
 def test_the_live_camera_is_changed_by_set(lab: Lab) -> None:
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(4))})
     platoon = ROOT / "configs" / "platoon.yaml"
-    code, said = lab.run("verify", "overhead", lab.survey, "--live", platoon, "--set", "camera.source=nothing")
-    assert (code, "there is no camera 'nothing'" in said) == (2, True), said
-    code, said = lab.run("verify", "overhead", lab.survey, "--live", platoon, "--set", "camera.sorce=v4l2")
-    assert (code, "unknown key" in said) == (2, True), said
+    code, output = lab.run("verify", "overhead", lab.survey, "--live", platoon, "--set", "camera.source=nothing")
+    assert (code, "there is no camera 'nothing'" in output) == (2, True), output
+    code, output = lab.run("verify", "overhead", lab.survey, "--live", platoon, "--set", "camera.sorce=v4l2")
+    assert (code, "unknown key" in output) == (2, True), output
 
 
 @pytest.mark.slow
@@ -218,24 +218,24 @@ def test_knock_and_a_moved_tag_are_told_apart(lab: Lab, floor: Image) -> None:
     angle = math.radians(0.4)
     knocked = TRUTH.moved(moved(TRUTH.T_world_camera, np.array([angle, 0.0, 0.0, 0.0, 0.0, 0.0])))
     cv2.imwrite(str(lab.folder / "knocked.png"), rendered(knocked, FLOOR, rng))
-    code, said = lab.verify(lab.folder / "knocked.png")
+    code, output = lab.verify(lab.folder / "knocked.png")
     assert code == 2
-    assert "the camera was knocked" in said
-    assert "turned by 0.4 degrees" in said
-    assert "tag" not in said
+    assert "the camera was knocked" in output
+    assert "turned by 0.4 degrees" in output
+    assert "tag" not in output
     pushed = [*FLOOR[:3], (FLOOR[3][0] - 0.012, *FLOOR[3][1:]), *FLOOR[4:]]
     cv2.imwrite(str(lab.folder / "pushed.png"), rendered(TRUTH, pushed, rng))
-    code, said = lab.verify(lab.folder / "pushed.png")
+    code, output = lab.verify(lab.folder / "pushed.png")
     assert code == 2
-    assert "the camera is in its place" in said
-    assert said.count("from where it was at the calibration (") == 1
-    assert "tag 103: lies 1" in said
+    assert "the camera is in its place" in output
+    assert output.count("from where it was at the calibration (") == 1
+    assert "tag 103: lies 1" in output
     assert lab.camera.read_bytes() == before
     few = rendered(TRUTH, FLOOR[:3], rng)
     cv2.imwrite(str(lab.folder / "few.png"), few)
-    code, said = lab.verify(lab.folder / "few.png")
-    assert (code, "cannot tell: 3 surveyed marks are in sight" in said) == (2, True)
-    assert "tag 105: is surveyed, but is in no image" in said
+    code, output = lab.verify(lab.folder / "few.png")
+    assert (code, "cannot tell: 3 surveyed marks are in sight" in output) == (2, True)
+    assert "tag 105: is surveyed, but is in no image" in output
 
 
 @pytest.mark.slow
@@ -249,15 +249,15 @@ def test_a_third_of_a_millimetre_shows_through_an_uncertain_lens(lab: Lab, floor
     for k, shift in enumerate([(0.0, 0.0, 0.0), (3e-4, 0.0, 0.0), (0.0, 0.0, 3e-4)]):
         camera = TRUTH.moved(moved(TRUTH.T_world_camera, np.array([0.0, 0.0, 0.0, *shift])))
         cv2.imwrite(str(lab.folder / "now.png"), rendered(camera, FLOOR, np.random.default_rng(20 + k)))
-        code, said = lab.verify(lab.folder / "now.png")
-        assert (code, "the camera was knocked" in said) == ((2, True) if any(shift) else (0, False)), said
+        code, output = lab.verify(lab.folder / "now.png")
+        assert (code, "the camera was knocked" in output) == ((2, True) if any(shift) else (0, False)), output
 
 
 def test_mirrored_images_are_named_as_such(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor[:, ::-1])
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(17))})
-    code, said = lab.arena()
-    assert (code, said.startswith("the images are mirrored")) == (2, True), said
+    code, output = lab.arena()
+    assert (code, output.startswith("the images are mirrored")) == (2, True), output
 
 
 def test_wrong_survey_is_named_and_left_out(lab: Lab, floor: Image) -> None:
@@ -266,11 +266,11 @@ def test_wrong_survey_is_named_and_left_out(lab: Lab, floor: Image) -> None:
     tags[5]["x_m"] += 0.02
     tags[2]["heading_deg"] += 90.0
     lab.write(lab.survey, {"floor_tags": tags})
-    code, said = lab.arena()
+    code, output = lab.arena()
     assert code == 0
-    assert [line.split(":")[0] for line in said.splitlines() if "left out" in line] == ["tag 105"]
-    assert "tag 105: lies 2" in said
-    assert "tag 102: is turned by -9" in said
+    assert [line.split(":")[0] for line in output.splitlines() if "left out" in line] == ["tag 105"]
+    assert "tag 105: lies 2" in output
+    assert "tag 102: is turned by -9" in output
     assert error_mm(lab) < 0.7
 
 
@@ -279,19 +279,22 @@ def test_a_poor_survey_is_refused(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(15), sigma=0.02)})
     before = lab.camera.read_bytes()
-    code, said = lab.arena()
-    assert (code, "mm rms off on the arena, more than 3" in said) == (2, True), said
+    code, output = lab.arena()
+    assert (code, "mm rms off on the arena, more than 3" in output) == (2, True), output
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(11), sigma=0.0012)})
-    code, said = lab.arena("--survey-mm", 0.5)
-    assert (code, "too much for a survey of 0.5 mm" in said) == (2, True), said
+    code, output = lab.arena("--survey-mm", 0.5)
+    assert (code, "too much for a survey of 0.5 mm" in output) == (2, True), output
     assert lab.camera.read_bytes() == before
     assert lab.arena("--survey-mm", 1.2)[0] == 0
     tags = surveyed(FLOOR, np.random.default_rng(11))
     tags[1]["x_m"] += 0.02
     tags[6]["y_m"] += 0.02
     lab.write(lab.survey, {"floor_tags": tags})
-    code, said = lab.arena("--survey-mm", 0.5)
-    assert (code, "2 marks were left out: if their surveys are right, 0.5 mm was stated too small" in said) == (0, True)
+    code, output = lab.arena("--survey-mm", 0.5)
+    assert (code, "2 marks were left out: if their surveys are right, 0.5 mm was stated too small" in output) == (
+        0,
+        True,
+    )
 
 
 def test_points_read_off_an_image_need_no_image(lab: Lab) -> None:
@@ -303,13 +306,13 @@ def test_points_read_off_an_image_need_no_image(lab: Lab) -> None:
         point = {"name": f"cross {k}", "x_m": x, "y_m": y, "height_m": height, "u_px": float(u), "v_px": float(v)}
         points.append(point)
     lab.write(lab.survey, {"points": points})
-    code, said = lab.run("arena", lab.camera, lab.survey, "--report", lab.report)
-    assert code == 0, said
+    code, output = lab.run("arena", lab.camera, lab.survey, "--report", lab.report)
+    assert code == 0, output
     assert error_mm(lab) < 3.0
     points[4]["u_px"] = 1300.0
     lab.write(lab.survey, {"points": points})
-    code, said = lab.run("arena", lab.camera, lab.survey, "--report", lab.report)
-    assert (code, "cross 4: u_px, v_px: 1300" in said) == (2, True)
+    code, output = lab.run("arena", lab.camera, lab.survey, "--report", lab.report)
+    assert (code, "cross 4: u_px, v_px: 1300" in output) == (2, True)
 
 
 def test_strangers_twins_and_the_missing_are_named(lab: Lab) -> None:
@@ -321,22 +324,22 @@ def test_strangers_twins_and_the_missing_are_named(lab: Lab) -> None:
     tags = surveyed(FLOOR, rng)
     tags[7]["tag"] = 300
     lab.write(lab.survey, {"floor_tags": tags})
-    code, said = lab.arena("--survey-mm", 0.5)
-    assert code == 0, said
-    assert "tag 300: is surveyed, but is in no image" in said
-    assert "tag 106: two prints of it are in one image" in said
-    assert "tag 107: is in the images, but not in the survey" in said
+    code, output = lab.arena("--survey-mm", 0.5)
+    assert code == 0, output
+    assert "tag 300: is surveyed, but is in no image" in output
+    assert "tag 106: two prints of it are in one image" in output
+    assert "tag 107: is in the images, but not in the survey" in output
     assert yaml.safe_load(lab.camera.read_text())["arena"]["figures"]["marks_used"] == 6
 
 
 @pytest.mark.long
 def test_live_images_come_from_the_configured_camera(lab: Lab) -> None:
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(9))})
-    code, said = lab.run("verify", ROOT / "configs/cameras/overhead.yaml", lab.survey, "--survey-mm", 0.5, "--live",
+    code, output = lab.run("verify", ROOT / "configs/cameras/overhead.yaml", lab.survey, "--survey-mm", 0.5, "--live",
                          ROOT / "configs/platoon.yaml", "--frames", 2)  # fmt: skip
-    assert (code, "cannot tell: 0 surveyed marks are in sight" in said) == (2, True)
-    code, said = lab.verify(lab.image, "--live", ROOT / "configs/platoon.yaml")
-    assert (code, "give one of them" in said) == (2, True)
+    assert (code, "cannot tell: 0 surveyed marks are in sight" in output) == (2, True)
+    code, output = lab.verify(lab.image, "--live", ROOT / "configs/platoon.yaml")
+    assert (code, "give one of them" in output) == (2, True)
 
 
 def _side(tags: list[dict[str, Any]]) -> None:
@@ -379,9 +382,9 @@ def test_impossible_surveys_are_refused(lab: Lab, floor: Image, spoil: Any, reas
     spoil(tags)
     lab.write(lab.survey, {"floor_tags": tags})
     before = lab.camera.read_bytes()
-    code, said = lab.arena()
-    assert (code, reason in said) == (2, True), said
-    assert "Traceback" not in said
+    code, output = lab.arena()
+    assert (code, reason in output) == (2, True), output
+    assert "Traceback" not in output
     assert lab.camera.read_bytes() == before
     assert sorted(file.name for file in lab.folder.iterdir()) == ["floor.png", "overhead.yaml", "survey.yaml"]
 
@@ -398,20 +401,20 @@ def test_impossible_surveys_are_refused(lab: Lab, floor: Image, spoil: Any, reas
 def test_what_is_no_survey_is_refused(lab: Lab, text: str, reason: str) -> None:
     lab.survey.write_text(text)
     lab.image.touch()
-    code, said = lab.run("verify", lab.camera, lab.survey)
-    assert (code, reason in said) == (2, True), said
+    code, output = lab.run("verify", lab.camera, lab.survey)
+    assert (code, reason in output) == (2, True), output
 
 
 @pytest.mark.slow
 def test_arena_must_be_one(lab: Lab, floor: Image) -> None:
     cv2.imwrite(str(lab.image), floor)
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(13))})
-    code, said = lab.arena("--arena-m", "0x2")
-    assert (code, "--arena-m: '0x2': each side must be more than 0" in said) == (2, True)
-    code, said = lab.arena("--arena-m", "3.2")
-    assert (code, "--arena-m: '3.2' is not a size: write two numbers" in said) == (2, True)
-    code, said = lab.arena("--arena-m", "8X2")
-    assert (code, "% of the arena" in said) == (0, True)
+    code, output = lab.arena("--arena-m", "0x2")
+    assert (code, "--arena-m: '0x2': each side must be more than 0" in output) == (2, True)
+    code, output = lab.arena("--arena-m", "3.2")
+    assert (code, "--arena-m: '3.2' is not a size: write two numbers" in output) == (2, True)
+    code, output = lab.arena("--arena-m", "8X2")
+    assert (code, "% of the arena" in output) == (0, True)
 
 
 @pytest.mark.parametrize(
@@ -431,9 +434,9 @@ def test_impossible_cameras_are_refused(lab: Lab, floor: Image, change: dict[str
     if "intrinsics" in change:
         change["intrinsics"] |= {"date": "", "tool": "", "inputs": {}, "figures": {}}
     lab.write(lab.camera, yaml.safe_load(lab.camera.read_text()) | change)
-    code, said = lab.arena()
-    assert (code, reason in said) == (2, True), said
-    code, said = lab.verify(lab.image)
+    code, output = lab.arena()
+    assert (code, reason in output) == (2, True), output
+    code, output = lab.verify(lab.image)
     assert code == 2
     assert not lab.report.exists()
 
@@ -443,10 +446,10 @@ def test_what_is_no_image_is_refused(lab: Lab) -> None:
     for content, reason in ((None, "No such file"), (b"no picture", "cannot be read as an image")):
         if content is not None:
             lab.image.write_bytes(content)
-        code, said = lab.arena()
-        assert (code, reason in said) == (2, True)
+        code, output = lab.arena()
+        assert (code, reason in output) == (2, True)
     (lab.folder / "empty").mkdir()
-    code, said = lab.run("arena", lab.camera, lab.survey, lab.folder / "empty")
-    assert (code, "there is no image in this folder" in said) == (2, True)
-    code, said = lab.run("arena", lab.camera, lab.survey)
-    assert (code, "no image to find them in" in said) == (2, True)
+    code, output = lab.run("arena", lab.camera, lab.survey, lab.folder / "empty")
+    assert (code, "there is no image in this folder" in output) == (2, True)
+    code, output = lab.run("arena", lab.camera, lab.survey)
+    assert (code, "no image to find them in" in output) == (2, True)

@@ -53,8 +53,10 @@ def views(cameras: list[CameraGeometry], rng: np.random.Generator, open_: tuple[
 def at_the_seam(cameras: list[CameraGeometry], found: list[Lens | CameraGeometry]) -> float:
     """How far apart two cameras that were placed see robots in the middle [m], rms."""
     robots = np.array([(x, y, 0.08) for x in (-0.1, 0.1) for y in np.linspace(-0.8, 0.8, 9)])
-    one, other = (its.to_plane(camera.project(robots), 0.08) for camera, its in zip(cameras, found, strict=True))
-    return float(np.sqrt(((one - other) ** 2).sum(axis=1).mean()))
+    first, other = (
+        placed_view.to_plane(camera.project(robots), 0.08) for camera, placed_view in zip(cameras, found, strict=True)
+    )
+    return float(np.sqrt(((first - other) ** 2).sum(axis=1).mean()))
 
 
 @pytest.mark.slow_after_first
@@ -70,9 +72,9 @@ def test_poses_are_as_uncertain_as_is_said(open_: tuple[int, ...]) -> None:
         except CalibrationError as refused:
             assert open_ == (9, 10, 12, 13, 14), refused  # too few that it shares, where it hangs askew
             continue
-        for camera, its in zip(cameras, agreements, strict=True):
-            off = change_between(its.placement.T_world_camera, camera.T_world_camera)
-            squares.append(float(off @ np.linalg.solve(its.placement.covariance, off)))
+        for camera, agreement in zip(cameras, agreements, strict=True):
+            off = change_between(agreement.placement.T_world_camera, camera.T_world_camera)
+            squares.append(float(off @ np.linalg.solve(agreement.placement.covariance, off)))
     assert len(squares) > 20
     assert np.mean(squares) / 6 == pytest.approx(1.0, abs=4 * math.sqrt(2 / (6 * len(squares))))
 
@@ -83,7 +85,7 @@ def test_the_surveys_error_is_estimated_whatever_ties_the_cameras(open_: tuple[i
     found = []
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        found += [its.placement.survey_m for its in agree_together(views(hung(rng), rng, open_), None)]
+        found += [view.placement.survey_m for view in agree_together(views(hung(rng), rng, open_), None)]
     assert np.median(found) == pytest.approx(SURVEY_M, rel=0.3)
 
 
@@ -102,10 +104,10 @@ def test_at_the_seam_they_agree_better_than_cameras_that_were_placed_alone() -> 
     for seed in range(10):
         rng = np.random.default_rng(seed)
         cameras = hung(rng)
-        its = views(cameras, rng)
-        found = agree_together(its, SURVEY_M)
+        seams = views(cameras, rng)
+        found = agree_together(seams, SURVEY_M)
         together.append(at_the_seam(cameras, [each.placement.geometry for each in found]))
-        single = [agree(view.lens, view.marks, SURVEY_M).placement.geometry for view in its]
+        single = [agree(view.lens, view.marks, SURVEY_M).placement.geometry for view in seams]
         alone.append(at_the_seam(cameras, single))
     assert np.mean(together) < np.mean(alone)
 

@@ -111,16 +111,18 @@ def test_false_alarms_are_rare() -> None:
 def test_the_change_of_a_camera_that_stayed_has_the_covariance_that_is_told(
     again: str, shares: tuple[float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = []
-    monkeypatch.setattr(verify, "chance", lambda distance, freedom: told.append(distance) or chance(distance, freedom))
+    reported = []
+    monkeypatch.setattr(
+        verify, "chance", lambda distance, freedom: reported.append(distance) or chance(distance, freedom)
+    )
     for seed in range(20):
         lab = Lab(seed)
         if again == "the survey":
             lab.survey = lab.survey_again()
         seen = lab.look()
         judge(LENS, seen.chosen(np.arange(8) != seed % 8) if "covered" in again else seen, lab.calibrated, FLOOR)
-    assert len(told) == 20
-    assert shares[0] < sum(told) / (6 * 20) < shares[1]
+    assert len(reported) == 20
+    assert shares[0] < sum(reported) / (6 * 20) < shares[1]
 
 
 def test_marks_that_are_new_or_surveyed_again_do_not_count() -> None:
@@ -176,32 +178,32 @@ def test_a_tilt_is_noticed_and_told_in_degrees() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "words_expected"),
     [
         ((0.0, 0.0, 0.01, 0.0, 0.0, 0.0), "degrees counter-clockwise about its axis"),
         ((0.0, 0.01, 0.0, 0.0, 0.0, 0.0), "degrees towards its image's left"),
         ((0.0, 0.0, 0.0, 0.05, 0.0, 0.0), "shifted by"),
     ],
 )
-def test_knocks_have_the_signs_of_the_image(change: tuple[float, ...], said: str) -> None:
+def test_knocks_have_the_signs_of_the_image(change: tuple[float, ...], words_expected: str) -> None:
     lab = Lab(3)
     lab.knock(*change)
     before = lab.calibrated.T
     pixel = CAMERA.moved(before).project(np.array([[1.0, 0.0, 0.0]]))[0]
     now = lab.camera.project(np.array([[1.0, 0.0, 0.0]]))[0]
     sentence = lab.judged().sentences[0]
-    assert said in sentence
-    if "left" in said:  # what it sees moves to the right of its image
+    assert words_expected in sentence
+    if "left" in words_expected:  # what it sees moves to the right of its image
         assert now[0] > pixel[0] + 2.0
-    if "counter" in said:  # and clockwise, as the camera turns the other way: the right end goes down
+    if "counter" in words_expected:  # and clockwise, as the camera turns the other way: the right end goes down
         assert now[1] > pixel[1] + 2.0
 
 
-@pytest.mark.parametrize(("axis", "said"), [(0, "top"), (1, "right")])
-def test_directions_are_the_images_however_the_camera_is_turned(axis: int, said: str) -> None:
+@pytest.mark.parametrize(("axis", "direction"), [(0, "top"), (1, "right")])
+def test_directions_are_the_images_however_the_camera_is_turned(axis: int, direction: str) -> None:
     lab = Lab(9, yaw=2.0)
     lab.knock(*(0.01 * lab.camera.T_world_camera[:3, axis]), 0, 0, 0)
-    assert f"0.57 degrees towards its image's {said}" in lab.judged().sentences[0]
+    assert f"0.57 degrees towards its image's {direction}" in lab.judged().sentences[0]
 
 
 def test_error_of_a_knocked_camera_is_told() -> None:
@@ -211,8 +213,8 @@ def test_error_of_a_knocked_camera_is_told() -> None:
     lab.knock(0.003, -0.002, 0.004, 0.01, -0.005, 0.02)
     off = calibrated.to_plane(lab.camera.project(FLOOR), 0.0) - before
     words = lab.judged().sentences[0].split()
-    told = float(words[words.index("seem") + 1])
-    assert told == pytest.approx(1e3 * math.sqrt(float((off**2).sum(1).mean())), abs=0.6)
+    reported_mm = float(words[words.index("seem") + 1])
+    assert reported_mm == pytest.approx(1e3 * math.sqrt(float((off**2).sum(1).mean())), abs=0.6)
 
 
 def test_moved_tags_are_named_and_the_camera_is_not_blamed() -> None:

@@ -41,14 +41,14 @@ def floor_error_mm(camera, result: Measured) -> float:  # type: ignore[no-untype
 @pytest.mark.slow
 def test_sigma_of_the_arena_is_the_error_that_comes(true_camera) -> None:  # type: ignore[no-untyped-def]
     # The floor's error is of about seven degrees of freedom: over ten draws its rms is known to a tenth or so.
-    told, true = [], []
+    predicted, true = [], []
     for seed in range(6):
         rng = np.random.default_rng(seed)
         result = measured(true_camera, seen(true_camera, true_camera.good_poses(18, rng), 0.1, rng))
-        told.append(result.floor.rms_mm(result.fit.covariance))
+        predicted.append(result.floor.rms_mm(result.fit.covariance))
         true.append(floor_error_mm(true_camera, result))
-        assert result.arena_mm >= told[-1]
-    assert np.mean(np.square(true)) / np.mean(np.square(told)) == pytest.approx(1.0, abs=0.6)
+        assert result.arena_mm >= predicted[-1]
+    assert np.mean(np.square(true)) / np.mean(np.square(predicted)) == pytest.approx(1.0, abs=0.6)
 
 
 @pytest.mark.slow
@@ -195,7 +195,7 @@ def test_the_view_that_is_asked_for_helps_most(true_camera) -> None:  # type: ig
     with_it = measured(true_camera, [*views, true_camera.view("asked", pose, 0.3, rng)])
     middle = true_camera.pose(400, 300, 0.9, 0, 0)
     with_another = measured(true_camera, [*views, true_camera.view("another", middle, 0.3, rng)])
-    uncertainty = [one.floor.rms_mm(one.fit.covariance) for one in (with_it, with_another)]
+    uncertainty = [view.floor.rms_mm(view.fit.covariance) for view in (with_it, with_another)]
     assert uncertainty[0] < uncertainty[1]
     assert uncertainty[0] == pytest.approx(wanted.rms_mm, rel=0.15)  # as it was foretold
 
@@ -305,8 +305,8 @@ def test_predicted_uncertainty_is_true_of_every_model(coefficients: int, true_ca
     open_values = 12 * max(0, min(5, coefficients - 5))
     assert count - open_values - 3 * sigma < sum(chi_square(true_camera, r) for r in results) < count + 3 * sigma
     errors = [floor_error_mm(true_camera, result) for result in results]
-    told = [result.floor.rms_mm(result.fit.covariance) for result in results]
-    assert np.mean(np.square(errors)) / np.mean(np.square(told)) == pytest.approx(1.0, abs=0.5)
+    predicted = [result.floor.rms_mm(result.fit.covariance) for result in results]
+    assert np.mean(np.square(errors)) / np.mean(np.square(predicted)) == pytest.approx(1.0, abs=0.5)
 
 
 @pytest.mark.slow

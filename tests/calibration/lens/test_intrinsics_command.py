@@ -63,16 +63,16 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
         T_world_camera=PoseSettings(position_m=(0.0, 0.0, 2.0), rotation_rad=(3.0, 0.0, 0.0)),
     )  # fmt: skip
     save(file, earlier)
-    said = calibrate("ceiling", photos, "--device", "serial 7", "--report", "page.html")
-    assert said.code == 0 and said.err == ""
+    result = calibrate("ceiling", photos, "--device", "serial 7", "--report", "page.html")
+    assert result.code == 0 and result.err == ""
     model = load(file, CameraModel)
     assert (model.camera, model.width, model.height, model.lens) == ("serial 7", 800, 600, "pinhole")
     # Its place belonged to the earlier lens; the shutter is the same.
     assert model.T_world_camera is None and model.arena is None and model.line_time_s == 2e-5
-    assert "run robofleet calibrate arena again" in said.out
+    assert "run robofleet calibrate arena again" in result.out
     (kept,) = (file.parent / "earlier").iterdir()
     assert load(kept, CameraModel) == earlier
-    assert str(kept.relative_to(tmp_path)) in said.out and "report: page.html" in said.out
+    assert str(kept.relative_to(tmp_path)) in result.out and "report: page.html" in result.out
     source = model.intrinsics
     assert source is not None
     assert source.parameters[:4] == ("f_x_px", "f_y_px", "c_x_px", "c_y_px")
@@ -84,7 +84,7 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
         and "99.png" not in source.inputs
         and len(source.inputs) == source.figures["views"]
     )
-    assert "left out, as they do not fit: 08.png" in said.out
+    assert "left out, as they do not fit: 08.png" in result.out
     page = (tmp_path / "page.html").read_text()
     assert (
         page.count("<svg") == 4
@@ -107,11 +107,11 @@ def test_centred_views_are_refused_with_a_report(calibrate, tmp_path: Path, true
     folder.mkdir()
     for k, pose in enumerate(true_camera.flat_poses(15, rng)):
         cv2.imwrite(str(folder / f"{k:02d}.png"), true_camera.photo(pose, rng, noise=6.0))
-    said = calibrate("ceiling", folder, "--report", "page.html")
-    assert said.code == 2 and said.out == ""
-    assert "focal length is uncertain" in said.err
-    assert "next view: show the board" in said.err
-    assert said.err.splitlines()[-1] == "nothing was written; report: page.html"
+    result = calibrate("ceiling", folder, "--report", "page.html")
+    assert result.code == 2 and result.out == ""
+    assert "focal length is uncertain" in result.err
+    assert "next view: show the board" in result.err
+    assert result.err.splitlines()[-1] == "nothing was written; report: page.html"
     assert not (tmp_path / "configs").exists()
     assert "next view: show the board" in (tmp_path / "page.html").read_text()
 
@@ -124,10 +124,10 @@ def test_views_that_contradict_one_another_are_told_with_a_refusal(  # type: ign
     folder.mkdir()
     for file in sorted(photos.glob("*.png"))[:9]:  # too few, and the last is skewed
         (folder / file.name).write_bytes(file.read_bytes())
-    said = calibrate("ceiling", folder, "--report", "page.html")
-    assert said.code == 2 and "8 views can be used: 12 or more are needed" in said.err
-    assert "left out, as they do not fit: 08.png" in said.err
-    assert said.err.splitlines()[-1] == "nothing was written; report: page.html"
+    result = calibrate("ceiling", folder, "--report", "page.html")
+    assert result.code == 2 and "8 views can be used: 12 or more are needed" in result.err
+    assert "left out, as they do not fit: 08.png" in result.err
+    assert result.err.splitlines()[-1] == "nothing was written; report: page.html"
 
 
 def test_mirrored_images_are_named_as_such(calibrate, photos: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
@@ -137,8 +137,8 @@ def test_mirrored_images_are_named_as_such(calibrate, photos: Path, tmp_path: Pa
         image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
         assert image is not None
         cv2.imwrite(str(folder / file.name), image[:, ::-1])
-    said = calibrate("ceiling", folder)
-    assert said.code == 2 and said.err.startswith("the images are mirrored")
+    result = calibrate("ceiling", folder)
+    assert result.code == 2 and result.err.startswith("the images are mirrored")
 
 
 def test_a_video_is_read(photos: Path, tmp_path: Path) -> None:
@@ -206,9 +206,9 @@ def test_bad_input_ends_at_the_edge(  # type: ignore[no-untyped-def]
 ) -> None:
     source = make(tmp_path / "input")
     before = set(tmp_path.rglob("*"))
-    said = calibrate("ceiling", source, *options)
-    assert said.code == 2
-    assert words in said.err and "Traceback" not in said.err
+    result = calibrate("ceiling", source, *options)
+    assert result.code == 2
+    assert words in result.err and "Traceback" not in result.err
     assert set(tmp_path.rglob("*")) == before
 
 
@@ -267,12 +267,12 @@ def scripted(photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
 @pytest.mark.long
 def test_a_live_camera_is_read_until_its_lens_is_determined(calibrate, scripted, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     config = scripted()
-    said = calibrate("ceiling", "--live", config, "--report", "out/page.html")
-    assert said.code == 0
+    result = calibrate("ceiling", "--live", config, "--report", "out/page.html")
+    assert result.code == 0
     model = load(tmp_path / "cameras" / "ceiling.yaml", CameraModel)  # beside the configuration, which looks there
     assert model.camera == "scripted"
     assert model.intrinsics is not None and 12 <= model.intrinsics.figures["views"] < 18  # type: ignore[operator]
-    assert "next: show the board" in said.err and said.err.rstrip().endswith("done")
+    assert "next: show the board" in result.err and result.err.rstrip().endswith("done")
     assert sys.modules[yaml.safe_load(config.read_text())["camera"]["source"].split(":")[0]].Camera.closed
     # What the camera showed was kept: the same lens comes out of it again.
     again = gather(tmp_path / "out" / "views", Board())
@@ -281,10 +281,10 @@ def test_a_live_camera_is_read_until_its_lens_is_determined(calibrate, scripted,
 
 
 def test_a_capture_that_is_broken_off_is_judged_by_what_it_has(calibrate, scripted, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    said = calibrate("ceiling", "--live", scripted("KeyboardInterrupt", only="0[0-4].png"))
-    assert said.code == 2
-    assert "5 views can be used: 12 or more are needed" in said.err
-    assert "nothing was written" in said.err and not (tmp_path / "cameras").exists()
+    result = calibrate("ceiling", "--live", scripted("KeyboardInterrupt", only="0[0-4].png"))
+    assert result.code == 2
+    assert "5 views can be used: 12 or more are needed" in result.err
+    assert "nothing was written" in result.err and not (tmp_path / "cameras").exists()
     (views,) = (tmp_path / "runs").rglob("views")
     assert len(list(views.iterdir())) == 5
 

@@ -56,7 +56,7 @@ def drive(
         (k * TICK - LEAD, 0) for k in range(1, ticks)
     ]
     events += [(k * ENCODER, 1) for k in range(ticks * TICK // ENCODER)]
-    commands, poses, encoders, told = [], [], [], []
+    commands, poses, encoders, measured = [], [], [], []
     wheels, turned, since_ns = np.zeros(2), np.zeros(2), 0
     for now_ns, what in sorted(events):
         at_s, truth, reading = now_ns / S, robot.truth(), robot.read()
@@ -65,18 +65,18 @@ def drive(
             poses.append((at_s, *(np.array(seen) + rng.normal(size=3) * (noise[0], noise[0], noise[1]))))
         elif what == 1:
             encoders.append((at_s, reading.left_angle, reading.right_angle))
-            told.append((at_s, *(turned + wheels * (now_ns - since_ns) / S)))
+            measured.append((at_s, *(turned + wheels * (now_ns - since_ns) / S)))
         elif what == 2:
             turned, since_ns = turned + wheels * (now_ns - since_ns) / S, now_ns
             at_s = now_ns // TICK * TICK / S
             wheels = excitation.tick(at_s, np.array([truth[:3]]), np.array([True]))[0][0]
             robot.write(WheelSpeeds(*wheels.tolist()))
             commands.append((at_s, *wheels))
-    asked, seen_poses, counted, meant = (np.array(rows) for rows in (commands, poses, encoders, told))
+    setpoints, seen_poses, counted, meant = (np.array(rows) for rows in (commands, poses, encoders, measured))
     return RobotDrive(
         "r1",
-        asked[:, 0],
-        asked[:, 1:],
+        setpoints[:, 0],
+        setpoints[:, 1:],
         seen_poses[:, 0],
         seen_poses[:, 1:],
         meant[:, 0],

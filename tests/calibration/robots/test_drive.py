@@ -19,10 +19,10 @@ from robofleet.recording.run import Recording, Run
 from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.offset import tag_from_centre
+from tests.shipped import PLATOON
 
 pytestmark = pytest.mark.slow
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 LATE_S, LAG_S = 0.031, 0.06
 
 

@@ -34,8 +34,8 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
     for _ in range(4):
         noise = rng.normal(size=smooth.poses.shape) * (3e-4, 3e-4, 0.004)
         found.append(latency.find(replace(smooth, poses=smooth.poses + noise)))
-    errors = np.array([(one.delay_s, one.motor_lag_s) for one in found]) - (0.043, 0.06)
-    scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([one.sigma for one in found]).mean(axis=0)
+    errors = np.array([(result.delay_s, result.motor_lag_s) for result in found]) - (0.043, 0.06)
+    scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([result.sigma for result in found]).mean(axis=0)
     assert (scatter > 0.3).all()
     assert (scatter < 2.2).all()
 

@@ -58,8 +58,8 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
     for _ in range(8):
         noise = rng.normal(size=smooth.poses.shape) * (3e-4, 3e-4, 0.004)
         found.append(offsets.find(replace(smooth, poses=smooth.poses + noise), GTERNAL))
-    errors = np.array([one.values for one in found]) - [*TRUE_TAG, GTERNAL.wheel_radius, GTERNAL.wheel_base]
-    scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([one.sigma for one in found]).mean(axis=0)
+    errors = np.array([result.values for result in found]) - [*TRUE_TAG, GTERNAL.wheel_radius, GTERNAL.wheel_base]
+    scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([result.sigma for result in found]).mean(axis=0)
     assert (scatter > 0.4).all()
     assert (scatter < 2.0).all()
 

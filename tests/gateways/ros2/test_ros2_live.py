@@ -37,21 +37,21 @@ STANDS_WITHIN_S = 1.0  # after a node was killed, however busy the machine is th
 class Stand:
     """A run, with a gateway beside it; where users' nodes are started."""
 
-    def __init__(self, run: RealRun, environment: dict[str, str], said: Path) -> None:
-        self.run, self.environment, self._said = run, environment, said
+    def __init__(self, run: RealRun, environment: dict[str, str], output: Path) -> None:
+        self.run, self.environment, self._log = run, environment, output
         self.gateway: subprocess.Popen[bytes]
         self.serve()
 
     def serve(self) -> None:
         """Start a gateway."""
         command = [sys.executable, "-m", "robofleet", "ros2", "ros2"]  # its packages warn
-        with self._said.open("w") as said:
-            self.gateway = subprocess.Popen(command, env=self.environment, stderr=said)
+        with self._log.open("w") as output:
+            self.gateway = subprocess.Popen(command, env=self.environment, stderr=output)
         assert wait(lambda: "ROS 2 hears" in self.gateway_said, WITHIN_S), self.gateway_said
 
     @property
     def gateway_said(self) -> str:
-        return self._said.read_text()
+        return self._log.read_text()
 
     def node(self, *what: str) -> "subprocess.Popen[str]":
         """Start a user's node."""
@@ -98,8 +98,10 @@ def stand(tmp_path_factory: pytest.TempPathFactory, alone_for_a_module: None) ->
 
 def rows_of(name: str) -> list[topics.Topic]:
     """Return the table's rows of a topic."""
-    about = [(one, number) for one in ("r1", "r2", "r3", "r4", "overhead") for number in range(7)]
-    return [row for row in topics.TOPICS if name.lstrip("/") in {row.name.format(*one).lstrip("/") for one in about}]
+    about = [(frame, number) for frame in ("r1", "r2", "r3", "r4", "overhead") for number in range(7)]
+    return [
+        row for row in topics.TOPICS if name.lstrip("/") in {row.name.format(*frame).lstrip("/") for frame in about}
+    ]
 
 
 @pytest.mark.slow
@@ -112,34 +114,34 @@ def test_the_graph_is_the_table(stand: Stand) -> None:
         if seen["flow"] == "out":
             robot = name.split("/")[1]
             assert seen["messages"] > 0, name
-            told = {"", *row.frame.format(*[robot] * row.frame.count("{}")).replace(",", " ").split()}
-            told |= {f"r{k}/base_link" for k in (1, 2, 3, 4)} if row is topics.MARKERS else set()
-            told |= {name[1:]} if row is topics.RANGE else set()
-            assert set(seen["frames"]) - {""} <= told, name
+            frames = {"", *row.frame.format(*[robot] * row.frame.count("{}")).replace(",", " ").split()}
+            frames |= {f"r{k}/base_link" for k in (1, 2, 3, 4)} if row is topics.MARKERS else set()
+            frames |= {name[1:]} if row is topics.RANGE else set()
+            assert set(seen["frames"]) - {""} <= frames, name
     own = [row.name.format("r1") for row in topics.OF_ROBOTS]
     assert {f"/{name}" for name in own} <= set(found["topics"]), "each robot has all of its own"
-    there = {row for name in found["topics"] for row in rows_of(name)}
+    shown = {row for name in found["topics"] for row in rows_of(name)}
     silent = {topics.CLOCK, *([] if find_spec("tf2_msgs") else [topics.TRANSFORMS, topics.FIXED])}
-    assert there | silent == set(topics.TOPICS) | there & silent
+    assert shown | silent == set(topics.TOPICS) | shown & silent
     for service in SERVICES:
         assert found["services"][f"/{service}"] == topics.SERVICE
 
 
 @pytest.mark.slow
 def test_a_node_drives_a_robot_round_a_square_and_holds_it(stand: Stand) -> None:
-    said = stand.said("square")
-    corners = np.array(said["corners"])
+    answer = stand.said("square")
+    corners = np.array(answer["corners"])
     sides = np.linalg.norm(np.diff(corners[:, :2], axis=0), axis=1)
     assert sides == pytest.approx(0.1, abs=0.02)
     assert corners[-1, :2] == pytest.approx(corners[0, :2], abs=0.03)
-    assert said["pose"][:2] == pytest.approx(said["first_pose"][:2], abs=0.05), "where the camera sees it, too"
-    assert said["told"] == {"hold": [True, "ok"], "resume": [True, "ok"]}
-    assert said["stood_m"] < 0.002, "held robots stand whatever is commanded"
-    assert said["old_m"] < 0.002 and said["nothing_m"] < 0.002, "an old stamp, and what is no number"
-    assert said["states"][:1] == said["states"][-1:] == ["running"] and "hold" in said["states"]
-    assert said["states"] == ["running", "hold", "running"] or was_busy(stand.run.said)
-    assert said["odom_frames"] == ["r1/odom", "r1/base_link"]
-    assert said["stamps_rise"] and said["odom"] > 100 and said["map"] > 50
+    assert answer["pose"][:2] == pytest.approx(answer["first_pose"][:2], abs=0.05), "where the camera sees it, too"
+    assert answer["told"] == {"hold": [True, "ok"], "resume": [True, "ok"]}
+    assert answer["stood_m"] < 0.002, "held robots stand whatever is commanded"
+    assert answer["old_m"] < 0.002 and answer["nothing_m"] < 0.002, "an old stamp, and what is no number"
+    assert answer["states"][:1] == answer["states"][-1:] == ["running"] and "hold" in answer["states"]
+    assert answer["states"] == ["running", "hold", "running"] or was_busy(stand.run.said)
+    assert answer["odom_frames"] == ["r1/odom", "r1/base_link"]
+    assert answer["stamps_rise"] and answer["odom"] > 100 and answer["map"] > 50
 
 
 class Killed(NamedTuple):
@@ -175,7 +177,10 @@ def test_a_node_that_is_killed_lets_its_robot_stand(
     nodes, run = killed
     node, stamps, wheels = nodes[kind], run.ticks["stamp_ns"], np.abs(run.items["right_rad_s"][:, 0])
     assert wheels[(stamps > node.middle) & (stamps < node.last)].max() > 1.0, "it drove"
-    ends = [node.last + STANDS_WITHIN_S * S, *(one.first for one in nodes.values() if one.first > node.last)]
+    ends = [
+        node.last + STANDS_WITHIN_S * S,
+        *(node_log.first for node_log in nodes.values() if node_log.first > node.last),
+    ]
     after = (stamps > node.middle) & (stamps < min(ends))
     drove_s = (stamps[after & (wheels > 0.0)].max() - node.last) / S
     assert drove_s <= SILENT_S + TICK_S + LATE_S or was_busy(stand.run.said)
@@ -194,13 +199,13 @@ def test_ctrl_c_lets_the_robots_stand_and_says_nothing_else(stand: Stand) -> Non
         stand.gateway.send_signal(signal.SIGINT)
         assert stand.gateway.wait(WITHIN_S) == 0
         ended_ns = CLOCK.now_ns()
-        said = stand.gateway_said.strip().splitlines()
+        lines = stand.gateway_said.strip().splitlines()
         stand.serve()
         assert wait(lambda: Run(read(stand.run.folder)).ticks["stamp_ns"][-1] > ended_ns, WITHIN_S), "it is recorded"
         node.kill()
-    assert [line for line in said if "[WARN]" not in line] == [
+    assert [line for line in lines if "[WARN]" not in line] == [
         "ROS 2 hears the run of ros2: Ctrl-C ends this, and not the run"
     ]
-    wishes = read(stand.run.folder).messages[key("ros2", WISH, "ros2")]
-    kinds = [head.kind for payload in wishes if (head := SCRIPT_WISH.decode_head(payload)) is not None]
+    setpoints = read(stand.run.folder).messages[key("ros2", WISH, "ros2")]
+    kinds = [head.kind for payload in setpoints if (head := SCRIPT_WISH.decode_head(payload)) is not None]
     assert WishKind.STAND in kinds and kinds[kinds.index(WishKind.STAND) - 1] == WishKind.BODY

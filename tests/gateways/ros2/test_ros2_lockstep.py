@@ -37,21 +37,21 @@ def test_a_node_drives_in_simulated_time_until_the_run_in_the_background_is_inte
         try:
             node = subprocess.run(user, env=environment, capture_output=True, text=True, timeout=WITHIN_S, check=False)
             run.send_signal(signal.SIGINT)
-            _, said = run.communicate(timeout=WITHIN_S)
+            _, output = run.communicate(timeout=WITHIN_S)
         finally:
             run.kill()
-    assert node.returncode == 0, (node.stderr, said.decode())
-    heard = json.loads(node.stdout)
-    assert heard["moved_m"] == pytest.approx(2 * 0.12, abs=0.05), "less the motors' lag"
-    assert 0.0 < heard["clock_s"] < 1000.0 and heard["rises"], "a clock of its own"
-    assert abs(heard["odom_late_s"]) < 0.1
+    assert node.returncode == 0, (node.stderr, output.decode())
+    counts = json.loads(node.stdout)
+    assert counts["moved_m"] == pytest.approx(2 * 0.12, abs=0.05), "less the motors' lag"
+    assert 0.0 < counts["clock_s"] < 1000.0 and counts["rises"], "a clock of its own"
+    assert abs(counts["odom_late_s"]) < 0.1
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["mode"], summary["outcome"]) == ("lockstep", "stopped")
 
 
 @needs_ros
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "refusal"),
     [
         (["--lockstep"], "name a configuration"),
         (["lab", "--lockstep"], "name a configuration"),
@@ -63,12 +63,12 @@ def test_a_node_drives_in_simulated_time_until_the_run_in_the_background_is_inte
     ],
 )
 def test_what_cannot_be_is_said_in_a_line(
-    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    arguments: list[str], refusal: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, ["ros2", *arguments])
     assert done.exit_code == 2 and done.stdout == ""
-    assert re.search(said, done.stderr) and len(done.stderr.strip().splitlines()) == 1
+    assert re.search(refusal, done.stderr) and len(done.stderr.strip().splitlines()) == 1
     assert not any(tmp_path.iterdir()), "nothing has begun"
 
 

@@ -55,13 +55,13 @@ class Heard:
     """A publisher that somebody listens to; what it says is kept."""
 
     def __init__(self) -> None:
-        self.said: list[Any] = []
+        self.messages: list[Any] = []
 
     def get_subscription_count(self) -> int:
         return 1
 
     def publish(self, message: Any) -> None:
-        self.said.append(copy.deepcopy(message))  # the next one is the same object
+        self.messages.append(copy.deepcopy(message))  # the next one is the same object
 
 
 class Paper:
@@ -89,9 +89,9 @@ def driven(config: Config, graph: Paper, seconds: float) -> list[tuple[int, Any]
         Sensing(graph, config, names, observer),  # type: ignore[arg-type]
     ]
 
-    def keep(said: tuple[str, bytes]) -> None:
-        if said[0].endswith("/truth") and (truth := UNIT_TRUTH.decode(said[1])) is not None:
-            truths.extend((truth.stamp_ns, one) for one in truth.robots if one.place == 0)
+    def keep(message: tuple[str, bytes]) -> None:
+        if message[0].endswith("/truth") and (truth := UNIT_TRUTH.decode(message[1])) is not None:
+            truths.extend((truth.stamp_ns, body) for body in truth.robots if body.place == 0)
 
     bus.tap(keep)
     wish, items = (
@@ -111,7 +111,7 @@ def driven(config: Config, graph: Paper, seconds: float) -> list[tuple[int, Any]
         for part in parts:
             part.step(lockstep.clock.now_ns(), updated)
     lockstep.close()
-    return [(at_ns, one) for at_ns, one in truths if at_ns >= begin_ns]
+    return [(at_ns, body) for at_ns, body in truths if at_ns >= begin_ns]
 
 
 def stamp_ns(message: Any) -> int:
@@ -120,10 +120,12 @@ def stamp_ns(message: Any) -> int:
 
 def matrix(message: Any) -> np.ndarray:
     """Return a transform or a pose in the plane as a matrix."""
-    place = getattr(message, "translation", None) or message.position
+    position = getattr(message, "translation", None) or message.position
     turn = getattr(message, "rotation", None) or message.orientation
     psi = 2.0 * math.atan2(turn.z, turn.w)
-    return np.array([[math.cos(psi), -math.sin(psi), place.x], [math.sin(psi), math.cos(psi), place.y], [0, 0, 1]])
+    return np.array(
+        [[math.cos(psi), -math.sin(psi), position.x], [math.sin(psi), math.cos(psi), position.y], [0, 0, 1]]
+    )
 
 
 @pytest.fixture
@@ -141,18 +143,18 @@ def test_frames_compose_to_where_the_robot_is(graph: Paper) -> None:
     config = load_config(SHIPPED / "ros2.yaml", TRUTH)
     truths = driven(config, graph, 4.0)
     at_ns = np.array([at for at, _ in truths])
-    known = np.array([(one.x_m, one.y_m) for _, one in truths])
+    known = np.array([(transform.x_m, transform.y_m) for _, transform in truths])
     checked = 0
-    for message in graph.topics["/tf"].said:
-        frames = {(one.header.frame_id, one.child_frame_id): one for one in message.transforms}
+    for message in graph.topics["/tf"].messages:
+        frames = {(transform.header.frame_id, transform.child_frame_id): transform for transform in message.transforms}
         if (outer := frames.get(("map", "r1/odom"))) is None:
             continue
         inner = frames["r1/odom", "r1/base_link"]
         assert stamp_ns(outer) == stamp_ns(inner)
         if at_ns[0] <= stamp_ns(inner) <= at_ns[-1]:
-            there = (matrix(outer.transform) @ matrix(inner.transform))[:2, 2]
+            composed = (matrix(outer.transform) @ matrix(inner.transform))[:2, 2]
             true = [np.interp(stamp_ns(inner), at_ns, column) for column in known.T]
-            assert there == pytest.approx(true, abs=0.004)
+            assert composed == pytest.approx(true, abs=0.004)
             checked += 1
     assert checked > 100
     assert np.ptp(known, axis=0).max() > 0.1, "it drove"
@@ -163,11 +165,11 @@ def test_a_robot_is_described_with_the_frames_and_joints_that_are_told(graph: Pa
     config = load_config(SHIPPED / "ros2.yaml", TRUTH)
     driven(config, graph, 1.0)
     whole = ElementTree.fromstring(urdf(config.robot("r1")))
-    joints = {one.attrib["name"]: one for one in whole.iter("joint")}
-    turned = graph.topics["r1/joint_states"].said[-1]
+    joints = {joint.attrib["name"]: joint for joint in whole.iter("joint")}
+    turned = graph.topics["r1/joint_states"].messages[-1]
     assert list(turned.name) == list(joints)
-    frames = {one.child_frame_id: one for one in graph.topics["/tf"].said[-1].transforms}
-    assert {f"r1/{one.attrib['name']}" for one in whole.iter("link")} <= frames.keys()
+    frames = {joint.child_frame_id: joint for joint in graph.topics["/tf"].messages[-1].transforms}
+    assert {f"r1/{joint.attrib['name']}" for joint in whole.iter("link")} <= frames.keys()
     for name, angle in zip(turned.name, turned.position, strict=True):
         joint = joints[name]
         frame = frames[f"r1/{joint.find('child').attrib['link']}"]
@@ -191,12 +193,15 @@ def test_the_map_is_occupied_where_obstacles_are_and_beside_the_floor() -> None:
     middles = np.column_stack([(corner.x + (columns + 0.5) * side).ravel(), (corner.y + (rows + 0.5) * side).ravel()])
 
     solid, sure = np.zeros(cells.size, np.bool_), np.ones(cells.size, np.bool_)
-    for corners, inside in [(config.arena.floor_m, False), *((one.polygon_m, True) for one in config.arena.obstacles)]:
+    for corners, inside in [
+        (config.arena.floor_m, False),
+        *((marker.polygon_m, True) for marker in config.arena.obstacles),
+    ]:
         if corners is not None:
             wider, narrower = (Outline(corners).contains_points(middles, radius=margin) for margin in (1e-6, -1e-6))
             solid |= wider == inside
             sure &= wider == narrower
-    for circle in (one.circle for one in config.arena.obstacles if one.circle is not None):
+    for circle in (marker.circle for marker in config.arena.obstacles if marker.circle is not None):
         away = np.hypot(*(middles - (circle.x_m, circle.y_m)).T) - circle.radius_m
         solid |= away < 0.0
         sure &= abs(away) > 1e-6
@@ -207,19 +212,19 @@ def test_the_map_is_occupied_where_obstacles_are_and_beside_the_floor() -> None:
 def test_a_pose_is_said_at_the_instant_when_it_was_true(graph: Paper) -> None:
     truths = driven(load_config(SHIPPED / "ros2.yaml", TRUTH), graph, 3.0)
     at_ns = np.array([at for at, _ in truths])
-    known = np.array([(one.x_m, one.y_m) for _, one in truths])
-    said = [one for one in graph.topics["r1/pose"].said if at_ns[0] <= stamp_ns(one) <= at_ns[-1]]
-    assert len(said) > 50
-    for one in said:
-        true = [np.interp(stamp_ns(one), at_ns, column) for column in known.T]
-        assert matrix(one.pose.pose)[:2, 2] == pytest.approx(true, abs=0.001)
-        whole = np.array(one.pose.covariance).reshape(6, 6)
+    known = np.array([(message.x_m, message.y_m) for _, message in truths])
+    poses = [message for message in graph.topics["r1/pose"].messages if at_ns[0] <= stamp_ns(message) <= at_ns[-1]]
+    assert len(poses) > 50
+    for message in poses:
+        true = [np.interp(stamp_ns(message), at_ns, column) for column in known.T]
+        assert matrix(message.pose.pose)[:2, 2] == pytest.approx(true, abs=0.001)
+        whole = np.array(message.pose.covariance).reshape(6, 6)
         assert (whole == whole.T).all()
-    odom, joints = graph.topics["r1/odom"].said, graph.topics["r1/joint_states"].said
+    odom, joints = graph.topics["r1/odom"].messages, graph.topics["r1/joint_states"].messages
     assert odom[-1].twist.twist.linear.x == pytest.approx(0.1, abs=0.02)
     assert odom[-1].twist.twist.angular.z == pytest.approx(0.5, abs=0.1)
     assert len(joints) == len(odom) and joints[-1].position[1] > joints[-1].position[0] > 0.0
-    assert 0.5 < graph.topics["r1/battery_state"].said[-1].percentage <= 1.0
+    assert 0.5 < graph.topics["r1/battery_state"].messages[-1].percentage <= 1.0
 
 
 def test_sensors_are_said_in_their_frames(graph: Paper) -> None:
@@ -227,16 +232,18 @@ def test_sensors_are_said_in_their_frames(graph: Paper) -> None:
     driven(config, graph, 2.0)
     kind = config.robot("r1").vehicle.sensors
     assert kind is not None and kind.distances is not None
-    turning = [one.angular_velocity.z for one in graph.topics["r1/imu/data_raw"].said]
+    turning = [message.angular_velocity.z for message in graph.topics["r1/imu/data_raw"].messages]
     assert turning[-1] == pytest.approx(0.5, abs=0.15)
-    assert graph.topics["r1/imu/data_raw"].said[-1].linear_acceleration.z == pytest.approx(9.8, abs=0.5)
-    fixed = {one.child_frame_id for one in sensing.places(config.robot("r1"), "r1", graph.frames, stamped(0))}
+    assert graph.topics["r1/imu/data_raw"].messages[-1].linear_acceleration.z == pytest.approx(9.8, abs=0.5)
+    fixed = {message.child_frame_id for message in sensing.places(config.robot("r1"), "r1", graph.frames, stamped(0))}
     assert len(fixed) == len(kind.distances.places)
     for frame in fixed:
-        ranges = graph.topics[frame].said
-        assert {one.header.frame_id for one in ranges} == {frame}, "a topic for each sensor, called as its frame"
+        ranges = graph.topics[frame].messages
+        assert {message.header.frame_id for message in ranges} == {frame}, (
+            "a topic for each sensor, called as its frame"
+        )
         assert len(ranges) > 10
-        assert all(0.0 < one.range <= one.max_range or math.isinf(one.range) for one in ranges)
+        assert all(0.0 < message.range <= message.max_range or math.isinf(message.range) for message in ranges)
     assert not sensing.places(config.robot("r2"), "r2", graph.frames, stamped(0))
 
 
@@ -260,15 +267,20 @@ def test_an_imu_says_what_its_reading_has_and_nothing_of_an_older_one() -> None:
     silent = SensorReading(heading=0.5, distances=(0.2,) * 7)
     graph = told([SensorReading(gyro=turning, accelerometer=force), silent, SensorReading(gyro=turning),
                   SensorReading(accelerometer=force)])  # fmt: skip
-    said = graph.topics["r1/imu/data_raw"].said
-    gyros = [(one.angular_velocity.x, one.angular_velocity.y, one.angular_velocity.z) for one in said]
-    forces = [(one.linear_acceleration.x, one.linear_acceleration.y, one.linear_acceleration.z) for one in said]
+    readings = graph.topics["r1/imu/data_raw"].messages
+    gyros = [
+        (reading.angular_velocity.x, reading.angular_velocity.y, reading.angular_velocity.z) for reading in readings
+    ]
+    forces = [
+        (reading.linear_acceleration.x, reading.linear_acceleration.y, reading.linear_acceleration.z)
+        for reading in readings
+    ]
     nothing = (0.0, 0.0, 0.0)
     assert gyros == [turning, turning, nothing] and forces == [force, nothing, force]
-    assert [one.angular_velocity_covariance[0] == -1.0 for one in said] == [False, False, True]
-    assert [one.linear_acceleration_covariance[0] == -1.0 for one in said] == [False, True, False]
-    assert all(one.orientation_covariance[0] == -1.0 for one in said)
-    assert not told([silent]).topics["r1/imu/data_raw"].said
+    assert [reading.angular_velocity_covariance[0] == -1.0 for reading in readings] == [False, False, True]
+    assert [reading.linear_acceleration_covariance[0] == -1.0 for reading in readings] == [False, True, False]
+    assert all(reading.orientation_covariance[0] == -1.0 for reading in readings)
+    assert not told([silent]).topics["r1/imu/data_raw"].messages
 
 
 def test_what_no_message_can_have_is_said_as_the_end_of_its_field(graph: Paper) -> None:
@@ -276,7 +288,7 @@ def test_what_no_message_can_have_is_said_as_the_end_of_its_field(graph: Paper) 
     for far_ns, end_s in ((2**62, 2**31 - 1), (-(2**62), -(2**31))):
         assert stamped(far_ns).sec == end_s
     far = told([SensorReading(distances=(1e300, -1e300, 0.2, math.nan, 0.2, 0.2, 0.2))])
-    ranges = [far.topics[f"r1/range_{number}"].said[0].range for number in range(4)]
+    ranges = [far.topics[f"r1/range_{number}"].messages[0].range for number in range(4)]
     assert ranges == [math.inf, -math.inf, 0.2, math.inf]
     assert camera.decoded(b"") is None and camera.decoded(b"none") is None
 
@@ -290,8 +302,8 @@ def test_what_no_message_can_have_is_said_as_the_end_of_its_field(graph: Paper) 
 )  # fmt: skip
 def test_a_lens_is_that_of_the_small_picture(size: tuple[int, int], small_size: tuple[int, int]) -> None:
     """A point that the camera sees at a pixel is at the same place of the small picture, pixels' edges counted."""
-    its = load_config(SHIPPED / "ros2.yaml").camera.model
-    model = its.model_copy(
+    model = load_config(SHIPPED / "ros2.yaml").camera.model
+    model = model.model_copy(
         update={
             "width": small_size[0],
             "height": small_size[1],
@@ -322,9 +334,9 @@ def test_a_lens_is_that_of_the_small_picture(size: tuple[int, int], small_size: 
 
 def test_a_camera_hangs_where_it_was_measured() -> None:
     settings = load_config(SHIPPED / "ros2.yaml").camera
-    model, there = settings.model, camera.place(settings, topics.Frames(), stamped(0))
-    assert there is not None and model.T_world_camera is not None
-    q, way = there.transform.rotation, there.transform.translation
+    model, hung = settings.model, camera.place(settings, topics.Frames(), stamped(0))
+    assert hung is not None and model.T_world_camera is not None
+    q, way = hung.transform.rotation, hung.transform.translation
     assert (way.x, way.y, way.z) == pytest.approx(model.T_world_camera.position_m)
     turned, _ = cv2.Rodrigues(np.array(model.T_world_camera.rotation_rad))
     ahead = np.array([2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x**2 + q.y**2)])
@@ -334,8 +346,8 @@ def test_a_camera_hangs_where_it_was_measured() -> None:
 def test_markers_are_in_frames_that_are_said() -> None:
     config = load_config(SHIPPED / "ros2.yaml")
     drawn = run.markers(config, topics.ros_names(robot.id for robot in config.robots), topics.Frames()).markers
-    assert {one.header.frame_id for one in drawn} == {"map", *(f"r{k}/base_link" for k in (1, 2, 3, 4))}
-    assert len({(one.ns, one.id) for one in drawn}) == len(drawn)
+    assert {marker.header.frame_id for marker in drawn} == {"map", *(f"r{k}/base_link" for k in (1, 2, 3, 4))}
+    assert len({(marker.ns, marker.id) for marker in drawn}) == len(drawn)
 
 
 def test_a_namespace_is_in_front_of_every_frame(graph: Paper) -> None:
@@ -344,9 +356,12 @@ def test_a_namespace_is_in_front_of_every_frame(graph: Paper) -> None:
     config = load_config(SHIPPED / "ros2.yaml", [*TRUTH, "robots.0.sensors=true"])
     driven(config, graph, 1.0)
     names = topics.ros_names(robot.id for robot in config.robots)
-    said = [one for topic in graph.topics.values() for one in topic.said]
-    said += [*run.markers(config, names, graph.frames).markers, camera.place(config.camera, graph.frames, stamped(0))]
-    said += sensing.places(config.robot("r1"), "r1", graph.frames, stamped(0))
-    found = {frame for message in said for frame in user.frames(message)}
+    every_message = [message for topic in graph.topics.values() for message in topic.messages]
+    every_message += [
+        *run.markers(config, names, graph.frames).markers,
+        camera.place(config.camera, graph.frames, stamped(0)),
+    ]
+    every_message += sensing.places(config.robot("r1"), "r1", graph.frames, stamped(0))
+    found = {frame for message in every_message for frame in user.frames(message)}
     assert {"lab/map", "lab/r1/odom", "lab/r1/base_link", "lab/overhead_optical_frame", "lab/r1/range_0"} <= found
     assert all(frame.startswith("lab/") for frame in found)

@@ -49,20 +49,20 @@ def test_a_driver_that_was_started_again_moves_no_robot() -> None:
 
 @given(POSES, POSES)
 def test_a_pose_and_its_inverse_are_nothing(first: tuple[float, ...], then: tuple[float, ...]) -> None:
-    one, other = np.array([first]), np.array([then])
-    assert compose(inverse(one), one)[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    back = compose(inverse(one), compose(one, other))[0]
+    earlier, other = np.array([first]), np.array([then])
+    assert compose(inverse(earlier), earlier)[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    back = compose(inverse(earlier), compose(earlier, other))[0]
     assert back[:2] == pytest.approx(other[0, :2], abs=1e-9)
     assert np.exp(1j * back[2]) == pytest.approx(np.exp(1j * other[0, 2]), abs=1e-9)
 
 
 @given(POSES, st.integers(5, 40))
-def test_the_map_is_corrected_by_where_a_robot_was_when_it_was_seen(place: tuple[float, ...], seen: int) -> None:
+def test_the_map_is_corrected_by_where_a_robot_was_when_it_was_seen(pose: tuple[float, ...], seen: int) -> None:
     """The odometry is exact, so whenever the image was exposed, map -> odom is where the robot began."""
-    odometry, begin = Odometry([DRIVE]), np.array(place)
+    odometry, begin = Odometry([DRIVE]), np.array(pose)
     driven(odometry, 0.1, 1.0, 60)
-    there = np.array(arc(*begin.tolist(), 0.1, 1.0, (seen + 0.5) * STEP_S))
-    odometry.seen(0, seen * STEP_NS + STEP_NS // 2, there)
+    corrected = np.array(arc(*begin.tolist(), 0.1, 1.0, (seen + 0.5) * STEP_S))
+    odometry.seen(0, seen * STEP_NS + STEP_NS // 2, corrected)
     assert odometry.corrected[0]
     assert odometry.corrections[0, :2] == pytest.approx(begin[:2], abs=1e-4)
     assert np.exp(1j * odometry.corrections[0, 2]) == pytest.approx(np.exp(1j * begin[2]), abs=1e-4)

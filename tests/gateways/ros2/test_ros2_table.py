@@ -27,8 +27,8 @@ TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 def test_the_readme_has_the_table() -> None:
     lines = [line for line in README.read_text().splitlines() if line.startswith("| `")]
     rows = [[cell.strip().replace("`", "") for cell in line.strip("|").split("|")] for line in lines]
-    told = [[row.name, row.type, row.frame, str(row.quality), row.rate.replace("`", "")] for row in topics.TOPICS]
-    assert [row for row in rows if len(row) == 5] == told
+    table = [[row.name, row.type, row.frame, str(row.quality), row.rate.replace("`", "")] for row in topics.TOPICS]
+    assert [row for row in rows if len(row) == 5] == table
     services = [row[0].split(", ") for row in rows if len(row) == 3 and row[1] == topics.SERVICE]
     assert sorted(name for names in services for name in names) == sorted(SERVICES)
 
@@ -52,20 +52,24 @@ def test_rviz_shows_what_is_said(name: str, namespace: str) -> None:
         **{f"{camera}/image": topics.IMAGE for camera in config.camera_names},
     }
     rows |= {f"r1/range_{number}": topics.RANGE for number in range(len(sensors.distances.places))}
-    models = [one for one in shown["Displays"] if one["Class"].endswith("/RobotModel")]
-    assert [one["Description Topic"]["Value"] for one in models] == [
+    models = [display for display in shown["Displays"] if display["Class"].endswith("/RobotModel")]
+    assert [display["Description Topic"]["Value"] for display in models] == [
         f"/{prefix}{r}/robot_description" for r in config.ids
     ]
-    assert [one["TF Prefix"] for one in models] == [f"{prefix}{robot}" for robot in config.ids]
-    displays = {one["Topic"]["Value"]: one for one in shown["Displays"] if "Topic" in one}
+    assert [display["TF Prefix"] for display in models] == [f"{prefix}{robot}" for robot in config.ids]
+    displays = {display["Topic"]["Value"]: display for display in shown["Displays"] if "Topic" in display}
     assert set(displays) == {f"/{prefix}{topic}" for topic in rows}
     for topic, row in rows.items():
-        one = displays[f"/{prefix}{topic}"]
-        assert one["Class"].rpartition("/")[2] == row.type.rpartition("/")[2].replace("OccupancyGrid", "Map")
-        assert one["Topic"]["Reliability Policy"] == ("Reliable" if row.quality.reliable else "Best Effort")
-        assert one["Topic"]["Durability Policy"] == ("Transient Local" if row.quality.latched else "Volatile")
-    assert {one["Name"] for one in shown["Displays"] if "Topic" not in one} == {"Grid", "Frames", *config.ids}
-    assert all(one["Enabled"] for one in shown["Displays"])
+        display = displays[f"/{prefix}{topic}"]
+        assert display["Class"].rpartition("/")[2] == row.type.rpartition("/")[2].replace("OccupancyGrid", "Map")
+        assert display["Topic"]["Reliability Policy"] == ("Reliable" if row.quality.reliable else "Best Effort")
+        assert display["Topic"]["Durability Policy"] == ("Transient Local" if row.quality.latched else "Volatile")
+    assert {display["Name"] for display in shown["Displays"] if "Topic" not in display} == {
+        "Grid",
+        "Frames",
+        *config.ids,
+    }
+    assert all(display["Enabled"] for display in shown["Displays"])
 
 
 @pytest.mark.parametrize("rviz", ["true", "false"])
@@ -80,7 +84,7 @@ def test_the_launch_file_starts_the_gateway_and_rviz(
     given = {"arena": "lab", "namespace": "ns", "rviz": rviz, "robofleet": str(program)}
 
     def keep(kind: str) -> Callable[..., Any]:
-        return lambda *arguments, **told: started.append({"kind": kind, "arguments": arguments, **told})
+        return lambda *arguments, **options: started.append({"kind": kind, "arguments": arguments, **options})
 
     def chosen(name: str) -> Any:
         return SimpleNamespace(perform=lambda _: given[name])
@@ -97,17 +101,17 @@ def test_the_launch_file_starts_the_gateway_and_rviz(
         monkeypatch.setitem(sys.modules, module, stand_in)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     runpy.run_path(str(SHARE / "robofleet.launch.py"))["generate_launch_description"]()
-    (function,) = (one["function"] for one in started if one["kind"] == "OpaqueFunction")
+    (function,) = (topic["function"] for topic in started if topic["kind"] == "OpaqueFunction")
     function(None)
-    declared = {one["arguments"][0] for one in started if one["kind"] == "DeclareLaunchArgument"}
+    declared = {topic["arguments"][0] for topic in started if topic["kind"] == "DeclareLaunchArgument"}
     assert declared == set(given)
-    (gateway,) = (one for one in started if one["kind"] == "ExecuteProcess")
+    (gateway,) = (topic for topic in started if topic["kind"] == "ExecuteProcess")
     assert gateway["cmd"] == [str(program), "ros2", "lab", "--namespace", "ns"]
-    shown = [one for one in started if one["kind"] == "Node"]
+    shown = [topic for topic in started if topic["kind"] == "Node"]
     assert len(shown) == (rviz == "true")
-    for one in shown:
-        assert (one["package"], one["arguments"][0]) == ("rviz2", "-d")
-        assert Path(one["arguments"][1]).read_text() == "ros2 lab --namespace ns --rviz\n"
+    for topic in shown:
+        assert (topic["package"], topic["arguments"][0]) == ("rviz2", "-d")
+        assert Path(topic["arguments"][1]).read_text() == "ros2 lab --namespace ns --rviz\n"
 
 
 @pytest.mark.parametrize("name", ["r1", "robot-1", "1st", "a_b", "camera.7"])
@@ -122,8 +126,8 @@ def test_two_robots_with_one_name_are_refused() -> None:
 
 
 def test_without_rclpy_a_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = command.find_spec
-    monkeypatch.setattr(command, "find_spec", lambda name: None if name in ("rclpy", "nav_msgs") else there(name))
+    find_spec = command.find_spec
+    monkeypatch.setattr(command, "find_spec", lambda name: None if name in ("rclpy", "nav_msgs") else find_spec(name))
     done = CliRunner().invoke(app, ["ros2"])
     assert done.exit_code == 2 and done.stdout == ""
     (line,) = done.stderr.strip().splitlines()
@@ -132,8 +136,8 @@ def test_without_rclpy_a_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("package", ["rclpy", "std_srvs"])
 def test_every_package_that_is_missing_is_named(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    there = command.find_spec
-    monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else there(name) or name)
+    find_spec = command.find_spec
+    monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else find_spec(name) or name)
     done = CliRunner().invoke(app, ["ros2"])
     assert (done.exit_code, done.stdout) == (2, "") and f"this needs {package} of ROS 2" in done.stderr
 

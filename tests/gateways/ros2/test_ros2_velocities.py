@@ -33,7 +33,7 @@ class Stand:
         self.node = self
         config = load_config(SHIPPED / "ros2.yaml")
         bus = MemoryBus(config.arena.name, self.clock, 0)
-        self._wishes = bus.newest(WISH, config.groups[0].title)
+        self._setpoints = bus.newest(WISH, config.groups[0].title)
         ticks: Any = SimpleNamespace(update=lambda: None, newest=1, instant=lambda _: self.clock.now_ns())
         names = {robot: robot for robot in config.ids}
         self._velocities = Velocities(self, config, names, bus, ticks)  # type: ignore[arg-type]
@@ -65,7 +65,7 @@ class Stand:
             self.clock.advance_to(self.clock.now_ns() + PERIOD_NS)
             self._velocities.step(self.clock.now_ns())
             self._takes[0](TwistStamped(), {"source_timestamp": self.clock.now_ns() + off_ns})
-            payload = self._wishes.take()
+            payload = self._setpoints.take()
             message = None if payload is None else SCRIPT_WISH.view(payload)
             assert message is not None
             found.append(float(SCRIPT_WISH.floats(message[1])[0, 2]))

@@ -50,27 +50,38 @@ def listen(node: Node, seconds: float) -> dict[str, Any]:
     """Return the graph's topics with type, frames and quality, and how many messages of each came."""
     own = {name for name, _ in node.get_topic_names_and_types()}
     gateway = "robofleet"  # whose node's name is known later than its topics
-    until(node, lambda: any(one.node_name == gateway for one in node.get_publishers_info_by_topic("/r1/odom")))
+    until(
+        node, lambda: any(publisher.node_name == gateway for publisher in node.get_publishers_info_by_topic("/r1/odom"))
+    )
     found: dict[str, Any] = {}
-    heard: dict[str, list[Any]] = {}
+    messages: dict[str, list[Any]] = {}
     kept = []
     end_ns = CLOCK.now_ns() + round(seconds * S)
     while CLOCK.now_ns() < end_ns:
         for name, (kind, *_) in node.get_topic_names_and_types():
-            publishers = [one for one in node.get_publishers_info_by_topic(name) if one.node_name == "robofleet"]
-            subscribers = [one for one in node.get_subscriptions_info_by_topic(name) if one.node_name == "robofleet"]
+            publishers = [
+                publisher for publisher in node.get_publishers_info_by_topic(name) if publisher.node_name == "robofleet"
+            ]
+            subscribers = [
+                publisher
+                for publisher in node.get_subscriptions_info_by_topic(name)
+                if publisher.node_name == "robofleet"
+            ]
             if name in own or name in found or not (publishers or subscribers) or name == "/parameter_events":
                 continue
             (end,) = publishers or subscribers
             found[name] = {"type": kind, "quality": said(end.qos_profile), "flow": "out" if publishers else "in"}
             if publishers:
                 latched = end.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
-                came = heard.setdefault(name, [])
+                came = messages.setdefault(name, [])
                 quality = _LATCHED if latched else qos_profile_sensor_data
                 kept.append(node.create_subscription(load(kind), name, came.append, quality))
         rclpy.spin_once(node, timeout_sec=0.05)
-    for name, came in heard.items():
-        found[name] |= {"messages": len(came), "frames": sorted({frame for one in came for frame in frames(one)})}
+    for name, came in messages.items():
+        found[name] |= {
+            "messages": len(came),
+            "frames": sorted({frame for publisher in came for frame in frames(publisher)}),
+        }
     services = {name: kinds[0] for name, kinds in node.get_service_names_and_types()}
     return {"topics": found, "services": services}
 
@@ -84,7 +95,7 @@ def frames(message: Any) -> set[str]:
     """Return the frames that a message names."""
     for many in ("transforms", "markers"):
         if hasattr(message, many):
-            return {frame for one in getattr(message, many) for frame in frames(one)}
+            return {frame for part in getattr(message, many) for frame in frames(part)}
     names = {message.header.frame_id} if hasattr(message, "header") else set()
     return names | ({message.child_frame_id} if hasattr(message, "child_frame_id") else set())
 
@@ -101,17 +112,17 @@ class Square:
         self._kept = [
             node.create_subscription(Odometry, "/r1/odom", self.odom.append, 10),
             node.create_subscription(PoseWithCovarianceStamped, "/r1/pose", self.poses.append, 10),
-            node.create_subscription(String, "/state", lambda one: self.states.append(one.data), _LATCHED),
+            node.create_subscription(String, "/state", lambda message: self.states.append(message.data), _LATCHED),
         ]
 
     def drive(self) -> dict[str, Any]:
         until(self._node, lambda: self.odom and self.poses and self.states and self._command.get_subscription_count())
         corners = [self._pose()]
-        told = {"hold": self._ask("hold")}
+        answers = {"hold": self._ask("hold")}
         until(self._node, lambda: self.states[-1] == "hold")
         stood = self._moved_while(lambda: self._say(V_M_S, 0.0), 0.5)
         self._moved_while(lambda: None, 0.3)  # the newest command is too old by then
-        told["resume"] = self._ask("resume")
+        answers["resume"] = self._ask("resume")
         until(self._node, lambda: self.states[-1] == "running")
         old = self._moved_while(lambda: self._say(V_M_S, 0.0, late_s=0.5), 0.5)
         nothing = self._moved_while(lambda: self._say(math.nan, 0.0), 0.3)
@@ -121,13 +132,13 @@ class Square:
             headings.append(headings[-1] + math.pi / 2.0)
             self._until_there(lambda: math.remainder(headings[-1] - self._pose()[2], math.tau), (0.0, OMEGA_RAD_S))
             corners.append(self._pose())
-        stamps = [one.header.stamp.sec * S + one.header.stamp.nanosec for one in self.odom]
+        stamps = [odometry.header.stamp.sec * S + odometry.header.stamp.nanosec for odometry in self.odom]
         return {
-            "corners": corners, "told": told, "stood_m": stood, "old_m": old, "nothing_m": nothing,
+            "corners": corners, "told": answers, "stood_m": stood, "old_m": old, "nothing_m": nothing,
             "states": self.states, "odom": len(self.odom),
             "odom_frames": [self.odom[-1].header.frame_id, self.odom[-1].child_frame_id],
             "stamps_rise": all(a < b for a, b in pairwise(stamps)),
-            "map": [one.header.frame_id == MAP for one in self.poses].count(True),
+            "map": [odometry.header.frame_id == MAP for odometry in self.poses].count(True),
             "pose": _planar(self.poses[-1].pose.pose), "first_pose": _planar(self.poses[0].pose.pose),
         }  # fmt: skip
 
@@ -173,11 +184,11 @@ def _planar(pose: Any) -> tuple[float, float, float]:
 
 def drive(node: Node, kind: str) -> None:
     """Drive r1 until somebody kills this; the instant of each command is printed."""
-    of = {"TwistStamped": TwistStamped, "Twist": Twist}[kind]
-    command = node.create_publisher(of, "/r1/cmd_vel", 1)
+    kind_class = {"TwistStamped": TwistStamped, "Twist": Twist}[kind]
+    command = node.create_publisher(kind_class, "/r1/cmd_vel", 1)
     until(node, command.get_subscription_count)
     while True:
-        message = of()
+        message = kind_class()
         (message if kind == "Twist" else message.twist).angular.z = OMEGA_RAD_S
         print(CLOCK.now_ns(), flush=True)
         command.publish(message)

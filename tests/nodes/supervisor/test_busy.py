@@ -21,8 +21,8 @@ SILENT = [
 
 
 def told(stand: Stand) -> BusyMachine | None:
-    heard: list[BusyMachine] = stand.bench.heard(BUSY)
-    return heard[-1] if heard else None
+    messages: list[BusyMachine] = stand.bench.heard(BUSY)
+    return messages[-1] if messages else None
 
 
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
@@ -45,7 +45,7 @@ def test_a_simulated_run_goes_on_when_who_was_late_is_heard_again(
     message = told(stand)
     assert message is not None
     assert (message.cause, message.goes_on, message.resumed) == (Event.NOTHING, 0, 1)
-    assert len([line for line in stand.said if line.startswith("this machine is busy: load 6.1 on 2 cores")]) == 1
+    assert len([line for line in stand.lines if line.startswith("this machine is busy: load 6.1 on 2 cores")]) == 1
 
 
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
@@ -165,6 +165,6 @@ def test_checks_that_a_late_process_has_spoilt_begin_anew(stand_of: MakeStand, c
     assert stand.state.phase == phase
     assert len(begun) == 1 + (phase == Phase.RUNNING)
     again = [
-        line for line in stand.said if line.startswith("the checks begin anew, this machine is busy: r1: it travels")
+        line for line in stand.lines if line.startswith("the checks begin anew, this machine is busy: r1: it travels")
     ]
     assert len(again) == len(begun) - 1

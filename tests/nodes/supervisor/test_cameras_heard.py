@@ -31,7 +31,7 @@ class Hall:
         self.clock = SimulatedClock()
         self.clock.advance_to(10 * S)
         self.bus = MemoryBus(self.config.arena.name, self.clock, 0)
-        self.heard = CameraReports(self.config, self.bus)
+        self.cameras = CameraReports(self.config, self.bus)
         self.robots = np.zeros(len(self.config.bodies), ROBOT)
         self.view, self.news = FleetView(0, ()), ()
         self.sees = {LEFT: (1, 2), RIGHT: (2, 3)}
@@ -48,16 +48,16 @@ class Hall:
             now_ns, self.seq = self.clock.now_ns(), self.seq + 1
             for camera in {LEFT, RIGHT} - self.silent:
                 poses = tuple(TagPose(tag, 0, 0, self.x[tag], 0.0, 0.0) for tag in self.sees[camera])
-                said = FleetPoses(7, self.seq, build, now_ns, now_ns, self.ticks[camera], 0, 0, 0, poses)
-                self.bus.publisher(POSES, camera)(FLEET_POSES.encode(said))
-            self.view, self.news = self.heard.look(self.robots, self.view, now_ns)
+                image = FleetPoses(7, self.seq, build, now_ns, now_ns, self.ticks[camera], 0, 0, 0, poses)
+                self.bus.publisher(POSES, camera)(FLEET_POSES.encode(image))
+            self.view, self.news = self.cameras.look(self.robots, self.view, now_ns)
 
     def told(self) -> list[Happening]:
         """Return what the monitor makes of the robots' rows: whom it takes for lost."""
         self.robots["driven"] = np.arange(len(self.robots)) < self.driven
         view = self.view._replace(now_ns=self.clock.now_ns(), robots=Rows(self.robots.copy()))
-        _, told = monitor.watch(monitor.MonitorState(), _settings(self), Phase.RUNNING, view)
-        return [one for one in told if one.event in _LOST]
+        _, notices = monitor.watch(monitor.MonitorState(), _settings(self), Phase.RUNNING, view)
+        return [notice for notice in notices if notice.event in _LOST]
 
     def tell(self, camera: str, event: TrackerEvent) -> None:
         self.bus.publisher(NEWS, camera)(TRACKER_NEWS.encode(TrackerNews(1, self.seq, 0, event, NO_TAG, 0.0)))

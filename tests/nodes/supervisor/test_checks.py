@@ -58,7 +58,7 @@ def test_the_checks_can_refuse_a_fleet_by_name(stand_of: Callable[..., Stand]) -
     stand.run(S // 5)
     stand.ask("start")
     assert stand.cause == (Phase.FAULT, Event.WHEELS_SWAPPED, 1)
-    assert stand.said[-1] == "ARMED -> FAULT: r2: its wheels are swapped"
+    assert stand.lines[-1] == "ARMED -> FAULT: r2: its wheels are swapped"
 
 
 def test_a_start_begins_the_checks_anew(stand_of: Callable[..., Stand]) -> None:

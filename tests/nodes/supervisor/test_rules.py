@@ -227,8 +227,8 @@ def test_a_rule_fires_through_the_supervisor_and_does_not_once_it_is_taken_out(
         stand.run(scenario.lasts_ns)
         states = stand.bench.heard(STATE)
         earlier = {state.cause for state in states[:before]} | {Event.HOLD_REQUESTED, Event.NOTHING}
-        told = {state.cause for state in states} | {robot.cause for state in states for robot in state.robots}
-        return told - earlier
+        causes = {state.cause for state in states} | {robot.cause for state in states for robot in state.robots}
+        return causes - earlier
 
     for module in (monitor, without):
         for threshold in scenario.patience:

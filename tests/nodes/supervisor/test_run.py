@@ -37,13 +37,13 @@ def test_a_held_run_stands_and_goes_on_when_asked(stand: Stand) -> None:
 def test_whoever_asks_again_is_told_that_it_was_done(stand: Stand) -> None:
     assert stand.ask("stop") == "ok"
     stand.running()
-    for wish in ("start", "hold", "hold", "resume", "resume", "estop", "estop"):
-        assert stand.ask(wish) == "ok"
+    for request in ("start", "hold", "hold", "resume", "resume", "estop", "estop"):
+        assert stand.ask(request) == "ok"
     assert stand.state.phase == Phase.ESTOP
 
 
 @pytest.mark.parametrize(
-    ("wishes", "last", "way_out"),
+    ("requests", "last", "way_out"),
     [
         ([], "hold", "start it"),
         ([], "resume", "start it"),
@@ -57,11 +57,11 @@ def test_whoever_asks_again_is_told_that_it_was_done(stand: Stand) -> None:
     ],
 )
 def test_what_cannot_be_done_is_refused_with_the_way_out(
-    stand: Stand, wishes: list[str], last: str, way_out: str
+    stand: Stand, requests: list[str], last: str, way_out: str
 ) -> None:
     stand.run(S // 5)
-    for wish in wishes:
-        assert stand.ask(wish) == "ok"
+    for request in requests:
+        assert stand.ask(request) == "ok"
         stand.run(S // 5)
     phase = stand.state.phase
     answer = stand.ask(last)

@@ -8,7 +8,7 @@ import pytest
 
 from robofleet.bus import statuses
 from robofleet.nodes import camera_reports, fleet_view, supervisor
-from robofleet.safety import arming, requests
+from robofleet.safety import arming
 from tests.nodes import stand as bench_stand
 from tests.nodes.supervisor import test_checks, test_run, test_said, test_sight, test_stops
 from tests.sabotage import notices, sabotaged
@@ -17,23 +17,6 @@ FILES = test_checks, test_run, test_said, test_sight, test_stops
 TESTS = {name: value for file in FILES for name, value in vars(file).items() if name.startswith("test_")}
 
 CHECKS: list[tuple[ModuleType, str, str, str]] = [
-    # who may ask for what
-    (requests, "if phase is None and status.phase not in _MET[event]:", "if False:",
-     "test_what_cannot_be_done_is_refused_with_the_way_out"),
-    (requests, " and status.phase not in _MET[event]", "", "test_whoever_asks_again_is_told_that_it_was_done"),
-    (requests, "if event is Event.RESET:", "if False:", "test_a_reset_is_refused_with_a_reason"),
-    (requests, "if not gone(seen, view)]\n", "]\n", "test_a_robot_that_is_gone_does_not_keep_the_others_from_a_reset"),
-    (requests, "if phase is Phase.ARMED and", "if False and",
-     "test_a_latched_robot_is_not_started_and_a_reset_lets_it"),
-    (requests, "(phase, happening.event) in TRANSITIONS", "False", "test_a_run_is_not_resumed_into_what_held_it"),
-    (requests, "(phase, happening.event) in TRANSITIONS", "True",
-     "test_a_run_is_not_resumed_while_a_robot_is_lost_but_while_one_is_late"),
-    (requests, "if not seen.at_rest:", "if False:", "test_a_reset_is_refused_with_a_reason"),
-    (requests, "if seen.faults & RobotFault.WIRED_STOP:", "if False:", "test_a_reset_is_refused_with_a_reason"),
-    (requests, "if seen.faults & RobotFault.UNREACHABLE:", "if False:", "test_a_reset_is_refused_with_a_reason"),
-    (requests, "if phase is Phase.ESTOP and not acknowledged(seen):", "if False:",
-     "test_a_reset_is_refused_with_a_reason"),
-    (requests, "robot.latch >= Latch.EMERGENCY_STOP", "robot.latch > 0", "test_a_reset_is_refused_with_a_reason"),
     # who may move
     (supervisor, "self._permitted[row], states[\"cause\"][row] = 0.0, happening.event",
      "states[\"cause\"][row] = happening.event",
@@ -109,7 +92,6 @@ CHECKS: list[tuple[ModuleType, str, str, str]] = [
      "test_the_trackers_news_in_the_runs_words"),
 ]  # fmt: skip
 WHERE = {
-    requests: [(supervisor, name) for name in ("refusal", "acknowledged", "latched")],
     fleet_view: [(supervisor, "FleetListener")],
     camera_reports: [(fleet_view, "CameraReports")],
     statuses: [(fleet_view, "Statuses")],

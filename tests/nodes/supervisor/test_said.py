@@ -20,7 +20,7 @@ def test_every_change_is_a_line_in_the_log(stand: Stand) -> None:
     stand.running()
     stand.ask("hold")
     stand.ask("stop")
-    assert stand.said == [
+    assert stand.lines == [
         "IDLE -> ARMED: start requested",
         "ARMED -> RUNNING: every check passed",
         "RUNNING -> HOLD: hold requested",
@@ -50,7 +50,7 @@ def test_nobody_is_enabled_before_it_was_heard(stand: Stand) -> None:
 
 def test_a_state_every_40_ms_and_at_once_when_it_changes(stand: Stand) -> None:
     at: list[int] = []
-    stand.bench.bus.tap(lambda said: at.append(stand.bench.now_ns) if said[0].endswith("/state") else None)
+    stand.bench.bus.tap(lambda tapped: at.append(stand.bench.now_ns) if tapped[0].endswith("/state") else None)
     stand.run(S)
     assert set(np.diff(at)) == {40 * MS}
     stand.bench.wait(5 * MS)
@@ -71,10 +71,10 @@ def test_a_request_wakes_it(stand: Stand) -> None:
 def test_who_may_only_look_asks_for_what_makes_nothing_move(stand: Stand) -> None:
     answers = {what: stand.bench.bus.ask(SAFE_REQUEST, "supervisor", what) for what in (b"start", b"status", b"reset")}
     stand.bench.run(stand.node, S // 10)
-    told = {what: (answer.take() or b"").decode() for what, answer in answers.items()}
-    assert told[b"status"].startswith("ok: IDLE")
+    replies = {what: (answer.take() or b"").decode() for what, answer in answers.items()}
+    assert replies[b"status"].startswith("ok: IDLE")
     for what in (b"start", b"reset"):
-        assert told[what] == "refused: only status, hold, estop, pictures are for everybody: ask as an operator"
+        assert replies[what] == "refused: only status, hold, estop, pictures are for everybody: ask as an operator"
 
 
 def test_missed_periods_are_not_made_up(stand: Stand) -> None:

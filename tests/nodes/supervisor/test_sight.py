@@ -25,7 +25,7 @@ def test_a_robot_whose_tag_is_hidden_stands_alone_and_goes_on_when_it_is_seen(st
     assert [limit > 0.0 for limit in stand.limits()] == [True, True, False, True]
     assert [robot.permitted for robot in stand.state.robots] == [1, 1, 0, 1]
     assert stand.state.robots[2].cause == Event.TAG_LATE
-    assert stand.said[-1] == "stands: r3: it is not seen"
+    assert stand.lines[-1] == "stands: r3: it is not seen"
     stand.hidden.clear()
     stand.run(100 * MS)
     assert min(stand.limits()) > 0.0
@@ -157,7 +157,7 @@ def test_a_bad_network_raises_nothing(stand: Stand, monkeypatch: pytest.MonkeyPa
     stand.run(20 * S)
     assert lost > 20
     assert stand.state.phase == Phase.RUNNING
-    assert stand.said[1:] == ["ARMED -> RUNNING: every check passed"]
+    assert stand.lines[1:] == ["ARMED -> RUNNING: every check passed"]
 
 
 def test_a_tag_that_is_only_predicted_gives_no_place(stand: Stand) -> None:

@@ -22,7 +22,7 @@ def test_a_robot_that_does_not_turn_is_named_after_a_second_and_the_run_is_held(
     assert stand.state.phase == Phase.RUNNING
     stand.run(200 * MS)
     assert stand.cause == (Phase.HOLD, Event.WHEEL_STALLED, 1)
-    assert "RUNNING -> HOLD: r2: a wheel does not turn, though it is told to" in stand.said
+    assert "RUNNING -> HOLD: r2: a wheel does not turn, though it is told to" in stand.lines
 
 
 def test_once_it_is_mended_the_run_goes_on_and_else_it_is_held_again(stand: Stand) -> None:

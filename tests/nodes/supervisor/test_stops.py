@@ -38,7 +38,7 @@ def test_an_emergency_stop_reaches_every_gate_at_once_and_is_acknowledged(stand:
     assert stand.cause == (Phase.ESTOP, Event.ESTOP_REQUESTED, NOBODY)
     assert [robot.acknowledged for robot in stand.state.robots] == [1, 1, 1, 1]
     stand.run(S)
-    assert not [line for line in stand.said if "acknowledged" in line]
+    assert not [line for line in stand.lines if "acknowledged" in line]
 
 
 @pytest.mark.parametrize("order", [b"reset", b"resume", b"start"])
@@ -46,9 +46,9 @@ def test_an_emergency_stop_reaches_every_gate_at_once_and_is_acknowledged(stand:
 def test_of_an_order_and_a_stop_that_came_together_the_stop_counts(stand: Stand, order: bytes, first: Topic) -> None:
     """A supervisor that stood still finds both: no order of before undoes a stop."""
     stand.running()
-    asked = {REQUEST: order, SAFE_REQUEST: b"estop"}
-    for topic in sorted(asked, key=lambda topic: topic is not first):
-        stand.bench.bus.ask(topic, "supervisor", asked[topic])
+    requests = {REQUEST: order, SAFE_REQUEST: b"estop"}
+    for topic in sorted(requests, key=lambda topic: topic is not first):
+        stand.bench.bus.ask(topic, "supervisor", requests[topic])
     stand.run(S)
     assert stand.cause[0] == Phase.ESTOP
     assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
@@ -71,13 +71,13 @@ def test_who_has_not_acknowledged_after_200_ms_is_named(stand: Stand, deaf: tupl
         stand.robots[robot].deaf = True
     stand.ask("estop")
     stand.run(190 * MS)
-    assert "not acknowledged" not in stand.said[-1]
+    assert "not acknowledged" not in stand.lines[-1]
     stand.run(60 * MS)
-    assert stand.said[-1] == f"the emergency stop is not acknowledged by {', '.join(deaf)}"
+    assert stand.lines[-1] == f"the emergency stop is not acknowledged by {', '.join(deaf)}"
     assert [robot.acknowledged for robot in stand.state.robots] == [int(robot not in deaf) for robot in ROBOTS]
     assert stand.ask("status").endswith(f"not acknowledged by {', '.join(deaf)}")
     stand.run(S)
-    assert sum("not acknowledged" in line for line in stand.said) == 1
+    assert sum("not acknowledged" in line for line in stand.lines) == 1
 
 
 def test_a_driver_that_comes_back_later_is_stopped_too(stand: Stand) -> None:
@@ -263,10 +263,10 @@ def test_a_camera_that_is_too_slow_stops_the_run_by_name(truth: Make) -> None:
 def test_a_stop_is_published_before_anything_is_said(stand: Stand, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
     """A full disk, or a reader of the log that is gone, must not come between a stop and the gates."""
     stand.running()
-    told: list[int] = []
+    instants: list[int] = []
 
     def fails(*_: object) -> None:
-        told.append(stand.enable("r4").latch)
+        instants.append(stand.enable("r4").latch)
         raise OSError("no space left on device")
 
     if what == "a line":
@@ -275,6 +275,6 @@ def test_a_stop_is_published_before_anything_is_said(stand: Stand, monkeypatch: 
         monkeypatch.setattr(bus._MemoryRequest, "reply", fails)
     with pytest.raises(OSError, match="no space"):
         stand.ask("estop")
-    assert told == [Latch.EMERGENCY_STOP]
+    assert instants == [Latch.EMERGENCY_STOP]
     assert stand.cause == (Phase.ESTOP, Event.ESTOP_REQUESTED, NOBODY)
     assert {stand.enable(robot).latch for robot in ROBOTS} == {Latch.EMERGENCY_STOP}

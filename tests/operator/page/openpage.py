@@ -28,7 +28,7 @@ class Fleet:
         self.latched: set[str] = set()
         self.ticks = 0
         self.robots: list[RobotTick] = []  # where a test places them; else they move
-        self.told: dict[str, Sequence[float]] = {}  # their figures, as ``say_tick`` takes them
+        self.figures: dict[str, Sequence[float]] = {}  # their figures, as ``say_tick`` takes them
 
     def step(self) -> None:
         if self.supervised:
@@ -39,7 +39,7 @@ class Fleet:
         if self.controlled:
             self.ticks += 1
             ahead = [0.4 * row - 0.6 + 0.001 * self.ticks for row in range(len(self._stand.robots))]
-            self._stand.say_tick(self.ticks, *(self.robots or [placed(x, 0.2) for x in ahead]), told=self.told)
+            self._stand.say_tick(self.ticks, *(self.robots or [placed(x, 0.2) for x in ahead]), figures=self.figures)
 
     def until_ended(self) -> None:
         while not self._end.wait(0.033):
@@ -88,7 +88,7 @@ class Seen:
 @contextmanager
 def opened(browser: Chrome, stand: WebStand, address: str = "") -> Iterator[Seen]:
     show_as(browser, DESKTOP)
-    stand.asked.clear()
+    stand.requests.clear()
     with Fleet(stand).alive() as fleet:
         browser.get(address or stand.url)
         page = Seen(browser, stand, fleet)

@@ -14,7 +14,7 @@ from selenium.webdriver.common.by import By
 from robofleet.bus.messages import TagPose
 from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import Event, Phase
-from tests.operator.page.browser import DESKTOP, LYING, PHONE, chromium, show_as
+from tests.operator.page.browser import DESKTOP, LYING, PHONE, show_as
 from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.webstand import CLOCK, WebStand, web_stand
 
@@ -31,12 +31,6 @@ PERMITTED = {
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Chrome]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
 def stand(browser: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStand]:
     with web_stand(tmp_path_factory.mktemp("run")) as stand:
         yield stand
@@ -47,12 +41,6 @@ def mortal(browser: Chrome, tmp_path: Path) -> Iterator[WebStand]:
     """A server that a test may end."""
     with web_stand(tmp_path) as stand:
         yield stand
-
-
-@pytest.fixture
-def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
-    with opened(browser, stand) as page:
-        yield page
 
 
 def test_the_page_shows_the_fleet_within_a_second_and_fetches_nothing_from_outside(page: Seen) -> None:
@@ -80,14 +68,14 @@ def test_robots_move_on_the_page_as_they_do_in_the_arena(page: Seen) -> None:
 
 def test_a_control_can_be_pressed_only_in_the_phases_that_permit_it(page: Seen) -> None:
     for phase, permitted in PERMITTED.items():
-        page.stand.asked.clear()
+        page.stand.requests.clear()
         page.fleet.phase = phase
         page.becomes(lambda phase=phase: page.run("return robofleet.state.phase") == phase.name.lower())
         page.becomes(lambda permitted=permitted: page.enabled() == permitted)
         assert not page.estop_is_dead()
         for what in permitted:
             page.press(what)
-        page.becomes(lambda permitted=permitted: {what.encode() for what in permitted} == set(page.stand.asked))
+        page.becomes(lambda permitted=permitted: {what.encode() for what in permitted} == set(page.stand.requests))
 
 
 def _first_row(page: Seen) -> str:
@@ -110,7 +98,7 @@ def test_a_refusal_is_shown_in_the_supervisors_words(page: Seen) -> None:
 
 
 def latch_when_asked(page: Seen, *robots: str) -> None:
-    page.becomes(lambda: b"estop" in page.stand.asked)
+    page.becomes(lambda: b"estop" in page.stand.requests)
     page.fleet.latched, page.fleet.phase = set(robots), Phase.ESTOP
 
 
@@ -129,7 +117,7 @@ def test_the_emergency_stop_is_one_press_and_says_who_has_latched(page: Seen, ho
     page.becomes(lambda: page.text("estop-note").startswith("every robot has latched its gate"))
     page.becomes(lambda: page.text("phase-name") == "EMERGENCY STOP")
     assert not page.shown("notice")
-    assert b"hold" not in page.stand.asked, "space pressed the button that had the focus"
+    assert b"hold" not in page.stand.requests, "space pressed the button that had the focus"
 
 
 def test_robots_that_did_not_acknowledge_are_named_loudly(page: Seen) -> None:

@@ -63,11 +63,11 @@ def test_the_address_comes_with_what_somebody_elsewhere_has_to_do() -> None:
 def test_beyond_this_computer_there_is_an_address_for_an_operator_and_one_for_a_viewer(
     environment: Mapping[str, str],
 ) -> None:
-    said = address_lines(THERE, opened=False, environment=environment)
-    assert said.splitlines()[:2] == [f"the operator's page: {THERE.page}", f"  for a viewer: {THERE.viewer}"]
-    assert THERE.fingerprint in said.splitlines()[2]
-    assert THERE.once not in said
-    assert "ssh" not in said
+    lines = address_lines(THERE, opened=False, environment=environment)
+    assert lines.splitlines()[:2] == [f"the operator's page: {THERE.page}", f"  for a viewer: {THERE.viewer}"]
+    assert THERE.fingerprint in lines.splitlines()[2]
+    assert THERE.once not in lines
+    assert "ssh" not in lines
 
 
 @pytest.mark.parametrize("at", [HERE, THERE], ids=["here", "there"])

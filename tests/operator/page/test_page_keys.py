@@ -43,8 +43,8 @@ ADD = f"`robofleet keys add {ARENA} web --address {HOST}`"
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return where this user's keys of the arena are."""
-    for name, place in own_folders(tmp_path).items():
-        monkeypatch.setenv(name, place)
+    for name, folder in own_folders(tmp_path).items():
+        monkeypatch.setenv(name, folder)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     return keys_folder(ARENA)
 
@@ -53,10 +53,10 @@ def refused(host: str = HOST) -> str:
     """Return why there is no page."""
     with pytest.raises(RefusedError) as error:
         page_keys(ARENA, host, "--host")
-    said = str(error.value)
-    assert said.startswith(f"--host {host}: ")
-    assert "\n" not in said
-    return said
+    message = str(error.value)
+    assert message.startswith(f"--host {host}: ")
+    assert "\n" not in message
+    return message
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
@@ -171,15 +171,15 @@ def test_the_command_prints_an_address_for_each_role(
     folder: Path, tmp_path: Path, platoon_of: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Authority.create(ARENA, folder).issue(PAGE, PAGE, addresses=[HOST])
-    for name, place in own_folders(short_folder()).items():
-        monkeypatch.setenv(name, place)
+    for name, user_folder in own_folders(short_folder()).items():
+        monkeypatch.setenv(name, user_folder)
     config = settled(platoon_of(f"arena.name={ARENA}"), listen=True)
     (tmp_path / "config.yaml").write_text(resolved_yaml(config))
     words = tmp_path / "said"
-    with claimed(config, tmp_path), words.open("wb") as said:
+    with claimed(config, tmp_path), words.open("wb") as output:
         router = open_router(config.bus.endpoint)
         command = [sys.executable, "-W", "error", "-m", "robofleet", "web", ARENA, "--host", HOST]
-        page = subprocess.Popen(command, stderr=said, stdout=said)
+        page = subprocess.Popen(command, stderr=output, stdout=output)
         try:
             assert wait(lambda: words.read_text().count("\n") >= 3, 60), words.read_text()
             operator, viewer, certificate = words.read_text().splitlines()

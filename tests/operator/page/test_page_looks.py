@@ -20,7 +20,7 @@ from robofleet.reports import after
 from robofleet.safety.supervisor import Event, Phase
 from tests.calibration.robots.conftest import drive
 from tests.operator.page.axe import violations
-from tests.operator.page.browser import LYING, PHONE, chromium, show_as, show_in
+from tests.operator.page.browser import LYING, PHONE, show_as, show_in
 from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.webstand import WebStand, web_stand
 from tests.robots import GTERNAL
@@ -45,21 +45,9 @@ PHASES = {  # what the page shows, and why
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Chrome]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
 def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStand]:
     with web_stand(tmp_path_factory.mktemp("run")) as stand:
         yield stand
-
-
-@pytest.fixture
-def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
-    with opened(browser, stand) as page:
-        yield page
 
 
 def found_by_axe(browser: Chrome, what: str) -> list[str]:
@@ -149,11 +137,11 @@ def test_on_a_phone_fingers_meet_every_control_and_none_is_under_the_stop(page: 
 def test_on_a_phone_the_table_shows_figures_without_a_scroll(page: Seen) -> None:
     show_as(page.browser, PHONE)
     page.becomes(lambda: len(page.run("return document.querySelector('tbody tr').innerText").split()) > 4)
-    for place, words in enumerate(("Control error", "Estimated path error", "Estimated spacing"), start=3):
+    for column, words in enumerate(("Control error", "Estimated path error", "Estimated spacing"), start=3):
         head, box = page.run(
             "const cell = document.querySelector(`thead th:nth-child(${arguments[0]})`);"
             "return [cell.innerText, cell.getBoundingClientRect().toJSON()]",
-            place,
+            column,
         )
         assert " ".join(head.split()) == f"{words} mm"
         assert box["left"] >= 0 and box["right"] <= PHONE[0] and box["width"] > 40
@@ -168,7 +156,7 @@ COLUMNS = ["Robot", "State", "Wheels rad/s", "Battery %", "Age ms"]
 def test_each_group_has_a_table_with_its_own_figures(browser: Chrome, tmp_path: Path) -> None:
     with web_stand(tmp_path, file=TWO) as stand, opened(browser, stand) as page:
         show_as(page.browser, (1600, 1000))
-        page.fleet.told = {"control_error": [0.00012345] * 5, "radius_error": [0.25] * 5, "turned": [-0.5] * 5}
+        page.fleet.figures = {"control_error": [0.00012345] * 5, "radius_error": [0.25] * 5, "turned": [-0.5] * 5}
         page.becomes(lambda: page.run(CELLS)[0][2][0][2] == "0.12")
         platoon, inner, parked = page.run(CELLS)
         page.fleet.latched = {"s2"}
@@ -232,7 +220,7 @@ def test_space_and_e_stop_the_robots_wherever_the_focus_is(page: Seen, where: st
     page.run("document.getElementById(arguments[0]).focus()", where)
     before = seen_place(page, 1.0, 0.0)
     ActionChains(page.browser).send_keys(key).perform()
-    page.becomes(lambda: b"estop" in page.stand.asked)
+    page.becomes(lambda: b"estop" in page.stand.requests)
     assert seen_place(page, 1.0, 0.0) == before
 
 
@@ -262,7 +250,7 @@ def test_figures_of_the_last_minute_are_plotted(page: Seen) -> None:
         wanted = [[int(colours[row][at : at + 2], 16) for at in (1, 3, 5)] for row in robots]
         return all(np.abs(inks - colour).max(axis=1).min(initial=255) < 8 for colour in wanted)
 
-    page.fleet.told = {
+    page.fleet.figures = {
         "control_error": [0.0002, 0.0004, 0.0006, 0.0008],
         "estimated_spacing": [math.nan, 0.255, 0.26, 0.27],
     }

@@ -15,7 +15,7 @@ from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.safety.latches import Latch
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
-from tests.operator.page.browser import chromium, show_as
+from tests.operator.page.browser import show_as
 from tests.operator.page.openpage import SOON_S
 from tests.operator.page.webstand import CLOCK
 from tests.runs.realrun import ALONE, RealRun, wait
@@ -23,12 +23,6 @@ from tests.runs.realrun import ALONE, RealRun, wait
 pytestmark = pytest.mark.long
 
 ADDRESS = re.compile(r"http://127\.0\.0\.1:\S+")
-
-
-@pytest.fixture
-def browser() -> Iterator[Chrome]:
-    with chromium() as browser:
-        yield browser
 
 
 @contextmanager
@@ -39,15 +33,15 @@ def listening(run: RealRun) -> Iterator[Callable[[], dict[str, RobotStatus]]]:
     newest: dict[str, RobotStatus] = {}
 
     def heard() -> dict[str, RobotStatus]:
-        for _, full, payload in said.drain():
+        for _, full, payload in statuses.drain():
             unit = config.units[full.split("/")[-2]]
-            for place, robot in enumerate(unit):
-                if (status := ROBOT_STATUS.of(payload, place)) is not None:
+            for row, robot in enumerate(unit):
+                if (status := ROBOT_STATUS.of(payload, row)) is not None:
                     newest[robot] = status
         return newest
 
     try:
-        said = bus.stream(key(config.arena.name, keys.STATUS, "*"), capacity=1024)
+        statuses = bus.stream(key(config.arena.name, keys.STATUS, "*"), capacity=1024)
         yield heard
     finally:
         bus.close()

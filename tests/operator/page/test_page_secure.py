@@ -14,7 +14,7 @@ from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.by import By
 
 from tests.operator.page.axe import violations
-from tests.operator.page.browser import DESKTOP, PHONE, chromium, show_as
+from tests.operator.page.browser import DESKTOP, PHONE, show_as
 from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.secureweb import HOST, keys_in
 from tests.operator.page.webstand import WebStand, web_stand
@@ -22,12 +22,6 @@ from tests.operator.page.webstand import WebStand, web_stand
 pytestmark = pytest.mark.slow
 
 TALL = 1440, 1700  # all of it is in sight
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Chrome]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture
@@ -68,9 +62,9 @@ def test_a_viewer_has_the_controls_that_stop_and_no_others(viewer: Seen) -> None
     assert viewer.run("return document.cookie") == "", "no script reads the cookie"
     viewer.becomes(lambda: viewer.enabled() == {"hold", "stop"})
     viewer.press("hold")
-    viewer.becomes(lambda: viewer.stand.asked == [b"hold"])
+    viewer.becomes(lambda: viewer.stand.requests == [b"hold"])
     ActionChains(viewer.browser).send_keys(" ").perform()
-    viewer.becomes(lambda: b"estop" in viewer.stand.asked)
+    viewer.becomes(lambda: b"estop" in viewer.stand.requests)
     assert complaints(viewer) == []
 
 
@@ -118,12 +112,12 @@ def another_site(address: str) -> Iterator[str]:
         def answered() -> None:
             while True:
                 try:
-                    there, _ = server.accept()
+                    client, _ = server.accept()
                 except OSError:
                     return
-                with there:
-                    there.recv(65536)
-                    there.sendall(answer)
+                with client:
+                    client.recv(65536)
+                    client.sendall(answer)
 
         thread = threading.Thread(target=answered)
         thread.start()

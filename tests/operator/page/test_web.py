@@ -31,7 +31,7 @@ def stand(tmp_path: Path) -> Iterator[WebStand]:
 
 def row(hello: Frame, tick: Frame, robot: str) -> Frame:
     """Return a robot's values by their names."""
-    ids = [its["id"] for its in hello["robots"]]
+    ids = [robot_row["id"] for robot_row in hello["robots"]]
     return dict(zip(hello["columns"], tick["robots"][ids.index(robot)], strict=True))
 
 
@@ -75,8 +75,12 @@ def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(sta
         ]
         stand.say_tick(-1, *(robot._replace(lost=1.0) for robot in robots))  # overruns before the run are not the run's
         page.next("tick", lambda tick: tick["health"]["overruns"] is not None)
-        told = {"control_error": [0.00123, nan, 0.002, 0.003], "x": [0.6, nan, 0.2, 0.1], "y": [0.25, nan, 0.25, 0.25]}
-        stand.say_tick(30, *robots, lateness_ns=42_000, overruns=10, told=told)
+        figures = {
+            "control_error": [0.00123, nan, 0.002, 0.003],
+            "x": [0.6, nan, 0.2, 0.1],
+            "y": [0.25, nan, 0.25, 0.25],
+        }
+        stand.say_tick(30, *robots, lateness_ns=42_000, overruns=10, figures=figures)
         tick = page.next("tick", lambda tick: tick["t_s"] is not None)
     assert (tick["t_s"], tick["cause"]) == (0.99, "every check passed")
     health = {"compute_us": 250, "late_us": 42, "overruns": 3, "latency_ms": 17.0, "tracker_hz": None, "seen_pct": None}
@@ -84,8 +88,8 @@ def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(sta
     first, second, third = (row(hello, tick, robot) for robot in ("r1", "r2", "r3"))
     assert (first["x_m"], first["point_x_m"], first["left_rad_s"]) == (0.5, 0.58, 3.46)
     shown = [figure["key"] for figure in hello["figures"]].index("control_error_mm")
-    assert [its["figures"][shown] for its in (first, second, third)] == [1.23, None, 2.0]
-    assert [its["reference_x_m"] for its in (first, second, third)] == [0.6, None, 0.2]
+    assert [robot_row["figures"][shown] for robot_row in (first, second, third)] == [1.23, None, 2.0]
+    assert [robot_row["reference_x_m"] for robot_row in (first, second, third)] == [0.6, None, 0.2]
     assert (first["gate"], first["latch"], first["halted"]) == ("no enable", None, "it is not seen")
     assert (first["filtered"], first["lost"], first["battery"]) == (1, 0, 0.5)
     assert (second["gate"], second["halted"]) == ("open", None)
@@ -106,7 +110,7 @@ def test_what_a_script_says_is_a_line_and_what_it_marks_is_on_the_floor(tmp_path
             note(messages.NOTE.encode(Note(1, k, 0, NoteKind.MARK, text.encode())))
         note(messages.NOTE.encode(Note(1, 9, 0, NoteKind.MARK, b"{}")))  # it is nothing
         note(messages.NOTE.encode(Note(1, 10, 0, NoteKind.SAY, b'"<b>closed</b>"')))
-        shapes = page.next("shapes", lambda frame: [one["name"] for one in frame["groups"][0]] == ["wall"])
+        shapes = page.next("shapes", lambda frame: [shape["name"] for shape in frame["groups"][0]] == ["wall"])
         assert shapes["groups"][0][0]["points"] == [[0.0, 0.0], [1.0, 0.0]]
         assert page.next("event", lambda event: "closed" in event["text"])["text"] == "script: <b>closed</b>"
 
@@ -117,33 +121,33 @@ TWO = Path(__file__).parents[1] / "two_groups.yaml"
 def test_each_group_is_told_with_its_own_figures_and_shapes(tmp_path: Path) -> None:
     with web_stand(tmp_path, file=TWO) as stand, stand.page() as page:
         hello = page.next("hello")
-        told = {"control_error": [0.001] * 3, "radius_error": [nan] * 3 + [0.002, 0.003], "turned": [0.5] * 5}
+        tick_figures = {"control_error": [0.001] * 3, "radius_error": [nan] * 3 + [0.002, 0.003], "turned": [0.5] * 5}
         stand.say_state(Phase.RUNNING)
-        stand.say_tick(3, told={name: [*values, nan, nan][:5] for name, values in told.items()})
+        stand.say_tick(3, figures={name: [*values, nan, nan][:5] for name, values in tick_figures.items()})
         tick = page.next("tick", lambda tick: tick["t_s"] is not None)
         figures = [figure["key"] for figure in hello["figures"]]
-        said = {
-            its["id"]: dict(zip(figures, row(hello, tick, its["id"])["figures"], strict=True))
-            for its in hello["robots"]
+        shown = {
+            robot["id"]: dict(zip(figures, row(hello, tick, robot["id"])["figures"], strict=True))
+            for robot in hello["robots"]
         }
     assert [(group["name"], group["behaviour"]) for group in hello["groups"]] == [
         ("platoon", "platoon"), ("inner", "tests.nodes.swirl:Swirl"),
     ]  # fmt: skip
     assert [shape["kind"] for shape in hello["groups"][1]["shapes"]] == ["line", "dots"]
-    assert [its["group"] for its in hello["robots"]] == ["platoon"] * 3 + ["inner"] * 2 + [None]
+    assert [robot["group"] for robot in hello["robots"]] == ["platoon"] * 3 + ["inner"] * 2 + [None]
     assert "secret" not in figures, "it is not live"
-    assert (said["r1"]["control_error_mm"], said["r1"]["radius_error_mm"]) == (1.0, None)
-    assert (said["s1"]["control_error_mm"], said["s1"]["radius_error_mm"]) == (None, 2.0)
-    assert said["s1"]["turned_deg"] == pytest.approx(28.6479, abs=1e-4)
-    assert set(said["p1"].values()) == {None}, "a robot in no group has no figures"
+    assert (shown["r1"]["control_error_mm"], shown["r1"]["radius_error_mm"]) == (1.0, None)
+    assert (shown["s1"]["control_error_mm"], shown["s1"]["radius_error_mm"]) == (None, 2.0)
+    assert shown["s1"]["turned_deg"] == pytest.approx(28.6479, abs=1e-4)
+    assert set(shown["p1"].values()) == {None}, "a robot in no group has no figures"
 
 
 def test_on_the_way_the_references_are_told_and_no_figures(stand: WebStand) -> None:
     with stand.page() as page:
         hello = page.next("hello")
         stand.say_state(Phase.POSITIONING, Event.SET_OUT)
-        told = {"control_error": [0.001] * 4, "x": [0.5] * 4, "y": [0.25] * 4}
-        stand.say_tick(-1, told=told, phase=Phase.POSITIONING)
+        figures = {"control_error": [0.001] * 4, "x": [0.5] * 4, "y": [0.25] * 4}
+        stand.say_tick(-1, figures=figures, phase=Phase.POSITIONING)
         tick = page.next("tick", lambda tick: row(hello, tick, "r1")["reference_x_m"])
     assert tick["phase"] == "positioning"
     assert set(row(hello, tick, "r1")["figures"]) == {None}
@@ -330,8 +334,8 @@ def test_the_end_of_a_run_is_told_with_its_verdict_and_its_report_to_who_still_l
         report = stand.url.replace("/?", "/report?")
         assert httpx.get(report).status_code == 404
         stand.over.set()
-        heard = page.next("ended")
-        assert (heard["text"], heard["good"], heard["report"]) == ("stop requested", None, None)
+        ended = page.next("ended")
+        assert (ended["text"], ended["good"], ended["report"]) == ("stop requested", None, None)
         bounds = [{"figure": "overruns", "value": 2, "limit": 0, "pass": False}]
         summary = {"outcome": "completed", "cause": None, "ticks": 9, "bounds": bounds}
         (tmp_path / "summary.json").write_text(json.dumps(summary))
@@ -355,7 +359,7 @@ def test_a_page_that_nobody_has_opened_ends_with_its_run(stand: WebStand) -> Non
 
 def test_before_the_supervisor_speaks_the_page_says_what_the_launcher_does(tmp_path: Path) -> None:
     words = ["Compiling"]
-    with web_stand(tmp_path, TRUTH, said=lambda: words[0]) as stand, stand.page() as page:
+    with web_stand(tmp_path, TRUTH, console=lambda: words[0]) as stand, stand.page() as page:
         page.next("tick", lambda tick: tick["stage"] == "Compiling")
         words[0] = "Starting"
         page.next("tick", lambda tick: tick["stage"] == "Starting")

@@ -38,7 +38,7 @@ def test_what_the_page_asks_for_is_asked_of_the_supervisor(stand: WebStand, what
     with stand.page() as page:
         page.say(do=what)
         assert page.next("answer") == {"type": "answer", "to": what, "ok": True, "text": "ok"}
-    assert stand.asked == [what.encode()]
+    assert stand.requests == [what.encode()]
 
 
 def test_a_refusal_is_told_in_the_supervisors_words(stand: WebStand) -> None:
@@ -55,7 +55,7 @@ def latch_when_asked(stand: WebStand, *robots: str) -> threading.Thread:
     """Play the drivers: these latch their gates when an emergency stop is asked for."""
 
     def play() -> None:
-        if wait(lambda: b"estop" in stand.asked, 5):
+        if wait(lambda: b"estop" in stand.requests, 5):
             for _ in range(20):
                 for robot in robots:
                     stand.say_status(robot, GateStatus.LATCHED, Latch.EMERGENCY_STOP)
@@ -74,7 +74,7 @@ def test_the_emergency_stop_says_who_has_and_who_has_not_acknowledged(stand: Web
         playing.join()
         assert (answer["to"], answer["ok"]) == ("estop", True)
         assert answer["text"].startswith("every robot has latched its gate, the last one after ")
-        stand.asked.clear()
+        stand.requests.clear()
         playing = latch_when_asked(stand, "r1", "r3")
         page.say(do="estop")
         answer = page.next("answer")
@@ -90,7 +90,7 @@ def test_the_emergency_stop_waits_for_no_other_request_and_no_other_page(stand: 
         assert busy.next("answer")["text"].startswith("too much was asked at once")
         for who in (busy, page):
             who.say(do="estop")
-        assert wait(lambda: stand.asked.count(b"estop") >= 2, 5)
+        assert wait(lambda: stand.requests.count(b"estop") >= 2, 5)
         waits = "the supervisor does not answer"  # the answer to each of the others
         for who in (busy, page):
             first = who.next("answer", lambda answer: answer["to"] == "estop" or answer["text"].startswith(waits))
@@ -108,7 +108,7 @@ def test_the_emergency_stop_also_comes_by_post(stand: WebStand) -> None:
 def test_a_stop_reaches_the_robots_also_when_its_page_is_gone(stand: WebStand) -> None:
     with stand.page() as page:
         page.say(do="estop")
-    assert wait(lambda: b"estop" in stand.asked, 2)
+    assert wait(lambda: b"estop" in stand.requests, 2)
 
 
 @pytest.mark.long
@@ -163,8 +163,8 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
 def test_a_run_refuses_a_page_that_nobody_could_open(
     command: Callable[..., tuple[int, str]], arguments: list[str], line: str, tmp_path: Path
 ) -> None:
-    code, said = command("run", str(PLATOON), *arguments, "--out", str(tmp_path / "run"))
-    assert (code, said[: len(line)]) == (2, line)
+    code, output = command("run", str(PLATOON), *arguments, "--out", str(tmp_path / "run"))
+    assert (code, output[: len(line)]) == (2, line)
     assert not (tmp_path / "run").exists()
 
 
@@ -185,8 +185,8 @@ def test_what_the_command_cannot_serve_is_refused_in_a_line(
             ([str(file), "--port", str(port)], f"--host 127.0.0.1 --port {port}: Address already in use: name an addr"),
             ([str(file)], "no run of hall answers at unixsock-stream/"),
         ]:
-            code, said = command("web", *arguments)
-            assert (code, said[: len(line)]) == (2, line)
+            code, output = command("web", *arguments)
+            assert (code, output[: len(line)]) == (2, line)
     bounds = [{"figure": "overruns", "value": 2, "limit": 0, "pass": False}]
     fault = {"outcome": "fault", "cause": "r3: a bumper is hit", "ticks": 9, "bounds": bounds}
     (run / "summary.json").write_text(json.dumps(fault))
@@ -225,13 +225,13 @@ def test_a_page_that_is_opened_by_hand_ends_with_its_run(platoon_of: Callable[..
             patched.setenv(name, folder)
         config = settled(platoon_of("arena.name=hall"), listen=True)
         (run / "config.yaml").write_text(resolved_yaml(config))
-        with claimed(config, run), (tmp_path / "said").open("wb") as said:
+        with claimed(config, run), (tmp_path / "said").open("wb") as output:
             router = open_router(config.bus.endpoint)
             page = subprocess.Popen(
                 [sys.executable, "-W", "error", "-m", "robofleet", "web", "hall"],
                 env=environment,
-                stderr=said,
-                stdout=said,
+                stderr=output,
+                stdout=output,
             )
             try:
                 words = tmp_path / "said"

@@ -36,11 +36,11 @@ def stopped(stand: WebStand) -> bool:
     return answer.status_code == 200 and answer.json()["to"] == "estop"
 
 
-def is_closed(there: socket.socket) -> bool:
+def is_closed(client: socket.socket) -> bool:
     """Whether the other end has closed a connection; what it said before is passed over."""
-    there.setblocking(False)
+    client.setblocking(False)
     try:
-        while there.recv(65536):
+        while client.recv(65536):
             pass
     except BlockingIOError:
         return False
@@ -50,14 +50,14 @@ def is_closed(there: socket.socket) -> bool:
 
 
 @contextmanager
-def crowd(stand: WebStand, count: int, said: bytes = b"") -> Iterator[list[socket.socket]]:
+def crowd(stand: WebStand, count: int, greeting: bytes = b"") -> Iterator[list[socket.socket]]:
     """Open connections that say something and wait."""
     with ExitStack() as opened:
-        there = [opened.enter_context(connected(stand)) for _ in range(count)]
-        for one in there:
-            if said:
-                one.sendall(said)
-        yield there
+        clients = [opened.enter_context(connected(stand)) for _ in range(count)]
+        for client in clients:
+            if greeting:
+                client.sendall(greeting)
+        yield clients
 
 
 HALF = b"POST /estop HTTP/1.1\r\nHost: x\r\nX-Slow: "
@@ -69,37 +69,37 @@ SAID = {"nothing": b"", "half a head": HALF, "half a body": BODY, "no page": KEY
 
 
 @pytest.mark.slow_after_first
-@pytest.mark.parametrize("said", SAID, ids=str)
-def test_a_crowd_that_waits_does_not_delay_the_emergency_stop(stand: WebStand, said: str) -> None:
-    with crowd(stand, 200, SAID[said]):
+@pytest.mark.parametrize("greeting", SAID, ids=str)
+def test_a_crowd_that_waits_does_not_delay_the_emergency_stop(stand: WebStand, greeting: str) -> None:
+    with crowd(stand, 200, SAID[greeting]):
         assert httpx.get(stand.url, timeout=ANSWERED_WITHIN_S).status_code == 200
         with stand.page() as page:
             page.say(do="hold")
             assert page.next("answer")["ok"]
         assert stopped(stand)
-    assert b"estop" in stand.asked
+    assert b"estop" in stand.requests
 
 
-def dripped(there: list[socket.socket]) -> bool:
+def dripped(clients: list[socket.socket]) -> bool:
     """Say a byte on each connection that is open; returns whether none is."""
-    for one in there:
-        one.setblocking(False)
+    for client in clients:
+        client.setblocking(False)
         with suppress(OSError):
-            one.send(b"x")
-    return all(map(is_closed, there))
+            client.send(b"x")
+    return all(map(is_closed, clients))
 
 
 def test_who_asks_for_nothing_or_speaks_byte_by_byte_is_closed(stand: WebStand) -> None:
     with stand.page() as page, ExitStack() as opened:
-        there = {said: opened.enter_context(crowd(stand, 30, SAID[said])) for said in SAID}
+        crowds = {kind: opened.enter_context(crowd(stand, 30, SAID[kind])) for kind in SAID}
         slow = opened.enter_context(crowd(stand, 5))
-        assert sum(map(len, there.values())) + len(slow) < MOST, "nobody is closed for another's place"
-        open_yet = dict(there)
+        assert sum(map(len, crowds.values())) + len(slow) < MOST, "nobody is closed for another's place"
+        open_yet = dict(crowds)
 
         def all_are_closed() -> bool:
-            for said, few in [*open_yet.items()]:
+            for kind, few in [*open_yet.items()]:
                 if all(map(is_closed, few)):
-                    del open_yet[said]
+                    del open_yet[kind]
             return dripped(slow) and not open_yet
 
         assert wait(all_are_closed, GONE_WITHIN_S), list(open_yet)
@@ -128,9 +128,9 @@ def meanwhile(act: Callable[[], None]) -> Iterator[None]:
 
 
 @pytest.mark.slow_after_first
-@pytest.mark.parametrize("said", [b"", HALF, SAID["garbage"]])
+@pytest.mark.parametrize("greeting", [b"", HALF, SAID["garbage"]])
 def test_a_crowd_that_keeps_coming_does_not_delay_the_emergency_stop(
-    stand: WebStand, said: bytes, capsys: pytest.CaptureFixture[str]
+    stand: WebStand, greeting: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept: list[socket.socket] = []
 
@@ -138,7 +138,7 @@ def test_a_crowd_that_keeps_coming_does_not_delay_the_emergency_stop(
         kept.append(connected(stand))
         if len(kept) > 400:
             kept.pop(0).close()
-        kept[-1].sendall(said)
+        kept[-1].sendall(greeting)
 
     capsys.readouterr()
     began_ns = CLOCK.now_ns()
@@ -147,8 +147,8 @@ def test_a_crowd_that_keeps_coming_does_not_delay_the_emergency_stop(
         for _ in range(3):
             assert stopped(stand)
     lasted_s = (CLOCK.now_ns() - began_ns) / 1e9
-    for one in kept:
-        one.close()
+    for client in kept:
+        client.close()
     lines = capsys.readouterr().err.splitlines()
     assert 0 < len(lines) <= lasted_s + 2, "one line a second at most"
     assert all(line.startswith("refused (") for line in lines), lines

@@ -33,8 +33,8 @@ def ask(stand: WebStand, method: str, path: str, **headers: str) -> httpx.Respon
 
 def is_bare(response: httpx.Response) -> bool:
     """Whether it tells nothing: no body, and no header that a browser would take for a permission."""
-    told = [name for name in response.headers if name not in ("connection", "content-length")]
-    return (response.status_code, response.content, told) == (403, b"", [])
+    names = [name for name in response.headers if name not in ("connection", "content-length")]
+    return (response.status_code, response.content, names) == (403, b"", [])
 
 
 def is_worded(response: httpx.Response, stand: WebStand, title: str) -> bool:
@@ -114,10 +114,10 @@ def test_without_its_token_there_is_no_page(stand: WebStand, query: str) -> None
     ids=str,
 )
 def test_a_forged_emergency_stop_is_refused(stand: WebStand, headers: dict[str, str]) -> None:
-    stand.asked.clear()
+    stand.requests.clear()
     filled = {name: text.format(authority=stand.authority, token=stand.token) for name, text in headers.items()}
     assert is_bare(ask(stand, "POST", f"/estop?token={stand.token}", **filled))
-    assert stand.asked == []
+    assert stand.requests == []
 
 
 def test_another_sites_script_is_given_no_permission_to_ask(stand: WebStand) -> None:
@@ -156,9 +156,9 @@ def forged(stand: WebStand, uri_host: str | None = None, **changes: Any) -> None
         with stand.page(**changes):
             return
     name, port = stand.authority.split(":")
-    with socket.create_connection((name, int(port))) as there:
+    with socket.create_connection((name, int(port))) as client:
         uri, origin = f"ws://{uri_host}:{port}/live?token={stand.token}", f"http://{uri_host}:{port}"
-        with connect(uri, sock=there, origin=Origin(origin)):
+        with connect(uri, sock=client, origin=Origin(origin)):
             pass
 
 
@@ -167,22 +167,22 @@ def forged(stand: WebStand, uri_host: str | None = None, **changes: Any) -> None
 )
 def test_no_other_file_is_served(stand: WebStand, path: str) -> None:
     name, port = stand.authority.split(":")
-    with socket.create_connection((name, int(port))) as there:  # httpx would tidy the path up
-        there.sendall(
+    with socket.create_connection((name, int(port))) as client:  # httpx would tidy the path up
+        client.sendall(
             f"GET {path}?token={stand.token} HTTP/1.1\r\nHost: {stand.authority}\r\nConnection: close\r\n\r\n".encode()
         )
-        answer = b"".join(iter(lambda: there.recv(65536), b""))
+        answer = b"".join(iter(lambda: client.recv(65536), b""))
     assert answer.startswith(b"HTTP/1.1 404 ")
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_a_request_that_is_too_large_is_refused(stand: WebStand, told: bool) -> None:
-    stand.asked.clear()
+@pytest.mark.parametrize("in_header", [True, False])
+def test_a_request_that_is_too_large_is_refused(stand: WebStand, in_header: bool) -> None:
+    stand.requests.clear()
     body = b"x" * 2000
     headers = {"origin": f"http://{stand.authority}", "x-token": stand.token}
-    content = body if told else iter([body])
+    content = body if in_header else iter([body])
     assert httpx.post(f"http://{stand.authority}/estop", headers=headers, content=content).status_code == 413
-    assert stand.asked == []
+    assert stand.requests == []
 
 
 def test_a_page_that_says_too_much_is_closed(stand: WebStand) -> None:
@@ -195,19 +195,19 @@ def test_a_page_that_says_too_much_is_closed(stand: WebStand) -> None:
 
 
 @pytest.mark.parametrize(
-    "said", ["", "nonsense", "[" * 900, '{"do":"fly"}', '{"do":["estop"]}', "{}", '"estop"', b"\x00"]
+    "frame", ["", "nonsense", "[" * 900, '{"do":"fly"}', '{"do":["estop"]}', "{}", '"estop"', b"\x00"]
 )
-def test_a_page_that_makes_no_sense_is_closed_and_no_other(stand: WebStand, said: str | bytes) -> None:
-    stand.asked.clear()
+def test_a_page_that_makes_no_sense_is_closed_and_no_other(stand: WebStand, frame: str | bytes) -> None:
+    stand.requests.clear()
     with stand.page() as other, stand.page() as page:
-        page.socket.send(said)
+        page.socket.send(frame)
         with pytest.raises(ConnectionClosed) as closed:
             page.heard(3_000_000_000)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
         other.say(do="hold")
         assert other.next("answer")["ok"]
-    assert stand.asked == [b"hold"]
+    assert stand.requests == [b"hold"]
 
 
 def test_what_is_refused_is_counted_and_logged_without_the_token(
@@ -217,11 +217,11 @@ def test_what_is_refused_is_counted_and_logged_without_the_token(
         capsys.readouterr()
         ask(stand, "GET", f"/?token={stand.token}", host="evil.example\x1b[31m")
         ask(stand, "GET", f"/?token={stand.token[:-1]}")
-        said = capsys.readouterr().err
-    assert said.startswith("refused (1 so far): http '/' of 127.0.0.1: wrong Host ['evil.example")
-    assert "\x1b" not in said
-    assert len(said.splitlines()) == 1, "one line a second at most"
-    assert stand.token[:-1] not in said
+        stderr = capsys.readouterr().err
+    assert stderr.startswith("refused (1 so far): http '/' of 127.0.0.1: wrong Host ['evil.example")
+    assert "\x1b" not in stderr
+    assert len(stderr.splitlines()) == 1, "one line a second at most"
+    assert stand.token[:-1] not in stderr
 
 
 def test_every_start_draws_another_token_of_128_bits(tmp_path: Path, stand: WebStand) -> None:

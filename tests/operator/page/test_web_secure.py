@@ -51,11 +51,11 @@ def comes(stand: WebStand, folder: Path) -> Iterator[Comes]:
     with ExitStack() as opened:
 
         def come(address: str = "", trusts: ssl.SSLContext | None = None) -> Visitor:
-            one = Visitor(stand, trusts or trusting(folder))
-            opened.callback(one.client.close)
+            visitor = Visitor(stand, trusts or trusting(folder))
+            opened.callback(visitor.client.close)
             if address:
-                assert one.enter(address).status_code == 200
-            return one
+                assert visitor.enter(address).status_code == 200
+            return visitor
 
         yield come
 
@@ -95,24 +95,24 @@ def test_an_older_tls_is_refused(stand: WebStand, folder: Path, version: ssl.TLS
     with pytest.warns(DeprecationWarning) if not is_taken else ExitStack():
         context.minimum_version = context.maximum_version = version
     context.set_ciphers("DEFAULT:@SECLEVEL=0")
-    with socket.create_connection(end_of(stand)) as there, ExitStack() as refused:
+    with socket.create_connection(end_of(stand)) as client, ExitStack() as refused:
         if not is_taken:
             refused.enter_context(pytest.raises(ssl.SSLError))
-        with context.wrap_socket(there, server_hostname=HOST) as secured:
+        with context.wrap_socket(client, server_hostname=HOST) as secured:
             assert secured.version() == {"TLSv1_3": "TLSv1.3", "TLSv1_2": "TLSv1.2"}[version.name]
 
 
 @pytest.mark.parametrize(
-    "said", [b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n", b"\x00" * 100, b"\x16\x03\x01\x00\x05hello"]
+    "greeting", [b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n", b"\x00" * 100, b"\x16\x03\x01\x00\x05hello"]
 )
 def test_what_is_not_tls_gets_a_closed_connection_and_disturbs_nobody(
-    stand: WebStand, comes: Comes, said: bytes, capfd: pytest.CaptureFixture[str]
+    stand: WebStand, comes: Comes, greeting: bytes, capfd: pytest.CaptureFixture[str]
 ) -> None:
     visitor = comes(stand.addresses.viewer)
     capfd.readouterr()
-    with visitor.page() as page, socket.create_connection(end_of(stand), timeout=GONE_WITHIN_S) as there:
-        there.sendall(said.replace(b"{host}", stand.authority.encode()))
-        assert there.recv(4096) == b""
+    with visitor.page() as page, socket.create_connection(end_of(stand), timeout=GONE_WITHIN_S) as client:
+        client.sendall(greeting.replace(b"{host}", stand.authority.encode()))
+        assert client.recv(4096) == b""
         page.say(do="hold")
         assert page.next("answer")["ok"]
     lines = capfd.readouterr().err.splitlines()
@@ -127,18 +127,20 @@ def test_half_open_greetings_delay_nobody_and_are_closed_and_a_page_that_has_lef
     with visitor.page() as page:
         assert page.heard_one()["type"] == "hello"
     with ExitStack() as opened:
-        there = [
+        clients = [
             opened.enter_context(socket.create_connection(end_of(stand), timeout=GONE_WITHIN_S))
             for _ in range(MOST + 50)
         ]
-        for one in there[::2]:
-            one.sendall(b"\x16\x03\x01\x02\x00\x01\x00")  # the first bytes of a greeting, and no more
+        for client in clients[::2]:
+            client.sendall(b"\x16\x03\x01\x02\x00\x01\x00")  # the first bytes of a greeting, and no more
         for _ in range(3):
             fresh = comes()
             assert fresh.client.get("/page.js", timeout=ANSWERED_WITHIN_S).status_code == 200
         assert visitor.post("/estop").json()["to"] == "estop"
-        assert b"estop" in stand.asked
-        assert all(one.recv(4096) == b"" for one in there), "their time is over, and so is that of the page before"
+        assert b"estop" in stand.requests
+        assert all(client.recv(4096) == b"" for client in clients), (
+            "their time is over, and so is that of the page before"
+        )
     assert [record.getMessage() for record in caplog.records if record.name == "asyncio"] == []
 
 
@@ -178,7 +180,7 @@ def test_a_stranger_can_ask_for_nothing(stand: WebStand, comes: Comes) -> None:
     with pytest.raises(InvalidStatus) as refused, stranger.page():
         pass
     assert refused.value.response.status_code == 403
-    assert stand.asked == []
+    assert stand.requests == []
 
 
 def test_the_address_for_a_browsers_command_line_is_for_this_user_only(
@@ -198,12 +200,12 @@ def test_another_sites_request_is_refused_though_it_brings_the_cookie(
     stand: WebStand, comes: Comes, origin: str
 ) -> None:
     visitor = comes(stand.url)
-    asked = origin.format(authority=stand.authority, port=end_of(stand)[1])
+    site = origin.format(authority=stand.authority, port=end_of(stand)[1])
     for path in ("/estop", "/invite/operator"):
-        assert is_bare(visitor.post(path, origin=asked))
-    with pytest.raises(InvalidStatus), visitor.page(origin=asked or None):
+        assert is_bare(visitor.post(path, origin=site))
+    with pytest.raises(InvalidStatus), visitor.page(origin=site or None):
         pass
-    assert stand.asked == []
+    assert stand.requests == []
 
 
 def test_another_name_is_refused(stand: WebStand, comes: Comes) -> None:
@@ -218,7 +220,7 @@ def test_a_viewer_moves_nothing(stand: WebStand, comes: Comes, what: str) -> Non
         answer = page.next("answer")
     assert (answer["to"], answer["ok"]) == (what, False)
     assert answer["text"].startswith("refused (403): a viewer may hold the run and press the emergency stop")
-    assert stand.asked == []
+    assert stand.requests == []
 
 
 def test_a_viewer_sees_holds_and_stops(stand: WebStand, comes: Comes) -> None:
@@ -230,8 +232,8 @@ def test_a_viewer_sees_holds_and_stops(stand: WebStand, comes: Comes) -> None:
         page.say(do="estop")
         assert page.next("answer")["to"] == "estop"
     assert visitor.post("/estop").json()["to"] == "estop"
-    assert stand.asked[0] == b"hold"
-    assert b"estop" in stand.asked
+    assert stand.requests[0] == b"hold"
+    assert b"estop" in stand.requests
 
 
 def test_viewers_leave_places_for_operators(stand: WebStand, comes: Comes) -> None:

@@ -47,10 +47,10 @@ class WebStand:
         self.authority, self.token = urlsplit(self.url).netloc, urlsplit(self.url).query.removeprefix("token=")
         self.robots = [robot.id for robot in config.members]
         self.groups = groups.descriptions(config)
-        self.asked: list[bytes] = []
+        self.requests: list[bytes] = []
         self.mute = False  # the supervisor does not answer
-        asked = keys.REQUEST, keys.SAFE_REQUEST
-        self._served = [bus.serve(topic, "supervisor", lambda _: self._answer()) for topic in asked]
+        topics = keys.REQUEST, keys.SAFE_REQUEST
+        self._served = [bus.serve(topic, "supervisor", lambda _: self._answer()) for topic in topics]
         self._tick, self._state = bus.publisher(keys.TICK), bus.publisher(keys.STATE)
         self._status = {robot: bus.publisher(keys.STATUS, robot) for robot in self.robots}
         self._poses, self._picture = bus.publisher(keys.POSES, keys.CAMERA), bus.publisher(keys.PICTURE, keys.CAMERA)
@@ -73,22 +73,22 @@ class WebStand:
 
     def say_tick(
         self, run_tick: int = -1, *robots: RobotTick, lateness_ns: int = 0, overruns: int = 7,
-        told: Mapping[str, Sequence[float]] | None = None, phase: Phase = Phase.RUNNING,
+        figures: Mapping[str, Sequence[float]] | None = None, phase: Phase = Phase.RUNNING,
     ) -> None:  # fmt: skip
         """Say a tick; ``told``: figures by their names, and ``x`` and ``y`` of the references, a value a robot."""
         self._seq += 1
         items = robots or tuple(placed(0.1 * row, 0.0) for row in range(len(self.robots)))
         timing = overruns, lateness_ns, 250_000
         head = (7, 0, self._seq, run_tick, CLOCK.now_ns(), 0, 0, 0, 0, 0, 0, phase, 0, *timing)
-        self._tick(messages.TICK_RECORD.encode(TickRecord(*head, items, self._numbers(told or {}))))
+        self._tick(messages.TICK_RECORD.encode(TickRecord(*head, items, self._numbers(figures or {}))))
 
-    def _numbers(self, told: Mapping[str, Sequence[float]]) -> tuple[float, ...]:
+    def _numbers(self, figures: Mapping[str, Sequence[float]]) -> tuple[float, ...]:
         numbers, first = np.full(described.size(self.groups), np.nan), 0
         for group, part in zip(self.groups, described.parts(self.groups, numbers[None]), strict=True):
             rows = slice(first, first := first + len(group.robots))
             for k, name in enumerate(("x", "y", *(figure.name for figure in group.figures))):
-                if name in told:
-                    part[0, :, k] = told[name][rows]
+                if name in figures:
+                    part[0, :, k] = figures[name][rows]
         return tuple(numbers.tolist())
 
     def say_state(
@@ -120,7 +120,7 @@ class WebStand:
         request: Request | None
         for served in self._served:
             while (request := served()) is not None:
-                self.asked.append(request.payload)
+                self.requests.append(request.payload)
                 if not self.mute:
                     request.reply(b"refused: the fleet is asleep" if request.payload == b"resume" else b"ok")
 
@@ -181,7 +181,7 @@ def placed(x: float, y: float, **changes: float) -> RobotTick:
 
 @contextmanager
 def web_stand(
-    folder: Path, *overrides: str, said: Callable[[], str] = str, file: Path = PLATOON, host: str = _LOOPBACK,
+    folder: Path, *overrides: str, console: Callable[[], str] = str, file: Path = PLATOON, host: str = _LOOPBACK,
     keys: PageKeys | None = None,
 ) -> Iterator[WebStand]:  # fmt: skip
     """Start a router, the server and the stand; nothing is left of them."""
@@ -191,7 +191,7 @@ def web_stand(
     buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK, roles=has) for name, has in roles.items()]
     urls: list[Addresses] = []
     cut, over = threading.Event(), threading.Event()
-    served = Served(config, folder, buses[1], CLOCK, host, over.is_set, keys, line=said)
+    served = Served(config, folder, buses[1], CLOCK, host, over.is_set, keys, line=console)
     thread = threading.Thread(
         target=lambda: asyncio.run(serve(served, socket.create_server((host, 0)), urls.append, cut.is_set))
     )

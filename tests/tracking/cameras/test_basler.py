@@ -6,7 +6,6 @@ import math
 import sys
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,10 +20,11 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
+from robofleet.testing import CameraContract
 from robofleet.tracking.cameras.basler import BaslerCamera, DeviceClock, SoftwareTrigger
 from robofleet.tracking.sources import CameraContext, CameraError, Exposure
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 TICK_NS = 33 * MS
 EMULATED = "0815-0000"
 
@@ -70,6 +70,14 @@ def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
         camera.close()
 
 
+class TestContract(CameraContract):
+    shape = (240, 320)
+
+    @pytest.fixture
+    def camera(self, lab: Lab) -> BaslerCamera:
+        return lab.open("camera.trigger=free", "camera.rate_hz=50")
+
+
 def test_images_come_at_their_rate_each_its_own(lab: Lab) -> None:
     camera = lab.open("camera.trigger=free", "camera.rate_hz=50")
     frames, since_ns = [], []
@@ -77,7 +85,7 @@ def test_images_come_at_their_rate_each_its_own(lab: Lab) -> None:
         frames.append(camera.read())
         since_ns.append(lab.clock.now_ns() - frames[-1].exposure_ns)
     assert {(frame.image.shape, frame.image.dtype) for frame in frames} == {((240, 320), np.dtype(np.uint8))}
-    assert all((one.image != other.image).any() for one, other in itertools.pairwise(frames))
+    assert all((before.image != other.image).any() for before, other in itertools.pairwise(frames))
     assert all(frame.image.flags.writeable for frame in frames), "kernels are compiled for such"
     exposures = [frame.exposure_ns for frame in frames]
     assert np.median(np.diff(exposures)) == pytest.approx(20 * MS, abs=3 * MS)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,8 +24,8 @@ from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sources import CameraError, Exposure, ExposureLimits
 from robofleet.tracking.tags.targets import Target, robot_targets
 from robofleet.tracking.tags.tracker import TagSighting
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 AIM = 200.0
 LIMITS = ExposureLimits(Exposure(1e-4, 0.0), Exposure(0.014, 24.0), Exposure(0.0, 0.0), 1.0)
 Sensor = Callable[[Exposure], float]  # grey of white paper
@@ -172,8 +171,8 @@ def test_faint_tags_are_not_given_up_for_a_bright_one() -> None:
 def test_light_beyond_the_limits_is_an_event_and_so_is_its_end(full: float, event: TrackerEvent) -> None:
     lab = Lab(responding(full))
     lab.run(3000)
-    ((said, _, value),) = lab.controller.news()
-    assert said is event
+    ((begun, _, value),) = lab.controller.news()
+    assert begun is event
     assert value == (255.0 if event is TrackerEvent.CAMERA_TOO_BRIGHT else pytest.approx(0.86 * 22.0, abs=1.0))
     lab.sensor = responding(200.0)
     lab.run(3000)
@@ -193,8 +192,8 @@ def test_a_camera_that_was_opened_again_is_led_from_where_it_is() -> None:
 
 def test_a_first_exposure_beyond_the_limits_is_brought_within_them() -> None:
     controller = ExposureController(AIM, LIMITS._replace(shortest=Exposure(1e-4, 3.0)))
-    asked = [controller.look(seen(200.0), Exposure(0.02, 1.0)) for _ in range(8)]
-    assert [exposure for exposure in asked if exposure is not None] == [Exposure(0.014, 3.0)]
+    exposures = [controller.look(seen(200.0), Exposure(0.02, 1.0)) for _ in range(8)]
+    assert [exposure for exposure in exposures if exposure is not None] == [Exposure(0.014, 3.0)]
 
 
 # Its limits
@@ -260,9 +259,9 @@ def grays(*patches: tuple[float, float]) -> tuple[np.ndarray, list[TagSighting],
     targets = [Target(k, 0.07, 0.08, 0.0) for k in range(len(patches))]
     renderer = SceneRenderer(eye, (1280, 720), targets, 0.0, np.random.default_rng(1))
     places = [TagSighting(k, 0.3 * k - 0.3, 0.2 * k, 0.4 + k, 0, 0) for k in range(len(patches))]
-    image = renderer.render(np.array([place[1:] for place in places])).astype(float)
-    for (black, white), place in zip(patches, places, strict=True):
-        u, v = np.rint(eye.project(np.array([[place.x, place.y, 0.08]]))[0]).astype(int)
+    image = renderer.render(np.array([(tag.x, tag.y, tag.psi) for tag in places])).astype(float)
+    for (black, white), tag in zip(patches, places, strict=True):
+        u, v = np.rint(eye.project(np.array([[tag.x, tag.y, 0.08]]))[0]).astype(int)
         part = image[v - 25 : v + 26, u - 25 : u + 26]
         low, high = part.min(), np.percentile(part, 95)
         part[:] = np.clip(black + (part - low) / (high - low) * (white - black), 0, 255)

@@ -15,10 +15,11 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, SimulatedClock, WallClock
+from robofleet.testing import CameraContract
 from robofleet.tracking.cameras.files import FileCamera, ImageFileError, images
 from robofleet.tracking.sources import CameraContext, CameraError, ScheduledCamera
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 SIZE = (64, 48)  # width, height
 STAMPS_NS = [1_714_000_000_123_456_789 + k * 33_333_333 for k in range(8)]
 
@@ -213,6 +214,14 @@ def test_a_recording_is_shown_at_its_pace_on_this_hosts_clock(recorded: Config) 
             camera.read()
     camera.close()
     camera.close()
+
+
+class TestContract(CameraContract):
+    shape = SIZE[::-1]
+
+    @pytest.fixture
+    def camera(self, recorded: Config) -> FileCamera:
+        return camera_of(recorded, WallClock())
 
 
 def test_reading_waits_for_the_image(recorded: Config) -> None:

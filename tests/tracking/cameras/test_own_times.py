@@ -30,7 +30,13 @@ class Fleet:
     """Simulated robots with delays and lags of their own, and the filter that is told of them."""
 
     def __init__(
-        self, delays_s: list[float], lags_s: list[float], before_ns: list[int], *, lost: float = 0.0, told: bool = True
+        self,
+        delays_s: list[float],
+        lags_s: list[float],
+        before_ns: list[int],
+        *,
+        lost: float = 0.0,
+        reports: bool = True,
     ) -> None:
         self.now_ns = 10 * S
         self.rng, self.lost, self.before_ns = np.random.default_rng(4), lost, before_ns
@@ -46,8 +52,8 @@ class Fleet:
                     DriverContext(robot=f"r{row}", drive=GTERNAL, simulation=simulation, now_ns=lambda: self.now_ns)
                 )
             )
-        drives = tuple(replace(GTERNAL, motor_lag=lag_s if told else 0.0) for lag_s in lags_s)
-        self.filter = FleetFilter(drives, tuple(round(delay_s * S) if told else 0 for delay_s in delays_s), NOISE)
+        drives = tuple(replace(GTERNAL, motor_lag=lag_s if reports else 0.0) for lag_s in lags_s)
+        self.filter = FleetFilter(drives, tuple(round(delay_s * S) if reports else 0 for delay_s in delays_s), NOISE)
 
     def run(self, seconds: float) -> tuple[float, float]:
         """Weave, hard; return the rms error of the poses at the tick [mm, deg]."""
@@ -91,7 +97,7 @@ def test_every_robot_has_its_own_delay_lag_and_exposure() -> None:
     different = [0.0, 0.02, 0.07, 0.045], [0.0, 0.12, 0.03, 0.06], [28 * MS, 18 * MS, 8 * MS, 45 * MS]
     error_mm, _ = Fleet(*different).run(20.0)
     assert error_mm < 0.15
-    believed_alike, _ = Fleet(*different, told=False).run(20.0)
+    believed_alike, _ = Fleet(*different, reports=False).run(20.0)
     assert believed_alike > 1.0
 
 
@@ -99,9 +105,9 @@ def test_a_command_is_predicted_to_act_when_its_robot_does() -> None:
     fleet = FleetFilter((replace(GTERNAL, motor_lag=0.0),) * 2, (10 * MS, 60 * MS), NOISE)
     fleet.observe(np.full(2, S), np.zeros((2, 3)))
     fleet.command(S + 10 * MS, np.full((2, 2), 10.0))
-    here, there, _ = fleet.predict(S + 50 * MS)
+    here, predicted, _ = fleet.predict(S + 50 * MS)
     assert here[:, 0] == pytest.approx([0.16 * 0.030, 0.0], abs=1e-9)  # 30 ms of 10 rad/s; nothing yet
-    assert there[:, 0] == pytest.approx([0.16 * 0.040, 0.16 * 0.040], abs=1e-9)  # at 60 ms, and at 110 ms
+    assert predicted[:, 0] == pytest.approx([0.16 * 0.040, 0.16 * 0.040], abs=1e-9)  # at 60 ms, and at 110 ms
 
 
 def test_what_is_old_for_one_robot_may_be_new_for_another() -> None:

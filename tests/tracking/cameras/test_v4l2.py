@@ -15,10 +15,11 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock, stopwatch_ns
+from robofleet.testing import CameraContract
 from robofleet.tracking.cameras.v4l2 import EXPOSURE_ABSOLUTE, GAIN, Range, V4L2Camera, control_range, device_identity
 from robofleet.tracking.sources import CameraContext, CameraError, Exposure, Frame
+from tests.shipped import PLATOON
 
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 EXPOSURE_S, READOUT_S = 0.006, 0.009
 DEVICE = "/dev/video-of-a-test"
 
@@ -107,6 +108,17 @@ def camera_of(capture: Capture, *overrides: str, ranges: dict[int, Range] = RANG
 
 def scene() -> NDArray[np.uint8]:
     return np.tile(np.arange(0, 160, dtype=np.uint8), (120, 1))
+
+
+class TestContract(CameraContract):
+    shape = (120, 160)
+
+    @pytest.fixture
+    def camera(self) -> V4L2Camera:
+        capture = Capture()
+        _, stamp_ms = clocks()
+        capture.buffers = [(scene() + k, stamp_ms - 100.0 + 20.0 * k) for k in range(4)]
+        return camera_of(capture)
 
 
 def read(capture: Capture, camera: V4L2Camera, data: NDArray[np.uint8], age_ms: float = 20.0) -> tuple[Frame, int]:

@@ -101,9 +101,9 @@ def test_a_clock_that_jumps_is_told_and_its_images_are_put_on_this_hosts_clock(j
     for ahead_ns in (jump_ns, 0, jump_ns):  # it jumps back, too
         believed = [sight.stamped(ahead_ns) for _ in range(10)]
         assert believed == [None, None] + [sight.now_ns - 5 * MS - k * PERIOD_NS for k in range(7, -1, -1)]
-    told = sight.watch.news()
-    assert [event for event, _, _ in told] == [E.CLOCK_JUMPED] * 3
-    assert [value for _, _, value in told] == pytest.approx([jump_ns / S, -jump_ns / S, jump_ns / S])
+    events = sight.watch.news()
+    assert [event for event, _, _ in events] == [E.CLOCK_JUMPED] * 3
+    assert [value for _, _, value in events] == pytest.approx([jump_ns / S, -jump_ns / S, jump_ns / S])
 
 
 def test_late_images_are_no_jump_of_the_clock() -> None:

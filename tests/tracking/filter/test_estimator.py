@@ -86,9 +86,9 @@ def test_it_predicts_the_instant_when_the_next_command_acts() -> None:
     for k in range(60):
         lab.tick(weaving(k))
         if k > 30:
-            _, there, _ = lab.filter.predict(lab.tick_ns)
+            _, predicted, _ = lab.filter.predict(lab.tick_ns)
             lab.run_to(lab.tick_ns + DELAY)
-            assert apart(there[0], lab.pose())[0] < 0.0005
+            assert apart(predicted[0], lab.pose())[0] < 0.0005
 
 
 def test_an_outlier_is_refused_and_changes_nothing() -> None:
@@ -166,9 +166,9 @@ def test_the_heading_wraps_at_pi(spin: float) -> None:
     lab = Lab(start=(0.0, 0.0, math.copysign(3.0, spin)))
     for k in range(120):
         assert lab.tick(WheelSpeeds(-spin, spin)) == (USED if k else CARRIED)
-        here, there, _ = lab.filter.predict(lab.tick_ns + 5 * TICK)
-        assert (-math.pi < np.array([here[0, 2], there[0, 2]])).all()
-        assert (np.array([here[0, 2], there[0, 2]]) <= math.pi).all()
+        here, predicted, _ = lab.filter.predict(lab.tick_ns + 5 * TICK)
+        assert (-math.pi < np.array([here[0, 2], predicted[0, 2]])).all()
+        assert (np.array([here[0, 2], predicted[0, 2]]) <= math.pi).all()
         if k > 30:
             assert lab.error[1] < 0.005
 
@@ -189,7 +189,7 @@ def test_before_the_first_image_it_knows_nothing_and_takes_no_time() -> None:
     month_ns = 30 * 24 * 3600 * S
     for k in range(100):
         fleet.command(month_ns + k * TICK, np.full((4, 2), 5.0))
-        here, there, _ = fleet.predict(month_ns + k * TICK)
+        here, predicted, _ = fleet.predict(month_ns + k * TICK)
         assert not here.any()
-        assert not there.any()
+        assert not predicted.any()
     assert not fleet.measured_ns.any()

@@ -29,12 +29,12 @@ def image(camera: int, instant_ns: int, *poses: np.ndarray) -> Seen:
 
 def drive(arrivals: list[list[Seen]]) -> tuple[np.ndarray, list[list[int]]]:
     """Let a filter take the images that arrived at each tick; returns its prediction and what became of them."""
-    its = fleet()
-    joined, used = Joined(its), []
+    filter_ = fleet()
+    joined, used = Joined(filter_), []
     for k, images in enumerate(arrivals):
         used.append(joined.observe(images).tolist() if images else [])
-        its.command(S + k * TICK, WHEELS)
-    return its.predict(S + len(arrivals) * TICK)[0], used
+        filter_.command(S + k * TICK, WHEELS)
+    return filter_.predict(S + len(arrivals) * TICK)[0], used
 
 
 def pose(k: int, robot: int, error: float = 0.0) -> np.ndarray:
@@ -45,13 +45,13 @@ def pose(k: int, robot: int, error: float = 0.0) -> np.ndarray:
 
 def test_two_images_of_one_instant_are_both_used() -> None:
     """Neither is thrown away: the estimate lies between what two cameras say."""
-    its = fleet()
-    joined = Joined(its)
+    filter_ = fleet()
+    joined = Joined(filter_)
     at = [np.array([0.0, 0.5 * robot, 0.3]) for robot in range(3)]
     joined.observe([image(0, S, *at)])
-    other = [place + np.array([0.0004, 0.0, 0.0]) for place in at]
+    other = [position + np.array([0.0004, 0.0, 0.0]) for position in at]
     joined.observe([image(0, S + TICK, *at), image(1, S + TICK, *other)])
-    x = its.predict(S + TICK)[0][:, 0]
+    x = filter_.predict(S + TICK)[0][:, 0]
     assert ((x > 0.00005) & (x < 0.0003)).all()
 
 
@@ -76,7 +76,7 @@ def test_a_robot_that_passes_from_one_camera_to_the_next_makes_no_step() -> None
         arrivals.append([image(0, S + k * TICK, *poses)] if k < 6 else [image(1, S + k * TICK, *poses)])
     _, used = drive(arrivals)
     assert used[0] == [CARRIED] * 3  # the first of all
-    assert all(of == [USED] * 3 for of in used[1:])
+    assert all(uses == [USED] * 3 for uses in used[1:])
 
 
 def test_an_image_that_is_far_too_late_changes_nothing() -> None:
@@ -91,21 +91,21 @@ class Judge:
     """Cameras that see three robots, each with an error of its own [m]; predictions are right."""
 
     def __init__(self, cameras: int, fixed: tuple[int, ...] = ()) -> None:
-        self.its = Agreement(np.ones(3, np.bool_), 0.0002, np.isin(np.arange(cameras), fixed))
+        self.agreement = Agreement(np.ones(3, np.bool_), 0.0002, np.isin(np.arange(cameras), fixed))
         self.errors, self.k = [0.0] * cameras, 0
         self.rng = np.random.default_rng(3)
 
     def images(self, count: int, predicted_off: float = 0.0) -> list[Verdict]:
-        said = []
+        images_made = []
         for _ in range(count):
             self.k += 1
             for camera, error in enumerate(self.errors):
                 noise = self.rng.normal(0.0, 0.0001, (3, 3))
                 seen = image(camera, S + self.k * TICK, *(pose(self.k, robot, error) for robot in range(3)))
                 predicted = np.array([pose(self.k, robot, predicted_off) for robot in range(3)])
-                if (verdict := self.its.look(seen._replace(poses=seen.poses + noise), predicted)) is not None:
-                    said.append(verdict)
-        return said
+                if (verdict := self.agreement.look(seen._replace(poses=seen.poses + noise), predicted)) is not None:
+                    images_made.append(verdict)
+        return images_made
 
 
 def test_cameras_that_agree_are_believed() -> None:
@@ -114,19 +114,19 @@ def test_cameras_that_agree_are_believed() -> None:
     assert judge.images(300) == []
 
 
-@pytest.mark.parametrize(("said", "verdicts"), [(0.001, 0), (0.0, 1)])
-def test_a_camera_that_says_how_unsure_it_is_is_not_accused_of_it(said: float, verdicts: int) -> None:
+@pytest.mark.parametrize(("reported_m", "verdicts"), [(0.001, 0), (0.0, 1)])
+def test_a_camera_that_says_how_unsure_it_is_is_not_accused_of_it(reported_m: float, verdicts: int) -> None:
     """Its tags are faint: a millimetre of noise, which its covariances tell, or do not."""
     judge, rng = Judge(2), np.random.default_rng(4)
-    covariance = np.tile([said**2, 0.0, said**2, 0.0, 0.0, 1e-6], (3, 1))
-    heard = []
+    covariance = np.tile([reported_m**2, 0.0, reported_m**2, 0.0, 0.0, 1e-6], (3, 1))
+    verdict_list = []
     for k in range(200):
         true = np.array([pose(k, robot) for robot in range(3)])
         for camera, sigma in enumerate((0.0, 0.001)):
             poses = np.column_stack([true + rng.normal(0.0, sigma, (3, 3)), covariance])
-            heard.append(judge.its.look(Seen(camera, poses, np.full(3, S + k * TICK)), true))
-    assert len([verdict for verdict in heard if verdict is not None]) >= verdicts
-    assert verdicts or not any(heard)
+            verdict_list.append(judge.agreement.look(Seen(camera, poses, np.full(3, S + k * TICK)), true))
+    assert len([verdict for verdict in verdict_list if verdict is not None]) >= verdicts
+    assert verdicts or not any(verdict_list)
 
 
 @pytest.mark.parametrize("knocked", [0, 1])
@@ -168,21 +168,21 @@ class Hall:
     ) -> None:
         self.period_ns, self.offsets, self.latencies, self.noise = period_ns, offsets, latencies, noise
         drive = replace(GTERNAL, wheel_radius=GTERNAL.wheel_radius * radius)
-        self.truth, self.its = FleetFilter((drive,) * 3, (2 * MS,) * 3, NOISE), fleet()
+        self.truth, self.agreement = FleetFilter((drive,) * 3, (2 * MS,) * 3, NOISE), fleet()
         self.agreement = Agreement(np.ones(3, np.bool_), 0.0002, np.zeros(2, np.bool_))
-        self.joined = Joined(self.its, self.judge)
-        self.said: list[tuple[float, int, bool]] = []  # when, of which camera, whether it is believed
+        self.joined = Joined(self.agreement, self.judge)
+        self.verdicts: list[tuple[float, int, bool]] = []  # when, of which camera, whether it is believed
         self.rng = np.random.default_rng(7)
         self.k, self.knock, self.knocked_ns = 0, np.zeros(3), 0
         self.blocked = False
         self.sent = [0, 0]  # images of each camera so far
         at = np.array([[0.0, 0.5 * robot, 0.3] for robot in range(3)])
-        for each in (self.truth, self.its):
+        for each in (self.truth, self.agreement):
             each.observe(np.full(3, S), at)
 
     def judge(self, seen: Seen, expected: np.ndarray) -> bool:
         if (verdict := self.agreement.look(seen, expected)) is not None:
-            self.said.append(((self.now_ns - self.knocked_ns) / S, verdict.camera, verdict.believed))
+            self.verdicts.append(((self.now_ns - self.knocked_ns) / S, verdict.camera, verdict.believed))
         return bool(self.agreement.believed[seen.camera])
 
     @property
@@ -196,13 +196,13 @@ class Hall:
             self.k += 1
             images = [self.image(camera) for camera in range(2)]
             self.joined.observe([seen for seen in images if seen is not None])
-            off = self.its.predict(self.now_ns)[0] - self.truth.predict(self.now_ns)[0]
+            off = self.agreement.predict(self.now_ns)[0] - self.truth.predict(self.now_ns)[0]
             worst = max(worst, float(np.hypot(off[:, 0], off[:, 1]).max()))
             t = self.k * TICK / S
             v, omega = 0.1 + 0.1 * np.sin(1.3 * t + np.arange(3)), 2.0 * np.sin(1.9 * t + 2.0 * np.arange(3))
             half = omega * GTERNAL.wheel_base / 2
             wheels = np.stack([v - half, v + half], axis=1) / GTERNAL.wheel_radius
-            self.its.command(self.now_ns, wheels)
+            self.agreement.command(self.now_ns, wheels)
             self.truth.command(self.now_ns, np.zeros((3, 2)) if self.blocked else wheels)
             self.truth.observe(np.full(3, self.now_ns - 500 * MS), np.full((3, 3), np.nan))
         return worst
@@ -235,13 +235,13 @@ def test_a_knocked_camera_is_named_whenever_its_images_come(cameras: tuple[int, 
     hall.drive(2.0)
     hall.knocked_ns, hall.knock = hall.now_ns, np.array([knock, 0.0, 0.0])
     hall.drive(1.0)
-    ((after_s, camera, believed),) = hall.said
+    ((after_s, camera, believed),) = hall.verdicts
     assert (camera, believed) == (1, False)
     assert after_s <= 1.0
     assert hall.drive(2.0) <= 2e-4
     hall.knock = np.zeros(3)
     hall.drive(4.0)
-    assert [(camera, believed) for _, camera, believed in hall.said[1:]] == [(1, True)]
+    assert [(camera, believed) for _, camera, believed in hall.verdicts[1:]] == [(1, True)]
 
 
 @pytest.mark.slow_after_first
@@ -254,4 +254,4 @@ def test_cameras_that_hang_well_are_believed_for_long(cameras: tuple[int, Pair, 
     hall.drive(3.0)
     hall.blocked = False
     hall.drive(4.0)
-    assert hall.said == []
+    assert hall.verdicts == []

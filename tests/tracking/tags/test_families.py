@@ -1,7 +1,5 @@
 """Tags of every family that a laboratory may take."""
 
-from pathlib import Path
-
 import numpy as np
 import pyapriltags
 import pytest
@@ -13,6 +11,7 @@ from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagTracker
+from tests.shipped import PLATOON
 from tests.tracking.library import drawn
 from tests.tracking.peers import OURS, Setting, apriltag
 from tests.tracking.tags.test_tracker import (
@@ -31,8 +30,6 @@ from tests.tracking.tags.test_tracker import (
 from tools.measure.tracking.acquisition import SCENES, evaluate
 from tools.measure.tracking.certainty import Scene as Certainty
 from tools.measure.tracking.certainty import certainty
-
-PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 
 
 def targets(family: str) -> list[Target]:
@@ -55,8 +52,8 @@ def test_the_apriltag_library_sees_rendered_tags_where_they_are(family: str) -> 
     see = apriltag(pyapriltags.Detector, 1.0)(Setting(GEOMETRY, SIZE, targets(family), 0.0))
     seen = see(renderer.render(np.array(STANDING)), 0)  # of 16h5 also tags that are not there
     for tag, (x, y, psi) in zip(IDS, STANDING, strict=True):
-        (there,) = [each for each in seen if each.tag == tag and abs(complex(each.x - x, each.y - y)) < 1e-3]
-        assert np.exp(1j * there.psi) == pytest.approx(np.exp(1j * psi), abs=0.02)
+        (found,) = [each for each in seen if each.tag == tag and abs(complex(each.x - x, each.y - y)) < 1e-3]
+        assert np.exp(1j * found.psi) == pytest.approx(np.exp(1j * psi), abs=0.02)
 
 
 @pytest.mark.slow_after_first
@@ -68,9 +65,9 @@ def test_surveyed_tags_of_a_family_are_found_in_an_image(family: FamilyName) -> 
     for tag, (x, y, psi) in zip(IDS, STANDING, strict=True):
         (seen,) = found[tag]
         edge = complex(x, y) + SIDE_M / 2.0 * np.exp(1j * psi)
-        there = GEOMETRY.project(np.array([[x, y, HEIGHT_M], [edge.real, edge.imag, HEIGHT_M]]))
-        assert seen.centre == pytest.approx(there[0], abs=0.05)
-        assert seen.ahead == pytest.approx(there[1], abs=0.1)
+        corners = GEOMETRY.project(np.array([[x, y, HEIGHT_M], [edge.real, edge.imag, HEIGHT_M]]))
+        assert seen.centre == pytest.approx(corners[0], abs=0.05)
+        assert seen.ahead == pytest.approx(corners[1], abs=0.1)
 
 
 @pytest.mark.slow

@@ -176,9 +176,9 @@ def test_a_tile_is_searched_again_when_it_changes_and_now_and_then(
     squares = detector().squares
     monkeypatch.setattr(detector(), "squares", lambda *what: (searched.append(1), squares(*what))[1])
     sweep, known = Sweep(detector(), [Region(0, 0, MODEL.width, MODEL.height)]), np.full(4, np.nan, complex)
-    one = still([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
+    image = still([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
     two = still([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), *2 * [(np.nan, np.nan, np.nan)]])
-    for poses, expected in ((one, {0}), (two, {0, 1}), (one, {0})):
+    for poses, expected in ((image, {0}), (two, {0, 1}), (image, {0})):
         searched.clear()
         for visit in range(40):
             findings = sweep.search(renderer.render(poses), visit, known)

@@ -149,18 +149,18 @@ def test_a_second_print_that_appears_later_is_refused_and_the_robot_followed_on(
 def test_a_tag_that_jumps_is_refused_until_it_stays(renderer: SceneRenderer) -> None:
     watched = Watched()
     watched.at(renderer, STANDING, 5)
-    there = (-0.6, -0.5, 1.0)
+    moved = (-0.6, -0.5, 1.0)
     believed = 0
     for k in range(10 * SWEEP):
-        (sightings,) = watched.at(renderer, [there, *STANDING[1:]])
+        (sightings,) = watched.at(renderer, [moved, *STANDING[1:]])
         if 1 in measured(sightings):
             believed = believed or k
-            assert error(measured(sightings)[1], there) < 3e-4
+            assert error(measured(sightings)[1], moved) < 3e-4
     assert believed * PERIOD_NS > 2.5e9  # the supervisor has ended the run by then
-    told = [event for event, tag in watched.news if tag == 1]
-    assert told[:2] == [TrackerEvent.TAG_FOUND, TrackerEvent.TAG_JUMPED]
-    assert TrackerEvent.TAG_LOST in told
-    assert told[-1] is TrackerEvent.TAG_CARRIED
+    events = [event for event, tag in watched.news if tag == 1]
+    assert events[:2] == [TrackerEvent.TAG_FOUND, TrackerEvent.TAG_JUMPED]
+    assert TrackerEvent.TAG_LOST in events
+    assert events[-1] is TrackerEvent.TAG_CARRIED
 
 
 def test_two_tags_that_are_exchanged_are_not_believed_at_once(renderer: SceneRenderer) -> None:

@@ -109,8 +109,8 @@ class Arena:
         for i, plant in enumerate(self._plants):
             plant.step(WheelSpeeds(*wheels[i].tolist()), seconds, blocked=i == self.stuck and self._left_s < 0)
         at = self.poses()[:, :2]
-        one, other = self._pairs
-        self.gap = min(self.gap, float(np.linalg.norm(at[one] - at[other], axis=1).min()) - 2 * self._radius)
+        first, other = self._pairs
+        self.gap = min(self.gap, float(np.linalg.norm(at[first] - at[other], axis=1).min()) - 2 * self._radius)
         self.edge = min(self.edge, float((self._half - np.abs(at)).min()) - self._radius)
 
     def goals(self, points: Array) -> Array:
@@ -135,11 +135,11 @@ def cross(config: Config, seed: int, scenario: Scenario) -> Crossing:
         tick_ns, newest = START_NS + k * round(c.tick_s * S), max(0, k - DELAY_TICKS)
         images.append(arena.poses() + noise * rng.normal(size=(n, 3)))
         estimate.observe(np.full(n, START_NS + newest * round(c.tick_s * S)), images[newest])
-        _, there, turning = estimate.predict(tick_ns)
-        goals = arena.goals(points(there, c.point_ahead_m))
-        before, (u, wheels) = wheels, asked(config, scenario, there, goals)
+        _, predicted, turning = estimate.predict(tick_ns)
+        goals = arena.goals(points(predicted, c.point_ahead_m))
+        before, (u, wheels) = wheels, asked(config, scenario, predicted, goals)
         unseen = (tick_ns - estimate.measured_ns) / S
-        wheels, _, change, blocked = barrier.filter(there, turning, unseen, all_drive, wheels, u)
+        wheels, _, change, blocked = barrier.filter(predicted, turning, unseen, all_drive, wheels, u)
         no_answer, ever = no_answer + int((change == NO_ANSWER).sum()), ever | (blocked & ~arena.there())
         estimate.command(tick_ns, wheels)
         arena.move(before, c.command_delay_s)
@@ -205,11 +205,11 @@ def main() -> None:
 
 def row(name: str, found: list[Crossing]) -> str:
     """Return a scenario's row."""
-    all_there = sum(one.arrived == one.moving for one in found)
-    robots = f"{sum(one.arrived for one in found)}/{sum(one.moving for one in found)}"
-    gap, edge = (1e3 * min(values) for values in zip(*((one.gap, one.edge) for one in found), strict=True))
-    blocked, times = sum(one.ever_blocked for one in found), [one.seconds for one in found]
-    no_answer = sum(one.no_answer for one in found)
+    all_there = sum(meeting.arrived == meeting.moving for meeting in found)
+    robots = f"{sum(meeting.arrived for meeting in found)}/{sum(meeting.moving for meeting in found)}"
+    gap, edge = (1e3 * min(values) for values in zip(*((meeting.gap, meeting.edge) for meeting in found), strict=True))
+    blocked, times = sum(meeting.ever_blocked for meeting in found), [meeting.seconds for meeting in found]
+    no_answer = sum(meeting.no_answer for meeting in found)
     return (
         f"{name:24}{len(found):6}{all_there:13}{robots:>11}{gap:6.1f} mm{edge:6.0f} mm{blocked:9}"
         f"    {np.median(times):.1f} s, at most {max(times):.1f} s; no answer {no_answer}"

@@ -103,17 +103,17 @@ def go(config: Config, starts: Array, goals: Array, seed: int, longest_s: float 
         tick_ns, newest = START_NS + k * round(c.tick_s * S), max(0, k - DELAY_TICKS)
         images.append(poses + noise * rng.normal(size=(n, 3)))
         estimate.observe(np.full(n, START_NS + newest * round(c.tick_s * S)), images[newest])
-        _, there, turning = estimate.predict(tick_ns)
+        _, predicted, turning = estimate.predict(tick_ns)
         before = wheels
         driving = np.full(n, k >= ARMED_TICKS)
         decision = behaviour.decide(
             Situation(
-                t=k * c.tick_s, poses=there, driving=driving, disturbance=np.zeros((n, 2)), others=np.zeros((0, 3))
+                t=k * c.tick_s, poses=predicted, driving=driving, disturbance=np.zeros((n, 2)), others=np.zeros((0, 3))
             )
         )
-        request = commanding.limited(decision.velocities, of_body, there, c.point_ahead_m, limits, driving)
+        request = commanding.limited(decision.velocities, of_body, predicted, c.point_ahead_m, limits, driving)
         unseen_s = (tick_ns - estimate.measured_ns) / S
-        wheels, u, _, _ = barrier.filter(there, turning, unseen_s, driving, request.wheels, request.u)
+        wheels, u, _, _ = barrier.filter(predicted, turning, unseen_s, driving, request.wheels, request.u)
         behaviour.changed(u)
         estimate.command(tick_ns, wheels)
         for i, plant in enumerate(plants):
@@ -136,23 +136,23 @@ def trial(robots: int, seed: int) -> Trial:
     starts, goals = places(config, robots, rng), places(config, robots, rng)
     together = go(config, starts, goals, seed)
     furthest = np.argsort(-np.hypot(*(goals - starts)[:, :2].T))[:ALONE]
-    one = configuration(1)
-    alone = max(go(one, starts[i : i + 1], goals[i : i + 1], seed).seconds for i in furthest)
+    first_seed = configuration(1)
+    alone = max(go(first_seed, starts[i : i + 1], goals[i : i + 1], seed).seconds for i in furthest)
     return Trial(**{**vars(together), "alone": alone})
 
 
 def table(robots: int, trials: Sequence[Trial]) -> str:
     """Return what came of them."""
-    seconds, alone = (np.array([getattr(one, key) for one in trials]) for key in ("seconds", "alone"))
-    gaps = [one.gap for one in trials]
-    missing = [one.seed for one in trials if not one.arrived]
-    close = [one.seed for one in trials if one.gap < GAP]
+    seconds, alone = (np.array([getattr(result, key) for result in trials]) for key in ("seconds", "alone"))
+    gaps = [result.gap for result in trials]
+    missing = [result.seed for result in trials if not result.arrived]
+    close = [result.seed for result in trials if result.gap < GAP]
     return "\n".join(
         [
             f"{robots} robots, {len(trials)} seeds",
             f"  arrived within 5 mm and 3 degrees  {len(trials) - len(missing)} {f'not {missing}' if missing else ''}",
-            f"  largest errors                     {max(one.position for one in trials) * 1e3:.1f} mm, "
-            f"{math.degrees(max(one.heading for one in trials)):.2f} degrees",
+            f"  largest errors                     {max(result.position for result in trials) * 1e3:.1f} mm, "
+            f"{math.degrees(max(result.heading for result in trials)):.2f} degrees",
             f"  smallest gap                       {min(gaps) * 1e3:.1f} mm (median {np.median(gaps) * 1e3:.1f} mm) "
             f"{f'below 10 mm: {close}' if close else ''}",
             f"  time                               median {np.median(seconds):.1f} s, longest {seconds.max():.1f} s",
@@ -175,10 +175,10 @@ def main() -> None:
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for robots in arguments.robots:
             found = []
-            for one in pool.map(partial(trial, robots), seeds):
-                found.append(one)
-                if not one.arrived or one.gap < GAP:
-                    print(f"{robots} robots: {one}", file=sys.stderr, flush=True)
+            for result in pool.map(partial(trial, robots), seeds):
+                found.append(result)
+                if not result.arrived or result.gap < GAP:
+                    print(f"{robots} robots: {result}", file=sys.stderr, flush=True)
             print(table(robots, found), flush=True)
 
 

@@ -67,10 +67,10 @@ def drawn_obstacles(rng: np.random.Generator, behaviour: str) -> list[dict[str, 
             at = (float(reach * math.cos(angle)), float(reach * math.sin(angle)))
         if all(math.dist(at, other) > 0.6 for other in places):
             places.append(at)
-    (x, y), one, other = places
+    (x, y), first, other = places
     return [
         {"circle": {"x_m": round(x, 3), "y_m": round(y, 3), "radius_m": round(float(rng.uniform(0.03, 0.2)), 3)}},
-        {"polygon_m": star(rng, one, 4, 0.14)},
+        {"polygon_m": star(rng, first, 4, 0.14)},
         {"polygon_m": star(rng, other, 7, 0.05)},
     ]
 
@@ -120,8 +120,8 @@ def drive(behaviour: str, seed: int) -> Trial:
     config, _ = scene(behaviour, seed)
     run = Lockstep(config)
     outcome, cause = run.run()
-    told = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
-    return Trial(seed, outcome, cause, told["duration_s"], told["min_obstacle_gap_mm"], told["min_gap_mm"])
+    figures = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
+    return Trial(seed, outcome, cause, figures["duration_s"], figures["min_obstacle_gap_mm"], figures["min_gap_mm"])
 
 
 def arrived(behaviour: str, trial: Trial) -> bool:
@@ -137,10 +137,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
-    asked = parser.parse_args()
-    seeds = range(asked.first, asked.first + asked.seeds)
-    with ProcessPoolExecutor(asked.jobs, get_context("spawn")) as pool:
-        for behaviour in asked.behaviours:
+    arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:
+        for behaviour in arguments.behaviours:
             trials = []
             for trial in pool.map(partial(drive, behaviour), seeds):
                 trials.append(trial)

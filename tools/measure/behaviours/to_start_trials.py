@@ -44,9 +44,9 @@ def drive(seed: int, duration_s: float) -> tuple[str, str | None, float, float]:
     )
     run = Lockstep(config)
     outcome, cause = run.run()
-    told = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
-    error = told["control_error_mm"]
-    gap = told["min_gap_mm"]
+    figures = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
+    error = figures["control_error_mm"]
+    gap = figures["min_gap_mm"]
     return outcome, cause, math.nan if gap is None else gap, math.nan if error is None else error["mean"]
 
 
@@ -56,11 +56,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--duration", type=float, default=88.0)
-    asked = parser.parse_args()
-    seeds = range(asked.first, asked.first + asked.seeds)
+    arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
     completed = 0
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        for seed, found in zip(seeds, pool.map(partial(drive, duration_s=asked.duration), seeds), strict=True):
+        for seed, found in zip(seeds, pool.map(partial(drive, duration_s=arguments.duration), seeds), strict=True):
             outcome, cause, gap, error = found
             completed += outcome == "completed"
             print(f"seed {seed:4d}  {outcome}  gap {gap:6.1f} mm  control {error:5.2f} mm  {cause or ''}", flush=True)

@@ -36,8 +36,9 @@ from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS
 from tests.endpoints import own_endpoint
 from tests.operator.asked_run import asked_run, until_asked
-from tests.runs.realrun import PLATOON, own_folders
+from tests.runs.realrun import own_folders
 from tests.runs.unlaunched import started
+from tests.shipped import PLATOON
 
 _CLOCK = WallClock()
 _DRIVES_NS = S  # between the start and the stop
@@ -149,9 +150,9 @@ def measure(folder: Path, times: int, trouble: str | None = None) -> list[float]
         tries = Tries(config, fleet, trouble)
         try:
             for k in range(times):
-                one = tries.once()
-                found += one
-                print(f"{k + 1:4d}: {max(one):5.1f} ms", file=sys.stderr)
+                attempt = tries.once()
+                found += attempt
+                print(f"{k + 1:4d}: {max(attempt):5.1f} ms", file=sys.stderr)
         finally:
             tries.bus.close()
     finally:
@@ -164,7 +165,7 @@ def print_cost(folder: Path, times: int) -> None:
     environment = own_folders(folder)
     with asked_run(environment):
         asking = [until_asked(["stop"], environment) for _ in range(times)]
-    cpu_s = [one.cpu_s for one in asking]
+    cpu_s = [attempt.cpu_s for attempt in asking]
     print(
         f"robofleet stop, until it asks: p50 {np.median(cpu_s):.3f} s of the processors, worst {max(cpu_s):.3f} s; ",
         end="",
@@ -179,12 +180,12 @@ def main() -> None:
     parser.add_argument("--supervisor", choices=TROUBLES)
     parser.add_argument("--cpu", action="store_true")
     parser.add_argument("--flood", nargs=2, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.flood is not None:
-        flood(*asked.flood)
-    times, trouble = asked.times, asked.supervisor
+    arguments = parser.parse_args()
+    if arguments.flood is not None:
+        flood(*arguments.flood)
+    times, trouble = arguments.times, arguments.supervisor
     with tempfile.TemporaryDirectory() as folder:
-        if asked.cpu:
+        if arguments.cpu:
             print_cost(Path(folder), times)
             return
         found = measure(Path(folder), times, trouble)

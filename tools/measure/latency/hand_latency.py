@@ -37,23 +37,23 @@ Act = Callable[[bool], int]  # hold the button, or let it go; returns when that 
 @contextmanager
 def pad(config: Config, bus: ZenohBus) -> Iterator[Act]:
     """Drive by a gamepad of this computer."""
-    one = PipedDevice()
+    device = PipedDevice()
 
     def drive() -> None:
         with suppress(OSError, ValueError):  # it is closed
-            command.drive(EventPad(one), config, bus, CLOCK, GROUP, lambda: False)
+            command.drive(EventPad(device), config, bus, CLOCK, GROUP, lambda: False)
 
     thread = threading.Thread(target=drive)
     thread.start()
-    one.happens((EV_ABS, ABS_Y, -32768))
+    device.happens((EV_ABS, ABS_Y, -32768))
 
     def act(held: bool) -> int:
         now_ns = CLOCK.now_ns()
-        one.happens((EV_KEY, BTN_TR, int(held)))
+        device.happens((EV_KEY, BTN_TR, int(held)))
         return now_ns
 
     yield act
-    one.close()
+    device.close()
     thread.join()
 
 
@@ -66,8 +66,8 @@ def page(address: str) -> Iterator[Act]:
         browser.execute_script("pads = [pad]; pad.axes = [0, -1, 0, 0]")
 
         def act(held: bool) -> int:
-            said = f"pad.buttons[5].pressed = {str(held).lower()}; return performance.timeOrigin + performance.now()"
-            return round(float(browser.execute_script(said)) * MS) - epoch_ns()
+            script = f"pad.buttons[5].pressed = {str(held).lower()}; return performance.timeOrigin + performance.now()"
+            return round(float(browser.execute_script(script)) * MS) - epoch_ns()
 
         yield act
 
@@ -76,11 +76,11 @@ def until(statuses: Stream, turning: bool, since_ns: int) -> float:
     """Return how long it took until the first robot's gate let it turn, or stand [ms]; NaN: too long."""
     while CLOCK.now_ns() < since_ns + _WITHIN_NS:
         for at_ns, _, payload in statuses.drain():
-            its = UNIT_STATUS.decode(payload)
-            if its is not None and at_ns > since_ns:
-                if turning and its.robots[0].left_output_rad_s:
+            status = UNIT_STATUS.decode(payload)
+            if status is not None and at_ns > since_ns:
+                if turning and status.robots[0].left_output_rad_s:
                     return (at_ns - since_ns) / MS
-                if not turning and not its.robots[0].left_output_rad_s:
+                if not turning and not status.robots[0].left_output_rad_s:
                     return (at_ns - since_ns) / MS
         CLOCK.sleep_until(CLOCK.now_ns() + MS)
     return float("nan")
@@ -95,7 +95,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, ExitStack() as held:
         web = ["--web", "--no-browser"] if arguments.page else []
         alone = "tracker.source=truth", "drivers.robots_per_process=1"
-        run = RealRun(Path(name), *web, *(word for one in alone for word in ("--set", one)), config=TELEOP)
+        run = RealRun(Path(name), *web, *(word for override in alone for word in ("--set", override)), config=TELEOP)
         held.callback(run.clean_up)
         run.wait_until_running()
         config = load_config(run.folder / "config.yaml")

@@ -33,9 +33,9 @@ Array = NDArray[np.float64]
 def latencies(run: Run, sent: list[int]) -> Array:
     """Return from command to tick, from tick to wheel, and both (3, K) [ms], of the commands that reached a wheel."""
     radius = slices.drive(load_config(CONFIG).robot("r1")).wheel_radius
-    stamps, told = run.ticks["stamp_ns"], run.items["left_rad_s"][:, 0] * radius
-    numbers = np.round((told - speed(0)) / (speed(1) - speed(0))).astype(int)
-    numbers[told <= 0.0] = -1
+    stamps, commanded_m_s = run.ticks["stamp_ns"], run.items["left_rad_s"][:, 0] * radius
+    numbers = np.round((commanded_m_s - speed(0)) / (speed(1) - speed(0))).astype(int)
+    numbers[commanded_m_s <= 0.0] = -1
     applied = np.unique(run.statuses[0]["applied_ns"])
     found = []
     first, last = np.searchsorted(stamps, (sent[0], sent[-1]))
@@ -54,11 +54,11 @@ def main() -> None:
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
     given = parser.parse_args()
     overrides = [word for setting in given.settings for word in ("--set", setting)]
-    with tempfile.TemporaryDirectory() as place:
-        run = RealRun(Path(place), *overrides, config=CONFIG)
+    with tempfile.TemporaryDirectory() as folder:
+        run = RealRun(Path(folder), *overrides, config=CONFIG)
         environment = run.environment | {
             "ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_LOG_DIR": place,
+            "ROS_LOG_DIR": folder,
         }  # fmt: skip
         gateway = None
         try:

@@ -47,13 +47,13 @@ def side(name: str, run: RealRun, folder: Path) -> Iterator[None]:
     started: list[subprocess.Popen[bytes]] = []
     try:
         if name != "without":
-            said = folder / "foxglove.said"
-            with said.open("wb") as out:
+            output = folder / "foxglove.said"
+            with output.open("wb") as out:
                 command = [sys.executable, "-m", "robofleet", "foxglove", "--at", "127.0.0.1:0"]
                 started.append(subprocess.Popen(command, env=run.environment, stderr=out))
-            assert wait(lambda: re.search(r"ws://\S+:\d+", said.read_text()), _WITHIN_S), said.read_text()
+            assert wait(lambda: re.search(r"ws://\S+:\d+", output.read_text()), _WITHIN_S), output.read_text()
         if name == "viewer":
-            found = re.search(r"ws://[0-9.]+:\d+", said.read_text())
+            found = re.search(r"ws://[0-9.]+:\d+", output.read_text())
             assert found is not None
             started.append(subprocess.Popen([sys.executable, "-c", _LOOK, found[0]]))
         yield
@@ -88,10 +88,10 @@ def main() -> None:
             config = load_config(run.folder / "config.yaml")
             bus = joined(config.arena.name, config.bus.endpoint, "viewer", CLOCK, _WITHIN_S)
             for _ in range(arguments.turns):
-                for one in SIDES:
-                    with side(one, run, folder):
-                        found[one].append(ticks(bus, config.arena.name, arguments.seconds))
-                    assert run.launcher.poll() is None and len(found[one][-1]), run.said
+                for side_name in SIDES:
+                    with side(side_name, run, folder):
+                        found[side_name].append(ticks(bus, config.arena.name, arguments.seconds))
+                    assert run.launcher.poll() is None and len(found[side_name][-1]), run.said
             bus.close()
         finally:
             run.clean_up()

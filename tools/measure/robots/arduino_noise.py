@@ -45,11 +45,11 @@ def main() -> None:
     parser.add_argument("kinds", nargs="*", choices=[[], *_KINDS], metavar="KIND")
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--share", type=float, default=0.01)
-    asked = parser.parse_args()
-    faults = [LineFault(kind=kind, at_s=0.0, share=asked.share) for kind in asked.kinds or _KINDS]
-    ends, wrong, furthest, longest = zip(*(drive(seed, faults) for seed in range(asked.runs)), strict=True)
+    arguments = parser.parse_args()
+    faults = [LineFault(kind=kind, at_s=0.0, share=arguments.share) for kind in arguments.kinds or _KINDS]
+    ends, wrong, furthest, longest = zip(*(drive(seed, faults) for seed in range(arguments.runs)), strict=True)
     ended = [why for why in ends if why]
-    print(f"{asked.runs - len(ended)} of {asked.runs} runs went on to their end", *ended, sep="\n")
+    print(f"{arguments.runs - len(ended)} of {arguments.runs} runs went on to their end", *ended, sep="\n")
     print(f"{sum(wrong)} wrong motions, at most {max(furthest):.1f} rad/s off and {max(longest):.0f} ms long")
 
 

@@ -48,17 +48,17 @@ def drive(seed: int, share: float, count: Count) -> str:
     try:
         bench.open()
         bench.to_robot = bench.to_driver = spoil
-        told: dict[tuple[int, int], int] = {}
+        commands: dict[tuple[int, int], int] = {}
         for tick in range(_TICKS):
             wheels = WheelSpeeds(5.0 + 2.0 * math.sin(0.033 * tick), 5.0 + 2.0 * math.cos(0.023 * tick))
             bench.write(*wheels)
-            told[_mm_s(wheels)] = tick
+            commands[_mm_s(wheels)] = tick
             for _ in range(3):
                 bench.let_pass(_STEP_NS)
                 if bench.read().faults:
                     return f"run {seed}: fault {bench.read().faults}"
                 now = bench.hardware.command
-                count.look(now != STOP and told.get(_mm_s(now), -_REMEMBERED) <= tick - _REMEMBERED)
+                count.look(now != STOP and commands.get(_mm_s(now), -_REMEMBERED) <= tick - _REMEMBERED)
     except DriverError as error:
         return f"run {seed}: {error}"
     finally:
@@ -75,9 +75,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--share", type=float, default=0.01)
-    asked, count = parser.parse_args(), Count()
-    ended = [why for why in (drive(seed, asked.share, count) for seed in range(asked.runs)) if why]
-    print(f"{asked.runs - len(ended)} of {asked.runs} runs went on to their end", *ended, sep="\n")
+    arguments, count = parser.parse_args(), Count()
+    ended = [why for why in (drive(seed, arguments.share, count) for seed in range(arguments.runs)) if why]
+    print(f"{arguments.runs - len(ended)} of {arguments.runs} runs went on to their end", *ended, sep="\n")
     lasted_ms = [lasted * _STEP_NS / MS for lasted in count.lasted] or [0.0]
     print(f"{len(count.lasted)} wrong motions, of {np.mean(lasted_ms):.0f} ms, at most {max(lasted_ms):.0f} ms")
 

@@ -52,15 +52,15 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--share", type=float, default=0.01)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     completed, struck = 0, 0
     wrong: dict[str, list[tuple[int, float, int]]] = {}
-    for seed in range(asked.first, asked.first + asked.runs):
+    for seed in range(arguments.first, arguments.first + arguments.runs):
         with tempfile.TemporaryDirectory() as folder:
-            summary, said = run(asked.config, Path(folder), seed, asked.seconds, asked.share)
+            summary, output = run(arguments.config, Path(folder), seed, arguments.seconds, arguments.share)
         completed += summary["outcome"] == "completed"
-        struck += sum(map(int, _STRUCK.findall(said)))
-        for robot, count, furthest, longest in _COUNTED.findall(said):
+        struck += sum(map(int, _STRUCK.findall(output)))
+        for robot, count, furthest, longest in _COUNTED.findall(output):
             wrong.setdefault(robot, []).append((int(count), float(furthest), int(longest)))
         error = summary["control_error_mm"]
         print(
@@ -69,7 +69,7 @@ def main() -> None:
             + ", ".join(f"{robot}: {found[-1][0]}" for robot, found in wrong.items()),
             flush=True,
         )
-    print(f"completed: {completed} of {asked.runs}; lines struck: {struck}")
+    print(f"completed: {completed} of {arguments.runs}; lines struck: {struck}")
     for robot, found in wrong.items():
         counts, furthest, longest = zip(*found, strict=True)
         print(

@@ -49,9 +49,9 @@ def one_run(folder: Path, *overrides: str) -> dict[str, Any]:
         str(folder / "run"),
         "--json",
     ]
-    with (folder / "said").open("w") as said:
+    with (folder / "said").open("w") as log:
         done = subprocess.run(
-            [*command, *changes], stdout=subprocess.PIPE, stderr=said, text=True, check=False,
+            [*command, *changes], stdout=subprocess.PIPE, stderr=log, text=True, check=False,
             env=os.environ | {"XDG_STATE_HOME": str(folder)},
         )  # fmt: skip
     summary: dict[str, Any] = json.loads(done.stdout)
@@ -68,17 +68,17 @@ def main() -> int:
     for run in range(arguments.runs):
         with tempfile.TemporaryDirectory() as folder, busy_loops(LOOPS):
             summary = one_run(Path(folder), *arguments.overrides)
-            said = (Path(folder) / "said").read_text().count("this machine is busy: ")
+            warnings = (Path(folder) / "said").read_text().count("this machine is busy: ")
             if summary["outcome"] != "completed":
                 shutil.copytree(folder, Path(tempfile.gettempdir()) / f"busy-machine-{os.getpid()}-{run + 1}")
         busy = summary["busy_machine"]
-        good += summary["outcome"] == "completed" and busy is not None and said == 1
+        good += summary["outcome"] == "completed" and busy is not None and warnings == 1
         stops = Counter(stop["cause"] for stop in summary["stops"]).most_common(3)
         print(
             f"{run + 1}: {summary['outcome']}, {summary['duration_s']:.1f} s, real time x {summary['real_time_factor']}"
         )
         print(
-            f"   {summary['cause'] or 'no fault'}; said {said} times; {busy and busy['words']}; stops {stops}",
+            f"   {summary['cause'] or 'no fault'}; said {warnings} times; {busy and busy['words']}; stops {stops}",
             flush=True,
         )
     print(f"{good} of {arguments.runs} completed and said once that the machine was busy")

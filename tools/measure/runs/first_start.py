@@ -34,17 +34,17 @@ def start(folder: Path, interrupted_after_s: float | None = None) -> tuple[dict[
         stderr=subprocess.STDOUT,
         text=True,
     )
-    told: dict[str, float] = {}
+    phases: dict[str, float] = {}
     if interrupted_after_s is not None:
         threading.Timer(interrupted_after_s, run.send_signal, [signal.SIGINT]).start()
     assert run.stdout is not None
     for line in run.stdout:
         what = "page" if "http://" in line else line.partition(" ")[0].strip()
         if what in (*SHOWN, "page"):
-            told.setdefault(what, (_CLOCK.now_ns() - began_ns) / S)
+            phases.setdefault(what, (_CLOCK.now_ns() - began_ns) / S)
     code = run.wait()
-    told["ended"] = (_CLOCK.now_ns() - began_ns) / S - (interrupted_after_s or 0.0)
-    return told, code
+    phases["ended"] = (_CLOCK.now_ns() - began_ns) / S - (interrupted_after_s or 0.0)
+    return phases, code
 
 
 def main() -> None:
@@ -57,8 +57,8 @@ def main() -> None:
             if cold:
                 shutil.rmtree(store.folder(), ignore_errors=True)
             with tempfile.TemporaryDirectory() as folder:
-                told, code = start(Path(folder), after_s)
-            when = ", ".join(f"{what} {at_s:.1f} s" for what, at_s in told.items())
+                phases, code = start(Path(folder), after_s)
+            when = ", ".join(f"{what} {at_s:.1f} s" for what, at_s in phases.items())
             print(f"{name}: {when}; exit code {code}", flush=True)
 
 

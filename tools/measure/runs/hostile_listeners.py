@@ -53,7 +53,7 @@ class Stream:
 
     def __init__(self, bus: Any, clock: Clock) -> None:
         self._came: list[Arrival] = []
-        bus.tap(lambda said: self._came.append(Arrival(clock.now_ns(), *said)))
+        bus.tap(lambda message: self._came.append(Arrival(clock.now_ns(), *message)))
 
     def drain(self) -> list[Arrival]:
         came, self._came[:] = [*self._came], []
@@ -83,7 +83,7 @@ class Recorded:
             summary(parted.recording, name="hostile", mode="realtime", outcome="fault", cause=None, run=parted)
 
 
-class Keeping:
+class FakeViewer:
     """A viewers' server without a net."""
 
     def __init__(self) -> None:
@@ -240,7 +240,7 @@ def listeners(run: Lockstep, config: Config, folder: Path, *, whole: bool) -> li
     bus, clock = run.bus, run.clock
     found: list[Listener] = [
         Watched(run, config), Recorded(config, Stream(bus, clock), folder, whole=whole),
-        Shown(config, Stream(bus, clock), lambda _: Opened(Keeping(), "")),
+        Shown(config, Stream(bus, clock), lambda _: Opened(FakeViewer(), "")),
     ]  # fmt: skip
     if whole and find_spec("rerun"):
         found.append(Shown(config, Stream(bus, clock), partial(_rerun, config)))

@@ -178,15 +178,15 @@ class Attack:
                 self.figures.messages[topic.key] += 1
             self._listen()
         self._stop()
-        for one in self._listeners:
-            one.close()
+        for listener in self._listeners:
+            listener.close()
         self._recover()
 
     def _listen(self) -> None:
         self.lockstep.advance(_PERIOD_S)
         self.figures.phases.add(self.lockstep.status.phase.name)
-        for one in self._listeners:
-            one.step(self.lockstep.clock.now_ns())
+        for listener in self._listeners:
+            listener.step(self.lockstep.clock.now_ns())
 
     def _start(self) -> None:
         """Let the fleet start, as an operator does."""
@@ -250,9 +250,9 @@ def main() -> None:
     parser.add_argument("--messages", type=int, default=10000)
     parser.add_argument("--config", type=Path)
     parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args()
-    for file in [asked.config] if asked.config else [CONFIGS / f"{name}.yaml" for name in SHIPPED]:
-        figures = attack(load_config(file, [TRUTH]), asked.messages, asked.seed)
+    arguments = parser.parse_args()
+    for file in [arguments.config] if arguments.config else [CONFIGS / f"{name}.yaml" for name in SHIPPED]:
+        figures = attack(load_config(file, [TRUTH]), arguments.messages, arguments.seed)
         total, fleets = figures.messages.total(), figures.fleets
         print(f"{file.stem}: {total} messages on {len(figures.messages)} topics, {fleets} fleets")
         print(f"    starts {figures.starts}; phases {', '.join(sorted(figures.phases))}; afterwards:")

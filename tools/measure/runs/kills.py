@@ -213,13 +213,13 @@ def runs(config: Path, settings: list[str], only: list[str], times: int, rng: np
             continue
         for number in (signal.SIGKILL, signal.SIGSTOP):
             struck = [struck_runs.strike(config, settings, victim, number, rng) for _ in range(times)]
-            target = np.array([ms for one in struck for ms in one.target_ms])
-            output = np.array([ms for one in struck for ms in one.output_ms])
-            wrong = Counter(what for one in struck for what in one.wrong)
+            target = np.array([ms for strike in struck for ms in strike.target_ms])
+            output = np.array([ms for strike in struck for ms in strike.output_ms])
+            wrong = Counter(what for strike in struck for what in strike.wrong)
             good = good and not wrong and not (target > TARGET_MS).any() and not (output > OUTPUT_MS).any()
             name = f"{victim.name} {'killed' if number == signal.SIGKILL else 'frozen'}"
-            said = ", ".join(f"{count} x {what}" for what, count in wrong.items()) or "nothing"
-            print(f"{name:<24}{times:>6}{_shown(target):>22}{_shown(output):>22}  {said}", flush=True)
+            wrongs = ", ".join(f"{count} x {what}" for what, count in wrong.items()) or "nothing"
+            print(f"{name:<24}{times:>6}{_shown(target):>22}{_shown(output):>22}  {wrongs}", flush=True)
     return good
 
 

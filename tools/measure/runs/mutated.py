@@ -182,24 +182,24 @@ def changed(  # noqa: PLR0912 - a branch for each kind of mistake
         tree = json.loads(text) if is_json else yaml.safe_load(text)
         places = [*_places(tree, ())]
         for _ in range(int(rng.integers(1, 3))):
-            place, value = pick(places), pick(_ABSURD)
+            where, value = pick(places), pick(_ABSURD)
             with suppress(AttributeError, KeyError, IndexError, TypeError):  # it was changed already
                 holder: Any = tree
-                for part in place[:-1]:
+                for part in where[:-1]:
                     holder = holder[part]
                 what = int(rng.integers(4))
                 if what == 0:
-                    del holder[place[-1]]
+                    del holder[where[-1]]
                 elif what == 1 and isinstance(holder, list):
-                    holder.extend([holder[place[-1]]] * int(pick((1, 50))))
+                    holder.extend([holder[where[-1]]] * int(pick((1, 50))))
                 elif what == 1:
-                    holder[f"{place[-1]}{pick(('s', ' ', '_m', '.x'))}"] = holder.pop(place[-1])
+                    holder[f"{where[-1]}{pick(('s', ' ', '_m', '.x'))}"] = holder.pop(where[-1])
                 else:
-                    holder[place[-1]] = value
+                    holder[where[-1]] = value
         done = (
             json.dumps(tree) if is_json else yaml.safe_dump(tree, sort_keys=False, allow_unicode=bool(rng.integers(2)))
         )
-        return done.encode(errors="surrogatepass"), f"at {place}: {value!r:.60}"
+        return done.encode(errors="surrogatepass"), f"at {where}: {value!r:.60}"
     lines, at = text.splitlines(), int(rng.integers(max(1, len(text.splitlines()))))
     what = int(rng.integers(6))
     if what == 0:
@@ -272,10 +272,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CONFIG_HOME"] = folder
-        figures = attack(Path(folder), asked.files, asked.seed)
+        figures = attack(Path(folder), arguments.files, arguments.seed)
     refused, accepted = figures.refused.total(), figures.accepted.total()
     print(
         f"{refused} refused, {accepted} accepted, {len(figures.others)} other errors; longest {figures.longest_s:.1f} s"

@@ -37,25 +37,25 @@ _ON_ITS_WAY_NS = 300 * MS  # what was said before the kill is heard by then
 class Outcome(NamedTuple):
     """What one kill cost."""
 
-    heard: int  # messages until the kill
+    messages: int  # messages until the kill
     lost: int  # of these
     lost_ms: float  # how long before the kill the oldest of them was heard
     repaired: str  # what `robofleet repair` said
 
 
-def strike(fleet: Fleet, heard: Stream, folder: Path, rng: np.random.Generator) -> Outcome:
+def strike(fleet: Fleet, stream: Stream, folder: Path, rng: np.random.Generator) -> Outcome:
     """Record, kill, mend and compare; AssertionError if the file is not whole or messages are out of order."""
     fleet.start("recorder")
     fleet.drive()
     CLOCK.sleep_until(CLOCK.now_ns() + _SETTLED_NS)
-    heard.drain()
+    stream.drain()
     began_ns = CLOCK.now_ns()
     CLOCK.sleep_until(began_ns + round(rng.uniform(0.0, 3.0) * S))
     killed_ns = CLOCK.now_ns()
     fleet.signal("recorder", signal.SIGKILL)
     CLOCK.sleep_until(killed_ns + _ON_ITS_WAY_NS)
-    arrivals = heard.drain()
-    assert not heard.dropped
+    arrivals = stream.drain()
+    assert not stream.dropped
     run = folder / "run"
     run.mkdir()
     (folder / FILE).rename(run / FILE)
@@ -82,12 +82,12 @@ def missing(run: Path, arrivals: list[Arrival]) -> list[Arrival]:
     for arrival in arrivals:
         said_on[arrival.key].append(arrival)
     lost = []
-    for full, said in said_on.items():
-        places = {payload: place for place, payload in recording.placed(full)}  # every message has a number
-        found = [places.get(arrival.payload) for arrival in said]
-        order = [place for place in found if place is not None]
+    for full, payloads in said_on.items():
+        places = {payload: where for where, payload in recording.placed(full)}  # every message has a number
+        found = [places.get(arrival.payload) for arrival in payloads]
+        order = [where for where in found if where is not None]
         assert order == sorted(order), f"{full}: another order than what was said"
-        lost += [arrival for arrival, place in zip(said, found, strict=True) if place is None]
+        lost += [arrival for arrival, where in zip(payloads, found, strict=True) if where is None]
     return lost
 
 
@@ -103,16 +103,16 @@ def main() -> None:
         folder = Path(name)
         os.environ["XDG_STATE_HOME"] = name
         fleet = Fleet(folder)
-        heard = fleet.bus.stream(*recorded_keys(fleet.config), capacity=_STREAM)
+        stream = fleet.bus.stream(*recorded_keys(fleet.config), capacity=_STREAM)
         try:
             for k in range(arguments.runs):
-                outcomes.append(strike(fleet, heard, folder, rng))
+                outcomes.append(strike(fleet, stream, folder, rng))
                 print(f"{k + 1} of {arguments.runs}: {outcomes[-1]}", file=sys.stderr)
         finally:
             fleet.close()
     worst = max(outcome.lost_ms for outcome in outcomes)
-    said, lost = sum(outcome.heard for outcome in outcomes), sum(outcome.lost for outcome in outcomes)
-    print(f"{len(outcomes)} recorders killed, {len(outcomes)} files mended; {lost} of {said} messages lost")
+    count, lost = sum(outcome.messages for outcome in outcomes), sum(outcome.lost for outcome in outcomes)
+    print(f"{len(outcomes)} recorders killed, {len(outcomes)} files mended; {lost} of {count} messages lost")
     print(f"the oldest lost one was heard {worst:.0f} ms before the kill (at most {LOST_MS:.0f})")
     if worst > LOST_MS:
         raise SystemExit(1)

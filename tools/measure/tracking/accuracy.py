@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
-from tests.tracking.peers import CANDIDATES, UNTIMED, Setting, Sighting
+from tests.tracking.peers import CANDIDATES, UNTIMED, PeerTag, Setting
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter
 
@@ -93,12 +93,12 @@ class Score:
         self.errors: list[tuple[float, float, float]] = []  # x, y [mm; world], psi [deg]
         self.tags = self.wrong = 0
 
-    def add(self, prints: Sequence[Print], sightings: Sequence[Sighting]) -> None:
+    def add(self, prints: Sequence[Print], sightings: Sequence[PeerTag]) -> None:
         """Compare one image's sightings with the truth, each at its own instant."""
-        there = {tag.tag: tag for tag in prints}
-        self.tags += len(there)
+        by_tag = {tag.tag: tag for tag in prints}
+        self.tags += len(by_tag)
         for seen in sightings:
-            tag = there.pop(seen.tag, None)  # a second one of the same finds none
+            tag = by_tag.pop(seen.tag, None)  # a second one of the same finds none
             x, y, psi = along(tag.pose, tag.twist, seen.after_ns * 1e-9) if tag else (math.inf,) * 3
             if math.hypot(seen.x - x, seen.y - y) < WRONG:
                 turned = math.degrees(math.remainder(seen.psi - psi, math.tau))

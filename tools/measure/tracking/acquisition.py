@@ -85,11 +85,11 @@ def trials(scene: Scene, count: int, seed: int = 3) -> Iterator[Trial]:
         caster = RayCaster(eye, clutter(SIZE, rng), rng)
         geometry = CameraGeometry(eye.K, eye.distortion, eye.T_world_camera)
         tags = rng.choice(FAMILIES[scene.family].ids, TAGS, replace=False).tolist()
-        prints = tuple(_print(scene, caster, tag, *place) for tag, place in zip(tags, _places(rng), strict=True))
+        prints = tuple(_print(scene, caster, tag, *position) for tag, position in zip(tags, _places(rng), strict=True))
         setting = Setting(geometry, SIZE, [Target(tag, scene.side, HEIGHT, 0.3, scene.family) for tag in tags], 0.0)
-        there = () if scene.covered == 1.0 else prints
-        light = caster.light(there) * np.float32(scene.darkness)
-        yield Trial(setting, there, [caster.exposed(light, scene.noise) for _ in range(IMAGES)])
+        visible = () if scene.covered == 1.0 else prints
+        light = caster.light(visible) * np.float32(scene.darkness)
+        yield Trial(setting, visible, [caster.exposed(light, scene.noise) for _ in range(IMAGES)])
 
 
 def evaluate(scene: Scene, names: Sequence[str], count: int) -> dict[str, dict[str, float]]:
@@ -109,20 +109,20 @@ class _Score:
 
     def add(self, trial: Trial, name: str) -> None:
         see, found = CANDIDATES[name](trial.setting), set()
-        there = {tag.tag: complex(*tag.pose[:2]) for tag in trial.prints}
+        position_of = {tag.tag: complex(*tag.pose[:2]) for tag in trial.prints}
         for k, image in enumerate(trial.images):
             started = stopwatch_ns()
             sightings = see(image, round((1.0 + k * PERIOD) * 1e9))
             self.times.append((stopwatch_ns() - started) / 1e6)
             for seen in sightings:
-                error = abs(complex(seen.x, seen.y) - there.get(seen.tag, math.inf))
+                error = abs(complex(seen.x, seen.y) - position_of.get(seen.tag, math.inf))
                 if error < WRONG:
                     found.add(seen.tag)
                     self.seen += 1
                     self.errors.append(error * 1e3)
                 else:
                     self.wrong += 1
-        self.tags += len(there)
+        self.tags += len(position_of)
         self.acquired += len(found)
 
     def row(self) -> dict[str, float]:

@@ -111,15 +111,15 @@ class Seam(NamedTuple):
 
 def seam(recording: Recording) -> Seam:
     """Return the errors where the views meet, beside those in their middles."""
-    config, its = recording.config, errors(recording)
-    settled = (its.t >= SETTLED_S)[:, None]
-    off = np.linalg.norm(its.off, axis=-1)
-    seen = in_view(config, its.at)
-    straight = np.abs(its.at[..., 0]) < 1.8
+    config, figures = recording.config, errors(recording)
+    settled = (figures.t >= SETTLED_S)[:, None]
+    off = np.linalg.norm(figures.off, axis=-1)
+    seen = in_view(config, figures.at)
+    straight = np.abs(figures.at[..., 0]) < 1.8
     both = seen.all(axis=0) & settled & straight
     centres = [view.camera.model.T_world_camera.position_m[0] for view in config.views]  # type: ignore[union-attr]
-    middle = np.any([np.abs(its.at[..., 0] - x) < MIDDLE_M for x in centres], axis=0) & settled & straight
-    step = np.linalg.norm(np.diff(its.off, axis=0), axis=-1)
+    middle = np.any([np.abs(figures.at[..., 0] - x) < MIDDLE_M for x in centres], axis=0) & settled & straight
+    step = np.linalg.norm(np.diff(figures.off, axis=0), axis=-1)
     changed = (seen[:, 1:] != seen[:, :-1]).any(axis=0) & settled[1:]
     near = changed.copy()
     for shift in (-2, -1, 1, 2):  # the tag's border, and the image's age
@@ -132,11 +132,11 @@ def seam(recording: Recording) -> Seam:
 
 def measure_seam(duration_s: float) -> None:
     """Print the example's figures."""
-    its = seam(driven(EXAMPLE, f"run.duration_s={duration_s}"))
-    print(f"  pose error: {its.seam_mm:.3f} mm rms at the seam, {its.middle_mm:.3f} mm in the middle: "
-          f"{its.seam_mm / its.middle_mm:.2f} times")  # fmt: skip
-    print(f"  largest step at {its.crossings} borders of a view: {its.step_mm:.3f} mm; "
-          f"99 % of the other ticks: {its.usual_mm:.3f} mm")  # fmt: skip
+    figures = seam(driven(EXAMPLE, f"run.duration_s={duration_s}"))
+    print(f"  pose error: {figures.seam_mm:.3f} mm rms at the seam, {figures.middle_mm:.3f} mm in the middle: "
+          f"{figures.seam_mm / figures.middle_mm:.2f} times")  # fmt: skip
+    print(f"  largest step at {figures.crossings} borders of a view: {figures.step_mm:.3f} mm; "
+          f"99 % of the other ticks: {figures.usual_mm:.3f} mm")  # fmt: skip
 
 
 def measure_knock(duration_s: float) -> None:
@@ -146,11 +146,11 @@ def measure_knock(duration_s: float) -> None:
         for axis, turn in enumerate(("[0.3, 0, 0]", "[0, 0.3, 0]", "[0, 0, 0.3]")):
             knock = f"cameras.{axis % 2}.simulated.knocks=[{{at_s: {KNOCK_S}, rotation_deg: {turn}}}]"
             recording = driven(file, f"run.duration_s={duration_s}", knock)
-            its = errors(recording)
-            off, after = 1e3 * np.linalg.norm(its.off, axis=-1), its.t >= KNOCK_S + 1.0
+            figures = errors(recording)
+            off, after = 1e3 * np.linalg.norm(figures.off, axis=-1), figures.t >= KNOCK_S + 1.0
             print(f"  {('one', 'two')[axis % 2]} turned by {turn} degrees: {[line for _, line in news(recording)]}")
-            print(f"    pose error before: {_rms(off[(its.t > 1) & (its.t < KNOCK_S)])} mm rms, within 1 s: "
-                  f"{off[(its.t >= KNOCK_S) & ~after].max():.2f} mm at most, then {_rms(off[after])} mm rms, "
+            print(f"    pose error before: {_rms(off[(figures.t > 1) & (figures.t < KNOCK_S)])} mm rms, within 1 s: "
+                  f"{off[(figures.t >= KNOCK_S) & ~after].max():.2f} mm at most, then {_rms(off[after])} mm rms, "
                   f"{off[after].max():.3f} mm at most")  # fmt: skip
 
 
@@ -158,14 +158,14 @@ def measure_unplug(duration_s: float) -> None:
     """Print who drives when a camera has gone for ever."""
     outage = f"cameras.0.simulated.outages=[{{kind: stalled, at_s: {UNPLUG_S}, duration_s: 1000}}]"
     recording = driven(EXAMPLE, f"run.duration_s={duration_s}", outage)
-    its = errors(recording)
+    figures = errors(recording)
     wheels = Run(recording).items["left_rad_s"]
-    k = int(np.searchsorted(its.t, UNPLUG_S))
-    right = in_view(recording.config, its.at)[1]
-    later = int(np.searchsorted(its.t, UNPLUG_S + 2.0))
+    k = int(np.searchsorted(figures.t, UNPLUG_S))
+    right = in_view(recording.config, figures.at)[1]
+    later = int(np.searchsorted(figures.t, UNPLUG_S + 2.0))
     print(f"  {[line for _, line in news(recording)]}")
     for row, robot in enumerate(recording.config.members):
-        moved = float(np.linalg.norm(np.diff(its.at[later:, row], axis=0), axis=-1).sum())
+        moved = float(np.linalg.norm(np.diff(figures.at[later:, row], axis=0), axis=-1).sum())
         last = "stands" if np.abs(wheels[-30:, row]).max() < 1e-9 else "drives"
         print(f"  {robot.id}: {'seen by right' if right[k, row] else 'seen by left alone'} then; "
               f"{last} at the end, {moved:.2f} m after 2 s")  # fmt: skip
@@ -200,11 +200,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--duration", type=float, help="of each run [s]")
-    asked = parser.parse_args(arguments)
-    for name in asked.parts or PARTS:
+    options = parser.parse_args(arguments)
+    for name in options.parts or PARTS:
         measure, duration_s = PARTS[name]
         print(f"{name}:")
-        measure(asked.duration or duration_s)
+        measure(options.duration or duration_s)
 
 
 if __name__ == "__main__":

@@ -129,8 +129,8 @@ def certainty(scene: Scene, poses: int) -> dict[str, float]:
     error = np.concatenate([image.error for image in images])
     spread = np.concatenate([image.fit.covariance for image in images])
     alike = np.concatenate([image.fit.alike for image in images])
-    there = alike > FAMILIES[scene.family].alike
-    error, spread = error[there], spread[there]
+    matches = alike > FAMILIES[scene.family].alike
+    error, spread = error[matches], spread[matches]
     xx, xy, yy = spread[:, :3].T
     x, y = error[:, :2].T
     squared = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
@@ -139,7 +139,7 @@ def certainty(scene: Scene, poses: int) -> dict[str, float]:
         "rms_mm": math.sqrt((position**2).mean()), "max_mm": float(position.max()),
         "said_mm": 1e3 * math.sqrt((xx + yy).mean()),
         "chi2_xy": float(squared.mean()) / 2.0, "chi2_psi": float((error[:, 2] ** 2 / spread[:, 5]).mean()),
-        "worst_sigma": math.sqrt(float(squared.max())), "poses": len(error), "alike": float(there.mean()),
+        "worst_sigma": math.sqrt(float(squared.max())), "poses": len(error), "alike": float(matches.mean()),
     }  # fmt: skip
 
 

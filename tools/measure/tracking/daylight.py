@@ -129,10 +129,10 @@ class Day:
 def main(overrides: list[str]) -> None:
     day = Day("camera.exposure_control=auto", f"camera.simulated.daylight={MINUTE}", *overrides)
     shown = day.run(60.0)
-    for one in shown[:: len(shown) // 30]:
+    for shot in shown[:: len(shown) // 30]:
         print(
-            f"{one.at_s:5.1f} s  white {one.white:5.1f}  measured {one.measured}  error {one.error_mm:.3f} mm  "
-            f"exposure {1e3 * one.exposure.time_s:.2f} ms  gain {one.exposure.gain:.1f} dB"
+            f"{shot.at_s:5.1f} s  white {shot.white:5.1f}  measured {shot.measured}  error {shot.error_mm:.3f} mm  "
+            f"exposure {1e3 * shot.exposure.time_s:.2f} ms  gain {shot.exposure.gain:.1f} dB"
         )
     tail = shown[30:]
     print(f"white: {min(s.white for s in tail):.0f} to {max(s.white for s in tail):.0f}")

@@ -161,9 +161,9 @@ def episode(trouble: Trouble, images: int, rng: np.random.Generator) -> tuple[in
                 truth = fleet.poses[robot] + velocities[robot] * pose.after_ns * 1e-9
                 wrong += math.hypot(pose.x - truth[0], pose.y - truth[1]) > WRONG or bool(covered[robot])
                 seen[pose.tag] = pose
-        there = np.flatnonzero(excused <= 0)
-        could += len(there)
-        measured += sum(int(renderer.looks[robot]) + 1 in seen for robot in there)
+        present = np.flatnonzero(excused <= 0)
+        could += len(present)
+        measured += sum(int(renderer.looks[robot]) + 1 in seen for robot in present)
         excused -= 1
     return images * ROBOTS, could, measured, wrong
 

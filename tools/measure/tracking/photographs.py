@@ -83,29 +83,31 @@ def found(folder: Path) -> dict[str, dict[str, Counter[str]]]:
 
 def _judged(tags: list[Listed], seen: list[Listed]) -> dict[str, int]:
     """Return what a candidate's tags are."""
-    hits = {k for k, tag in enumerate(tags) if any(_are_same(tag, one) for one in seen)}
-    wrong = sum(not any(_are_same(tag, one) for tag in tags) for one in seen)
+    hits = {k for k, tag in enumerate(tags) if any(_are_same(tag, found_tag) for found_tag in seen)}
+    wrong = sum(not any(_are_same(tag, found_tag) for tag in tags) for found_tag in seen)
     return {"listed": len(tags), "found": len(hits), "wrong": wrong}
 
 
-def _are_same(one: Listed, other: Listed) -> bool:
-    apart = np.linalg.norm(one.corners.mean(0) - other.corners.mean(0))
-    return one.tag == other.tag and bool(apart < 0.5 * np.linalg.norm(one.corners[0] - one.corners[1]))
+def _are_same(first: Listed, other: Listed) -> bool:
+    apart = np.linalg.norm(first.corners.mean(0) - other.corners.mean(0))
+    return first.tag == other.tag and bool(apart < 0.5 * np.linalg.norm(first.corners[0] - first.corners[1]))
 
 
 def _ours(photograph: Photograph, image: Image) -> Counter[str]:
     rng, total = np.random.default_rng(len(photograph.file)), Counter[str]()
-    there = {tag.tag for tag in photograph.tags}
+    expected = {tag.tag for tag in photograph.tags}
     for tag, corners in photograph.tags:
         aside = rng.uniform(-0.4, 0.4, 2)
         seen = _laid_flat(image, corners, aside, [tag, *OTHERS])
-        right = any(one == tag and np.abs(at - aside).max() < 0.25 for one, at in seen)
-        wrong = sum(one not in there or (one != tag and np.abs(at - aside).max() < 0.5) for one, at in seen)
+        right = any(seen_tag == tag and np.abs(at - aside).max() < 0.25 for seen_tag, at in seen)
+        wrong = sum(
+            seen_tag not in expected or (seen_tag != tag and np.abs(at - aside).max() < 0.5) for seen_tag, at in seen
+        )
         total.update(listed=1, found=int(right), wrong=wrong)
         elsewhere = corners - corners.mean(0) + rng.uniform((0, 0), image.shape[::-1])
         size = 2.0 * float(np.ptp(corners, axis=0).max())
-        if all(np.linalg.norm(one.corners.mean(0) - elsewhere.mean(0)) > size for one in photograph.tags):
-            strangers = set(OTHERS) - there  # a listed tag may be at the rim of what is searched
+        if all(np.linalg.norm(seen_tag.corners.mean(0) - elsewhere.mean(0)) > size for seen_tag in photograph.tags):
+            strangers = set(OTHERS) - expected  # a listed tag may be at the rim of what is searched
             total.update(wrong=len(_laid_flat(image, elsewhere, np.zeros(2), sorted(strangers))))
     return total
 
