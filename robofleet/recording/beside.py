@@ -49,21 +49,14 @@ class LogBeside:
         if self._waiting >= _BATCH_MESSAGES:
             self._send(self._batches)
 
-    def end(self, ending: bytes) -> None:
-        """Keep how the run ended, and close."""
-        self._close(ending)
-
-    def close(self) -> None:
-        """End the file with its index. Idempotent."""
-        self._close(b"")
-
     def _send(self, what: Any) -> None:
         with suppress(OSError):  # it was killed: that is told at the end
             self._to_log.send_bytes(marshal.dumps(what))
         self.messages += self._waiting
         self._batches, self._waiting = [], 0
 
-    def _close(self, ending: bytes) -> None:
+    def end(self, ending: bytes = b"") -> None:
+        """End the file with how the run ended, where somebody knows it, and its index. Idempotent."""
         if self._closed:
             return
         self._closed = True
@@ -74,6 +67,8 @@ class LogBeside:
             self.dropped, self.failed = marshal.loads(self._to_log.recv_bytes())
         self._to_log.close()
         self._process.join()
+
+    close = end
 
 
 def _write(log: RunLog, incoming: Connection, theirs: Connection) -> None:

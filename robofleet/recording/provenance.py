@@ -4,6 +4,7 @@ import platform
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
+from operator import attrgetter
 from pathlib import Path
 
 from robofleet.bus.layouts import VERSION
@@ -73,10 +74,8 @@ class Provenance:
 
     def same_machine(self, other: "Provenance") -> bool:
         """Return whether the same input must give the same bits in both: equal versions on equal processors."""
-        return self._computes() == other._computes()
-
-    def _computes(self) -> tuple[object, ...]:
-        return self.wire, self.architecture, self.processor, self.versions
+        computed_with = attrgetter("wire", "architecture", "processor", "versions")
+        return bool(computed_with(self) == computed_with(other))
 
 
 def _count(text: str) -> int:

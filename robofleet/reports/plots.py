@@ -90,13 +90,8 @@ def _robots(view: RunView) -> list[tuple[str, str]]:
 def _referring(view: RunView) -> list[tuple[str, str]]:
     """Return the robots that had references."""
     had = np.atleast_1d(np.isfinite(view.series.run.references).any(axis=(0, 2)))
-    return few(
-        [
-            robot
-            for robot, present in zip(zip(view.series.robots, view.colours, strict=True), had, strict=True)
-            if present
-        ]
-    )
+    every = zip(view.series.robots, view.colours, had, strict=True)
+    return few([(robot, colour) for robot, colour, present in every if present])
 
 
 def _known(view: RunView) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import Behaviour, Bound, Refusal, Start
+from robofleet.behaviours.interface import Bound, Refusal, Start
 from robofleet.config import groups, obstacles, slices, units
 from robofleet.config.faults import Complaint
 from robofleet.config.load import Change, ConfigFile, Files
@@ -95,7 +95,7 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     if not any(path.startswith(("robots.", "groups.")) for path, _ in complaints):
         complaints += [
             (_absolute(config, where, refusal.key), refusal.message)
-            for where, behaviour in _behaviours(config)
+            for where, behaviour in enumerate(groups.behaviours(config))
             for refusal in behaviour.refusals()
         ]
     return complaints
@@ -131,7 +131,7 @@ def _worst(broken: Iterable[Bound]) -> list[Bound]:
 
 def _bounds(config: Config) -> Iterator[Bound]:
     yield from _controller(config)
-    for where, behaviour in _behaviours(config):
+    for where, behaviour in enumerate(groups.behaviours(config)):
         for bound in behaviour.bounds():
             what = f"{behaviour.team.name}: {bound.what}" if len(config.groups) > 1 else bound.what
             yield replace(bound, path=_absolute(config, where, bound.path), what=what)
@@ -147,11 +147,6 @@ def _impossible(config: Config) -> Iterator[Complaint]:
             groups.behaviour(config, group)
         except ValueError as error:
             yield f"groups.{i}.settings", f"{group.behaviour} cannot be made of them: {error}"
-
-
-def _behaviours(config: Config) -> Iterator[tuple[int, Behaviour]]:
-    """Yield each group's number and behaviour."""
-    yield from enumerate(groups.behaviours(config))
 
 
 def _ways(config: Config) -> Iterator[Complaint]:

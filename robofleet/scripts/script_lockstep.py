@@ -165,7 +165,7 @@ class LockstepLink:
         except (OSError, RecordingError) as error:
             print(f"results are lost: {folder}: {error}", file=sys.stderr)
 
-    def _close_log(self, ending: bytes = b"") -> None:
+    def _close_log(self, ending: bytes) -> None:
         if self._log is not None:
             self._log.end(ending)
             self.run.recording.dropped = self._log.dropped

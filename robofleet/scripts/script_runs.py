@@ -1,7 +1,6 @@
 """Begins a script's run, or joins one that is on."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -32,17 +31,13 @@ def opened(
             if lockstep or changes or robots is not None:
                 raise FleetError(f"{where}: the run of an arena is as it is: name a configuration, {where}.yaml")
             return _joined(str(where), group, copy)
-        config = load_checked(file, changes, lockstep=lockstep, change=partial(_as_driven, robots=robots))
+        config = load_checked(file, changes, lockstep=lockstep, change=lambda tree: scripted(first(tree, robots)))
         mine = group_of(config, group)
         if lockstep:
             return _in_lockstep(config, mine, file.stem, _folder(out, file.stem))
         return _in_real_time(config, mine, file.stem, _folder(out, file.stem))
     except (RefusedError, DriverError, NoArenaError) as error:
         raise FleetError(str(error)) from None  # the words say all, and a chain of tracebacks hides them
-
-
-def _as_driven(config: Config, robots: int | None) -> Config:
-    return scripted(first(config, robots))
 
 
 def group_of(config: Config, wanted: str | None) -> str:

@@ -30,7 +30,7 @@ _MOST_LINES = 100  # lines, for who opens the page later
 
 
 class Diary:
-    """Compares what is heard with what was heard before. ``written`` counts the lines since the beginning."""
+    """Makes lines of changes in the messages. ``written`` counts the lines since the beginning."""
 
     def __init__(self, robots: tuple[str, ...]) -> None:
         self._robots = robots
@@ -46,7 +46,7 @@ class Diary:
         return list(self._lines)[-new:] if new > 0 else []
 
     def look(self, hearing: Hearing, news: list[tuple[str, TrackerNews]]) -> None:
-        """Write down what is new."""
+        """Add a line for each change."""
         lines: list[Line] = []
         if hearing.state is not None:
             lines += state_lines(self._state, hearing.state, self._robots)
@@ -142,10 +142,8 @@ class Feed:
 
     def _mark(self) -> None:
         """Take the scripts' new marks."""
-        places = {group.name: k for k, group in enumerate(self._groups)}
-        for group, note in self.hearing.notes:
-            if note.mark is not None:
-                self.marked += self._marks[places[group]].take(note.mark)
+        marks = {group.name: own for group, own in zip(self._groups, self._marks, strict=True)}
+        self.marked += sum(marks[group].take(note.mark) for group, note in self.hearing.notes if note.mark is not None)
 
     def beat(self) -> str:
         """Return the ages of the newest words."""
@@ -204,7 +202,7 @@ class Page:
         self.wants_picture = ""  # the camera's name; empty: none
 
     def wake(self) -> None:
-        """Say that there is something to send."""
+        """Wake the task that sends."""
         self._woken.set()
 
     def tell(self, frame: Frame) -> None:
