@@ -82,14 +82,16 @@ def test_a_mirrored_scene_has_the_mirrored_answer(seed: int) -> None:
     s = scene(seed)
     mirrored = Scene(s.poses * (1, -1, -1), s.turning[:, ::-1].copy(), s.wheels[:, ::-1].copy())
     assert answer(mirrored).wheels == pytest.approx(answer(s).wheels[:, ::-1], abs=1e-6)
-    assert answer(mirrored, stood(s.n)).wheels == pytest.approx(answer(s, stood(s.n)).wheels[:, ::-1], abs=1e-6)
+    for left, right in ((0.0, 0.0), (6.0, 0.0)):
+        expected = answer(s, asked(s.n, left, right)).wheels[:, ::-1]
+        assert answer(mirrored, asked(s.n, right, left)).wheels == pytest.approx(expected, abs=1e-6)
 
 
-def stood(n: int) -> Barrier:
-    """Return a barrier whose robots were not asked to move for so long that they are believed to stand."""
+def asked(n: int, left: float, right: float) -> Barrier:
+    """Return a barrier whose robots were asked for nothing else for as long as it is believed [rad/s]."""
     barrier, apart_ = Barrier(KEEPOUT, (BODY,) * n), np.column_stack([np.linspace(-1.0, 1.0, n), np.zeros((n, 2))])
     for _ in range(10):
-        answer(Scene(apart_, np.zeros((n, 2)), np.zeros((n, 2))), barrier)
+        answer(Scene(apart_, np.zeros((n, 2)), np.tile((left, right), (n, 1))), barrier)
     return barrier
 
 

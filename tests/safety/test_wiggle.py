@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robofleet.safety import wiggle
@@ -83,6 +83,7 @@ class Trial:
     st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-0.5, 0.5)), min_size=1, max_size=8),
     st.floats(-math.pi, math.pi),
 )
+@settings(deadline=None)
 def test_the_mean_of_poses_is_their_mean_also_across_the_cut_of_the_angle(
     poses: list[tuple[float, float, float]], heading: float
 ) -> None:
