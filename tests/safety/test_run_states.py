@@ -187,8 +187,8 @@ def test_what_a_robot_is_too_close_to_and_which_camera_is_out_are_named() -> Non
     roster = Roster(("a", "b"), ("", ""), ("left",))
     assert describe(out, roster) == "a: only the camera left could see it, and that gives no poses"
     for robots, camera in ((("a", "b"), 0.0), (roster, 1.0), (roster, -1.0)):
-        told = describe(out._replace(detail=camera), robots)
-        assert told == "a: only a camera could see it, and that gives no poses"
+        words = describe(out._replace(detail=camera), robots)
+        assert words == "a: only a camera could see it, and that gives no poses"
 
 
 def test_a_status_of_another_version_is_not_read() -> None:

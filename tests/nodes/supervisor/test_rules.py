@@ -1,6 +1,6 @@
 """Every rule of the monitor fires through the supervisor; with that rule taken out its event is not told.
 
-The rules are read from the monitor's source: each condition under which it yields an event. One that is added there
+The rules are read from the monitor's source: each condition under which it tells an event. One that is added there
 without a scenario here fails.
 """
 
@@ -188,11 +188,14 @@ SCENARIOS = {
 
 
 def rules(tree: ast.Module) -> Iterator[tuple[str, ast.If]]:
-    """Yield each condition under which the monitor tells an event: its function, what it yields, and the condition."""
+    """Yield each condition under which the monitor tells an event: its function, its events, and the condition."""
     for function in tree.body:
         for node in ast.walk(function):
             match node:
-                case ast.If(body=[*_, ast.Expr(value=ast.Yield() as told)]):
+                case (
+                    ast.If(body=[*_, ast.Expr(value=ast.Yield() as told)])
+                    | ast.If(body=[*_, ast.Assign(value=ast.Call(func=ast.Name(id="_add")) as told)])
+                ):
                     events = re.findall(r"Event\.\w+|_ARRIVALS", ast.unparse(told))
                     yield " ".join([function.name, *(event.removeprefix("Event.") for event in events)]), node
 

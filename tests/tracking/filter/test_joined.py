@@ -96,7 +96,7 @@ class Judge:
         self.rng = np.random.default_rng(3)
 
     def images(self, count: int, predicted_off: float = 0.0) -> list[Verdict]:
-        images_made = []
+        verdicts = []
         for _ in range(count):
             self.k += 1
             for camera, error in enumerate(self.errors):
@@ -104,8 +104,8 @@ class Judge:
                 seen = image(camera, S + self.k * TICK, *(pose(self.k, robot, error) for robot in range(3)))
                 predicted = np.array([pose(self.k, robot, predicted_off) for robot in range(3)])
                 if (verdict := self.agreement.look(seen._replace(poses=seen.poses + noise), predicted)) is not None:
-                    images_made.append(verdict)
-        return images_made
+                    verdicts.append(verdict)
+        return verdicts
 
 
 def test_cameras_that_agree_are_believed() -> None:
@@ -168,17 +168,17 @@ class Hall:
     ) -> None:
         self.period_ns, self.offsets, self.latencies, self.noise = period_ns, offsets, latencies, noise
         drive = replace(GTERNAL, wheel_radius=GTERNAL.wheel_radius * radius)
-        self.truth, self.agreement = FleetFilter((drive,) * 3, (2 * MS,) * 3, NOISE), fleet()
+        self.truth, self.estimator = FleetFilter((drive,) * 3, (2 * MS,) * 3, NOISE), fleet()
         self.agreement = Agreement(np.ones(3, np.bool_), 0.0002, np.zeros(2, np.bool_))
-        self.joined = Joined(self.agreement, self.judge)
+        self.joined = Joined(self.estimator, self.judge)
         self.verdicts: list[tuple[float, int, bool]] = []  # when, of which camera, whether it is believed
         self.rng = np.random.default_rng(7)
         self.k, self.knock, self.knocked_ns = 0, np.zeros(3), 0
         self.blocked = False
         self.sent = [0, 0]  # images of each camera so far
         at = np.array([[0.0, 0.5 * robot, 0.3] for robot in range(3)])
-        for each in (self.truth, self.agreement):
-            each.observe(np.full(3, S), at)
+        for fleet_filter in (self.truth, self.estimator):
+            fleet_filter.observe(np.full(3, S), at)
 
     def judge(self, seen: Seen, expected: np.ndarray) -> bool:
         if (verdict := self.agreement.look(seen, expected)) is not None:
@@ -196,13 +196,13 @@ class Hall:
             self.k += 1
             images = [self.image(camera) for camera in range(2)]
             self.joined.observe([seen for seen in images if seen is not None])
-            off = self.agreement.predict(self.now_ns)[0] - self.truth.predict(self.now_ns)[0]
+            off = self.estimator.predict(self.now_ns)[0] - self.truth.predict(self.now_ns)[0]
             worst = max(worst, float(np.hypot(off[:, 0], off[:, 1]).max()))
             t = self.k * TICK / S
             v, omega = 0.1 + 0.1 * np.sin(1.3 * t + np.arange(3)), 2.0 * np.sin(1.9 * t + 2.0 * np.arange(3))
             half = omega * GTERNAL.wheel_base / 2
             wheels = np.stack([v - half, v + half], axis=1) / GTERNAL.wheel_radius
-            self.agreement.command(self.now_ns, wheels)
+            self.estimator.command(self.now_ns, wheels)
             self.truth.command(self.now_ns, np.zeros((3, 2)) if self.blocked else wheels)
             self.truth.observe(np.full(3, self.now_ns - 500 * MS), np.full((3, 3), np.nan))
         return worst
