@@ -33,24 +33,34 @@ SHOWN = 512  # messages of a key, for a live view
 _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing
 
 _LONGEST_NS = 1 << 62
+_MOST_IN_FOUR_BYTES = (1 << 32) - 1
+_PIECE = 1 << 20  # [bytes]
 Duration = Annotated[int, Field(ge=0, lt=_LONGEST_NS)]
 
 
 _DURATIONS = re.compile(rb'"(?P<name>tick_durations_ns|tracker_durations_ns)": \[(?P<values>[0-9, ]+)\]')
 
 
-def _integers(text: bytes) -> "array[int] | None":
+def _integers(text: bytes, start: int, stop: int) -> "array[int] | None":
     """Return a list of durations, which may be millions, without an object for each; None where it is no such list."""
+    durations = array("I")
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # numpy warns where it cannot read on
-        try:
-            values = np.fromstring(text, np.int64, sep=",")
-        except (ValueError, DeprecationWarning):
-            return None
-    if len(values) != text.count(b",") + 1 or not (values < _LONGEST_NS).all():
-        return None
-    durations = array("q")
-    durations.frombytes(values.data.cast("B"))
+        while start <= stop:  # piece by piece: each copy of all of them is tens of megabytes
+            end = stop if stop - start <= _PIECE else text.rfind(b",", start, start + _PIECE)
+            piece = text[start : max(start, end)].strip()
+            if not piece:
+                return None
+            try:
+                values = np.fromstring(piece, np.int64, sep=",")
+            except (ValueError, DeprecationWarning):
+                return None
+            if len(values) != piece.count(b",") + 1 or not (values < _LONGEST_NS).all():
+                return None
+            if durations.typecode == "I" and (values > _MOST_IN_FOUR_BYTES).any():
+                durations = array("q", durations)
+            durations.frombytes(values.astype(durations.typecode).tobytes())
+            start = end + 1
     return durations
 
 
@@ -155,11 +165,11 @@ class Recording:
         long: dict[str, array[int]] = {}
 
         def cut(match: re.Match[bytes]) -> bytes:
-            values = _integers(match["values"])
+            values = _integers(text, *match.span("values"))
             if values is None:
                 return match[0]
             long[match["name"].decode()] = values
-            return match[0][: match.start("values") - match.start()] + b"]"
+            return text[match.start() : match.start("values")] + b"]"
 
         for name, value in EndingFile.model_validate_json(_DURATIONS.sub(cut, text)):
             short = array("q", value) if isinstance(value, list) else value

@@ -96,6 +96,8 @@ def write(
     where somebody has it; ``parts``: the same with every tick, part by part, where it has only some.
     """
     view = view_of(recording, summary, run)
+    # The columns first: plots need memory, and keep some of it.
+    write_csv([view.series] if parts is None else map(series, parts), folder / CSV)
     page = Page(summary["config"], _subtitle(summary))
     _verdict(page, recording, summary)
     if summary["ticks"]:
@@ -116,7 +118,6 @@ def write(
     _entries(page, view.timeline)
     _robots(page, summary)
     _origin(page, recording, folder, linked=figures is not None)
-    write_csv([view.series] if parts is None else map(series, parts), folder / CSV)
     if recording.config.sensing:
         sensors.write_csv(recording, folder / sensors.CSV)
     page.write(folder / PAGE)
