@@ -76,7 +76,7 @@ class Cost:
         with self.driving() as bench:
             tracemalloc.start()
             try:
-                before = self.held_after(bench, 30)
+                before = self.held_after(bench, 400)  # buffers of the robot are full by now
                 grown = self.held_after(bench, loops) - before
             finally:
                 tracemalloc.stop()

@@ -118,7 +118,7 @@ class TestContract(CameraContract):
         capture = Capture()
         _, stamp_ms = clocks()
         capture.buffers = [(scene() + k, stamp_ms - 100.0 + 20.0 * k) for k in range(4)]
-        return camera_of(capture)
+        return camera_of(capture, "camera.v4l2.format=GREY")
 
 
 def read(capture: Capture, camera: V4L2Camera, data: NDArray[np.uint8], age_ms: float = 20.0) -> tuple[Frame, int]:
