@@ -159,8 +159,12 @@ def understand(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         there([word for word in arguments if word.startswith(tuple(f"{folder}/" for folder in FOLDERS))])
 
 
+def present(path: str) -> bool:
+    return any(Path().glob(path)) if "*" in path else Path(path).exists()
+
+
 def there(paths: list[str]) -> None:
-    assert [path for path in paths if not Path(path).exists() and path not in WRITTEN] == []
+    assert [path for path in paths if path not in WRITTEN and not present(path)] == []
 
 
 def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -222,7 +222,7 @@ def test_its_robots_stand_at_once_the_run_is_held_and_another_script_goes_on(scr
     (stop,) = stops(read(scripts.run.folder))[before:]
     print(case, stop)
     assert stop[0] is event
-    if not was_busy(scripts.run.count):
+    if not was_busy(scripts.run.said):
         assert stop[1] <= TARGET_MS
         assert stop[2] <= OUTPUT_MS
 
