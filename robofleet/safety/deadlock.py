@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
+from robofleet.safety.nearest import TOLERANCE, nearest
 
 OBSTACLE = -1  # in a robot's place: what holds another one
 MEMORY, TOLD = 10, 7  # of a robot: whole numbers; pose at a window's start, what was commanded since, where it stayed
@@ -38,9 +39,6 @@ _STALL_S, _STALL_M, _STALL_MOVED = 1.0, 0.04, 0.2  # told to go so far in this t
 _ROUND = 6  # a tick that a robot stands counts as so many in which it goes round without getting on
 # of a robot's memory: ticks; _TURN: which of _TURNS, from 1; _STALLS and _PRESSING: 0 or 1
 _HELD, _TURN, _VAIN, _CLEAR, _BLOCKED, _WAITED, _STALLS, _WATCHED, _PRESSING, _STAYED = range(10)
-
-_TOLERANCE = 1e-9  # of a row of the quadratic program [m/s]
-_CHECKED = 1e-6  # of its answer [m/s]
 
 
 def in_ticks(tick: float) -> tuple[int, int, int, int]:
@@ -104,7 +102,7 @@ def answer(
     if turned:
         c, s = _TURNS[mine[_TURN] - 1]
         turn_x, turn_y = c * x + s * y, c * y - s * x
-    along, across = _nearest(turn_x, turn_y, rows)
+    along, across = nearest(turn_x, turn_y, rows)
     stuck = met and np.hypot(along, across) < _GRANTED * wanted
     gets_on = x * along + y * across >= _GRANTED * wanted * wanted
     if turned:
@@ -137,7 +135,7 @@ def _held_by(
     """Return whether others hold a robot that asks for (x, y); one of them stands, has not waited, is an obstacle."""
     met, stands, idle, walled = False, False, False, False
     for k in range(first, len(rows)):
-        if rows[k, 0] * x + rows[k, 1] * y > rows[k, 2] + _TOLERANCE:
+        if rows[k, 0] * x + rows[k, 1] * y > rows[k, 2] + TOLERANCE:
             j, met = whose[k], True
             if j == OBSTACLE:
                 stands, idle, walled = True, True, True
@@ -151,62 +149,3 @@ def _held_by(
 def is_blocked(mine: Instants, patience: tuple[int, int]) -> bool:
     """Return whether a robot will not get on by itself."""
     return bool(mine[_BLOCKED] >= patience[0] or mine[_STAYED] >= patience[1])
-
-
-@kernel
-def _nearest(x: float, y: float, rows: Array) -> tuple[float, float]:
-    """Return the point nearest to (x, y) that keeps all rows, and has been checked to; NaN if there is none.
-
-    This is the quadratic program of a robot. A row (a, b, c) is a x + b y <= c, with a normal (a, b) of size 1. Two
-    unknowns make it small enough to solve exactly.
-    """
-    if _excess(x, y, rows) <= _TOLERANCE:
-        return x, y
-    along, across = _project(x, y, rows)
-    if not _excess(along, across, rows) <= _CHECKED:  # it cannot withdraw from all: not nearer to any
-        for k in range(len(rows)):
-            rows[k, 2] = max(rows[k, 2], 0.0)
-        along, across = _project(x, y, rows)
-        if not _excess(along, across, rows) <= _CHECKED:
-            return np.nan, np.nan
-    return along, across
-
-
-@kernel
-def _excess(x: float, y: float, rows: Array) -> float:
-    """Return by how much the worst row is broken; NaN where anything is not finite."""
-    worst, finite = 0.0, 0.0
-    for k in range(len(rows)):
-        over = rows[k, 0] * x + rows[k, 1] * y - rows[k, 2]
-        worst, finite = max(worst, over), finite + 0.0 * over
-    return worst + finite
-
-
-@kernel
-def _project(x0: float, y0: float, rows: Array) -> tuple[float, float]:
-    """Return the point nearest to (x0, y0) that keeps all rows, NaN if there is none.
-
-    Row by row: if the newest one is broken, the answer lies on its line, between what the rows before it cut off.
-    """
-    x, y = x0, y0
-    for k in range(len(rows)):
-        a, b, limit = rows[k, 0], rows[k, 1], rows[k, 2]
-        if a * x + b * y <= limit + _TOLERANCE:
-            continue
-        over = a * x0 + b * y0 - limit
-        x, y = x0 - over * a, y0 - over * b
-        low, high = -np.inf, np.inf
-        for j in range(k):
-            left, along = rows[j, 2] - rows[j, 0] * x - rows[j, 1] * y, rows[j, 1] * a - rows[j, 0] * b
-            if abs(along) < _TOLERANCE:
-                if left < -_CHECKED:
-                    return np.nan, np.nan
-            elif along > 0.0:
-                high = min(high, left / along)
-            else:
-                low = max(low, left / along)
-        if low > high + _CHECKED:
-            return np.nan, np.nan
-        shift = min(max(0.0, low), high)
-        x, y = x - shift * b, y + shift * a
-    return x, y

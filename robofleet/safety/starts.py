@@ -113,7 +113,7 @@ def _order(ways: Ways, at: Array, leader: int) -> tuple[int, ...]:
     """Return the robots by where they stand along the path, the foremost first."""
     nearest = _nearest(ways, at, np.full(len(at), _ANYWHERE))
     ahead = _lap(nearest - leader, len(ways.points))
-    return tuple(int(i) for i in np.argsort(-ahead))
+    return tuple(int(i) for i in np.argsort(-ahead, kind="stable"))  # equal ones in the same order on every machine
 
 
 def _lap(steps: NDArray[np.int64], count: int) -> NDArray[np.int64]:

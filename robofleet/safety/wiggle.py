@@ -1,6 +1,6 @@
 """The wiggle: a short arc, forth and back, which proves that this driver moves this tag, and how far.
 
-Many robots wiggle at once, in rounds (``arming.rounds``): in a round some do one stroke, and all others must stand.
+Many robots wiggle at once, in rounds (``rounds.py``): in a round some do one stroke, and all others must stand.
 A stroke tells the wheels apart (``rolled.py``). It is short in time and room, and both end where the first began. A tag
 that moves though its robot must stand stops everybody at once; who moved it is told by where all have come to rest.
 
