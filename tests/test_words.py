@@ -29,13 +29,10 @@ STANDING = {
     "robofleet/behaviours/interface.py": {"told", "of", "asked"},
     "robofleet/behaviours/track.py": {"of"},
     "robofleet/bus/messages.py": {"place", "told"},
-    "robofleet/config/files/yamlfile.py": {"place"},
     "robofleet/recording/columns.py": {"of"},
     "robofleet/recording/gauge.py": {"of", "asked", "told", "said"},
     "robofleet/recording/reading.py": {"place", "said"},
     "robofleet/recording/run.py": {"said", "told"},
-    "robofleet/safety/busy.py": {"heard"},
-    "robofleet/safety/rescue.py": {"asked"},
 }
 
 

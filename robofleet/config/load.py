@@ -261,7 +261,7 @@ class ConfigFile:
 
     def _error(self) -> ConfigError:
         def position(fault: Mistake) -> tuple[int, int, int]:
-            return self._sources.index(fault.place.source), fault.place.line, fault.place.column
+            return self._sources.index(fault.position.source), fault.position.line, fault.position.column
 
         return ConfigError(dict.fromkeys(str(fault) for fault in sorted(self._faults, key=position)))
 
@@ -293,7 +293,7 @@ class ConfigFile:
         if node is not None and isinstance(node.value, dict):
             if not meant_among(node.value, "faults"):
                 message = "has no key `faults`: it says what goes wrong, as configs/faults/lossy.yaml does"
-                self._faults.append(Mistake(node.place, message))
+                self._faults.append(Mistake(node.position, message))
                 return root
             for key, other in node.value.items():
                 if key != "faults":
@@ -303,8 +303,8 @@ class ConfigFile:
 
     def _overridden(self, root: Node | None, override: str | Change) -> Node | None:
         if isinstance(override, Change):
-            if override.value.place.source not in self._sources:
-                self._sources.append(override.value.place.source)
+            if override.value.position.source not in self._sources:
+                self._sources.append(override.value.position.source)
             new = _moved_to(override.key, override.value)
             return root if root is None else self._placed(root, override.key.split("."), (), new)
         key, equals, value = override.partition("=")
@@ -333,15 +333,15 @@ class ConfigFile:
             if not (part.isdecimal() and int(part) < len(node.value)):
                 message = f"{where} has {counted(len(node.value), 'item')}, counted from 0: there is no '{part}'"
                 message += _by_id(node.value, parts, where)
-                self._faults.append(Mistake(new.place, message))
+                self._faults.append(Mistake(new.position, message))
                 return node
             i = int(part)
             child = self._placed(node.value[i], rest, (*path, i), new)
             return replace(node, value=[*node.value[:i], child, *node.value[i + 1 :]])
         if not isinstance(node.value, dict):
-            self._faults.append(Mistake(new.place, f"{where} is {node.value!r}: it has no '{part}'"))
+            self._faults.append(Mistake(new.position, f"{where} is {node.value!r}: it has no '{part}'"))
             return node
-        created = replace(new.place, path=".".join(map(str, (*path, part))))
+        created = replace(new.position, path=".".join(map(str, (*path, part))))
         child = node.value.get(part, Node({}, created, created))
         return replace(node, value={**node.value, part: self._placed(child, rest, (*path, part), new)})
 
@@ -371,7 +371,7 @@ class ConfigFile:
             except FileNotFoundError:
                 continue
             return replace(node, bad=True) if tree is None else replace(tree, key=node.key)
-        self._faults.append(Mistake(node.place, self._not_found(node.value, folder)))
+        self._faults.append(Mistake(node.position, self._not_found(node.value, folder)))
         return replace(node, bad=True)
 
     def _table(self, node: Node, columns: tuple[str, ...]) -> Node:
@@ -379,16 +379,16 @@ class ConfigFile:
         name = str(node.value)
         if not name.endswith(".csv"):
             self._faults.append(
-                Mistake(node.place, f"{name!r} is no path that ends in .csv: write {Path(name).stem}.csv")
+                Mistake(node.position, f"{name!r} is no path that ends in .csv: write {Path(name).stem}.csv")
             )
             return replace(node, bad=True)
         file = self._folder / name
         source = Source(str(file))
         self._sources.append(source)
         try:
-            rows, faults = read_table(file, source, node.place.path, columns)
+            rows, faults = read_table(file, source, node.position.path, columns)
         except FileNotFoundError:
-            rows, faults = None, [Mistake(node.place, f"there is no file {file}: mend its name")]
+            rows, faults = None, [Mistake(node.position, f"there is no file {file}: mend its name")]
         self._faults += faults
         return replace(node, bad=True) if rows is None else replace(rows, key=node.key)
 
@@ -440,7 +440,7 @@ def _moved_to(path: str, node: Node) -> Node:
         value = {part: _moved_to(f"{path}.{part}", child) for part, child in value.items()}
     elif isinstance(value, list):
         value = [_moved_to(f"{path}.{i}", child) for i, child in enumerate(value)]
-    return replace(node, value=value, place=replace(node.place, path=path), key=replace(node.key, path=path))
+    return replace(node, value=value, position=replace(node.position, path=path), key=replace(node.key, path=path))
 
 
 def _by_id(items: list[Node], parts: list[str], where: str) -> str:

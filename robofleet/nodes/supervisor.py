@@ -345,7 +345,7 @@ class Supervisor:
             if before.robot != NOBODY:
                 self._lines.append(f"{self._ids[before.robot]}: it is driven out no more")
             if self._rescue.robot != NOBODY:
-                self._lines.append(describe(Happening(self._rescue.asked, self._rescue.robot), self._ids))
+                self._lines.append(describe(Happening(self._rescue.request, self._rescue.robot), self._ids))
 
     def _judge_robots(self) -> None:
         """Find out who may move; say who must stand, and who keeps its gate open in an emergency stop."""
@@ -361,7 +361,7 @@ class Supervisor:
                 self._permitted[row], states["cause"][row] = 0.0, happening.event
         if (out := self._rescue.robot) != NOBODY:  # in a HOLD, in which all others have no permission
             self._permitted[out] = self._words.crawls[out]
-            states["cause"][out] = self._rescue.asked
+            states["cause"][out] = self._rescue.request
         states["permitted"] = self._permitted > 0.0
         if self._status.phase is Phase.ESTOP:
             states["acknowledged"] = [acknowledged(seen) for seen in self._view.robots]

@@ -56,7 +56,7 @@ class Lateness(NamedTuple):
 class BusyState(NamedTuple):
     """What one view does not tell. Instants on the supervisor's clock [ns]."""
 
-    heard: tuple[tuple[int, int], ...] = ()  # every process: when it was heard last, and the contention by then
+    last_heard: tuple[tuple[int, int], ...] = ()  # every process: when it was heard last, and the contention by then
     turns: tuple[Turns | None, ...] = ()  # of every process by then; none where nobody counts them
     unexplained: frozenset[int] = frozenset()  # processes that are late now, but not by load
     late_ns: tuple[int, ...] = ()  # the most that each was late by load so far
@@ -84,7 +84,7 @@ def watch(memory: BusyState, phase: Phase, view: FleetView) -> BusyState:
         return memory
     now_ns, contended_ns = view.now_ns, view.machine.contended_ns
     heard_ns = (now_ns, view.controller_ns, view.tracker_ns, *(robot.heard_ns for robot in view.robots))
-    before = memory.heard or ((NEVER, contended_ns),) * len(heard_ns)
+    before = memory.last_heard or ((NEVER, contended_ns),) * len(heard_ns)
     own_ns = now_ns - before[SUPERVISOR][0]
     turns = view.machine.turns
     turns_then = memory.turns if len(memory.turns) == len(turns) else turns
@@ -102,7 +102,7 @@ def watch(memory: BusyState, phase: Phase, view: FleetView) -> BusyState:
             unexplained.append(row)
     came = [at_ns != then[0] for at_ns, then in zip(heard_ns, before, strict=True)]
     memory = memory._replace(
-        heard=tuple(
+        last_heard=tuple(
             (at_ns, contended_ns) if new else then for at_ns, then, new in zip(heard_ns, before, came, strict=True)
         ),
         turns=tuple(now if new else then for now, then, new in zip(turns, turns_then, came, strict=False)),
@@ -222,9 +222,9 @@ def _process(event: int, robot: int) -> int | None:
 def _gone(memory: BusyState, happening: Happening, now_ns: int) -> bool:
     """Return whether the process that an event tells of was not heard for so long that nobody waits for it."""
     row = _process(happening.event, happening.robot)
-    if row is None or row >= len(memory.heard):
+    if row is None or row >= len(memory.last_heard):
         return False
-    heard_ns = memory.heard[row][0]
+    heard_ns = memory.last_heard[row][0]
     return heard_ns != NEVER and now_ns - heard_ns > GONE_NS
 
 

@@ -33,7 +33,7 @@ class Word(NamedTuple):
     hand: Hashable  # the sender, as the router knows it, and its epoch
     held: bool  # the dead-man's button
     robot: int  # row of the one that is to be driven out; NOBODY: that is not what it commands
-    asked: Event  # by which way the person commands
+    request: Event  # by which way the person commands
     tick: int  # that it echoes
 
 
@@ -45,18 +45,18 @@ class Rescue(NamedTuple):
     pressed: bool = False  # its button was pressed in this HOLD, and nothing took the permission back since
     up: tuple[Hashable, ...] = ()  # hands whose newest word said that the button is up, the newest last
     robot: int = NOBODY  # the one that may move at a crawl
-    asked: Event = Event.NOTHING
+    request: Event = Event.NOTHING
 
     def cause(self, row: int) -> Event:
         """Return what is told of a robot that is driven out."""
-        return self.asked if row == self.robot else Event.NOTHING
+        return self.request if row == self.robot else Event.NOTHING
 
 
 def watch(
     before: Rescue, words: Iterable[Word], status: RunStatus, standing: tuple[Happening, ...], view: FleetView
 ) -> Rescue:
     """Return who may be driven out now, by the words that came since the last step, in their order."""
-    now = before._replace(robot=NOBODY, asked=Event.NOTHING)
+    now = before._replace(robot=NOBODY, request=Event.NOTHING)
     several = False
     for word in words:
         own = now.word is None or word.hand == now.word.hand
@@ -75,7 +75,7 @@ def watch(
     another = several or before.robot not in (NOBODY, now.word.robot)
     if another or not _is_well(now.word.robot, standing, view):
         return now._replace(pressed=False)
-    return now._replace(robot=now.word.robot, asked=now.word.asked)
+    return now._replace(robot=now.word.robot, request=now.word.request)
 
 
 def _fresh(rescue: Rescue, view: FleetView) -> bool:

@@ -29,12 +29,12 @@ _ASK = """
 import json, sys, time
 import motioncapture
 system, options, patience_s = json.load(sys.stdin)
-capture, end_s, names, told = motioncapture.connect(system, options), time.monotonic() + patience_s, set(), 0
-while told < 20 and time.monotonic() < end_s:
+capture, end_s, names, frames = motioncapture.connect(system, options), time.monotonic() + patience_s, set(), 0
+while frames < 20 and time.monotonic() < end_s:
     capture.waitForNextFrame()
     bodies = set(capture.rigidBodies)
     names |= bodies
-    told += bool(bodies)
+    frames += bool(bodies)
 print(json.dumps(sorted(names)))
 """
 

@@ -38,7 +38,7 @@ def seen(now_ns: int = NOW, contended_ns: int = 0, **robot: object) -> FleetView
 def late(ago_ns: int = 0) -> BusyState:
     """Return the memory of a run in which the tracker was late by load some time ago."""
     memory = BusyState(recent=(Lateness(TRACKER, 310 * MS),), recent_ns=NOW - ago_ns, checks_ns=NOW - 5 * S)
-    return memory._replace(heard=((NOW, 0),) * 5)
+    return memory._replace(last_heard=((NOW, 0),) * 5)
 
 
 def watched(after_ns: int, contended_ns: int, silent: str = "", phase: Phase = Phase.RUNNING) -> dict[int, int]:
@@ -179,7 +179,7 @@ def test_lateness_does_not_explain_the_silence_of_a_process_that_hangs(event: Ev
 
 
 def test_before_any_process_was_heard_none_is_gone_for_good() -> None:
-    unheard = late()._replace(heard=())
+    unheard = late()._replace(last_heard=())
     assert busy.step(unheard, RUNNING, Happening(Event.SUPERVISOR_STALLED), NOW, simulated=True)[1].phase is Phase.HOLD
 
 
@@ -196,7 +196,7 @@ def test_a_start_counts_its_checks_anew_and_what_follows_keeps_the_count() -> No
 def test_a_process_that_does_not_come_back_ends_the_run() -> None:
     held = RunStatus(Phase.HOLD, Event.DRIVER_SILENT, 1)
     for ago_ns, phase in ((10 * S, Phase.HOLD), (10 * S + 1, Phase.FAULT)):
-        memory = late()._replace(heard=((NOW, 0), (NOW, 0), (NOW, 0), (NOW, 0), (NOW - ago_ns, 0)))
+        memory = late()._replace(last_heard=((NOW, 0), (NOW, 0), (NOW, 0), (NOW, 0), (NOW - ago_ns, 0)))
         assert busy.step(memory, held, Happening(Event.DRIVER_SILENT, 1), NOW, simulated=True)[1].phase is phase
 
 
@@ -338,7 +338,7 @@ def test_it_goes_on_at_most_ten_times_a_minute_however_late_who_is(runs: list[in
     drives = next(left)
     for k in range(25 * 180):
         now_ns = NOW + k * 40 * MS
-        memory = memory._replace(recent=(Lateness(TRACKER, S),), recent_ns=now_ns, heard=((now_ns, 0),) * 5)
+        memory = memory._replace(recent=(Lateness(TRACKER, S),), recent_ns=now_ns, last_heard=((now_ns, 0),) * 5)
         if status.phase is Phase.RUNNING and drives == 0:
             memory, status = busy.step(memory, status, Happening(Event.TRACKER_SILENT), now_ns, simulated=True)
             drives = next(left)

@@ -35,15 +35,15 @@ def pressed(word: Word = ASKS, *, status: RunStatus = HELD, seen: FleetView | No
 
 def test_a_button_that_is_pressed_in_a_held_run_lets_its_robot_crawl() -> None:
     rescue = pressed()
-    assert (rescue.robot, rescue.asked) == (0, BY_PAGE)
+    assert (rescue.robot, rescue.request) == (0, BY_PAGE)
     assert rescue.cause(0) == BY_PAGE
     assert rescue.cause(1) == Event.NOTHING
-    assert pressed(ASKS._replace(robot=2, asked=BY_PAD))[-2:] == (2, BY_PAD)
+    assert pressed(ASKS._replace(robot=2, request=BY_PAD))[-2:] == (2, BY_PAD)
 
 
 def test_a_button_that_is_let_go_makes_it_stand_at_once() -> None:
     rescue = watch(pressed(), (LETS_GO,), HELD, (), view())
-    assert (rescue.robot, rescue.asked) == (NOBODY, Event.NOTHING)
+    assert (rescue.robot, rescue.request) == (NOBODY, Event.NOTHING)
     assert watch(rescue, (ASKS,), HELD, (), view()).robot == 0, "pressed again"
     assert watch(pressed(), (LETS_GO._replace(hand=2),), HELD, (), view()).robot == 0, "another one's button"
 

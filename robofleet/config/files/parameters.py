@@ -54,5 +54,5 @@ def load_placed(kind: type[M], file: Path, absent: str = "") -> tuple[M, Node]:
         found = [root.mistake(keys_of(path), message) for path, message in parameters.complaints()]
         if not faults and not found:
             return parameters, root
-    faults = sorted([*faults, *filter(None, found)], key=lambda fault: (fault.place.line, fault.place.column))
+    faults = sorted([*faults, *filter(None, found)], key=lambda fault: (fault.position.line, fault.position.column))
     raise ConfigError(dict.fromkeys(map(str, faults)))

@@ -48,14 +48,14 @@ class Position:
 class Mistake:
     """Something wrong at a place."""
 
-    place: Position
+    position: Position
     message: str
 
     def __str__(self) -> str:
         """Return one line, ``file:line:column: path: message``; a ``--set`` has no line and column."""
-        source = self.place.source
-        where = source.name if source.key else f"{source.name}:{self.place.line}:{self.place.column}"
-        line = ": ".join(part for part in (where, self.place.path, self.message) if part)
+        source = self.position.source
+        where = source.name if source.key else f"{source.name}:{self.position.line}:{self.position.column}"
+        line = ": ".join(part for part in (where, self.position.path, self.message) if part)
         return printable(line)
 
 
@@ -69,7 +69,7 @@ class Node:
     """A value, where it stands and where its key stands; ``bad`` when a fault was reported here already."""
 
     value: Value
-    place: Position
+    position: Position
     key: Position
     bad: bool = False
 
@@ -90,7 +90,7 @@ class Node:
             node, depth = child, depth + 1
         if node.bad:
             return None
-        position = node.key if at_key else node.place
+        position = node.key if at_key else node.position
         path = ".".join(filter(None, (position.path, *map(str, keys[depth:]))))
         return Mistake(replace(position, path=path), message)
 

@@ -166,7 +166,7 @@ def _drawn(at: Node, value: Any) -> Node:
         value = {key: _drawn(at, child) for key, child in value.items()}
     elif isinstance(value, list):
         value = [_drawn(at, child) for child in value]
-    return Node(value, at.place, at.key)
+    return Node(value, at.position, at.key)
 
 
 def _seeded(config: Config, seed: int) -> Config:
