@@ -27,7 +27,6 @@ MIRRORED = (
 
 
 def images(path: Path) -> Iterator[Named]:
-    """Return the images of a file, a folder or a video; CalibrationError at what cannot be read."""
     try:
         yield from files.images(path)
     except files.ImageFileError as error:
@@ -87,7 +86,6 @@ def from_camera(config: Config, count: int) -> list[Named]:
 
 
 def refuse_other_sizes(images: Sequence[Named], model: CameraModel) -> None:
-    """Raise CalibrationError that names each image of another size than the camera's."""
     faults = [
         f"{name}: is {image.shape[1]} x {image.shape[0]} px, but the camera is calibrated for "
         f"{model.width} x {model.height}: take images of that size, or calibrate the lens for this one"
@@ -99,7 +97,6 @@ def refuse_other_sizes(images: Sequence[Named], model: CameraModel) -> None:
 
 
 def open_camera(config: Config) -> Camera:
-    """Return the camera of a configuration, outside of any run; CalibrationError if it cannot be opened."""
     clock = WallClock()
     bus = MemoryBus(config.arena.name, clock, 0)
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)

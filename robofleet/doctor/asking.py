@@ -82,7 +82,6 @@ class _Inquiry(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        """Open the port by each kind until one answers."""
         if using := holders(self._path):
             says = f"not asked: process {using[0].pid} ({using[0].command}) has it open"
             self.finding = Finding(self._name, Mark.WARN, says, "end that program first")

@@ -117,7 +117,6 @@ def usb_of(path: Path, sysfs: Path = _SYSFS) -> udev.Usb | None:
 
 
 def basler_cameras(needs: Needs) -> Iterator[Finding]:
-    """Basler's cameras, where their library is installed."""
     if find_spec("pypylon") is None:
         return  # `packages` says whether it is needed
     try:

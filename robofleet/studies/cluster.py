@@ -30,7 +30,6 @@ class Cluster:
         self.jobs = jobs
 
     def each(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Results[Result]:
-        """See ``Engine``."""
         import ray  # noqa: PLC0415 - an extra
 
         task: Any = ray.remote(num_cpus=1, max_retries=_RETRIES)(attempt)
@@ -67,7 +66,6 @@ def cluster(address: str, jobs: int | None) -> Iterator[Cluster]:
 
 @contextmanager
 def _of_others(address: str) -> Iterator[Any]:
-    """Connect to a cluster that is there."""
     _reach(address)
     with _started(f"ray://{address}", _TOKEN, address=f"ray://{address}") as ray:
         yield ray

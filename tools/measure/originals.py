@@ -55,7 +55,6 @@ class Compared(NamedTuple):
 
 
 def version(checkout: Path) -> int:
-    """Return the version of a checkout."""
     return 2 if "class ARobotarium" in (checkout / "rps" / "robotarium_abc.py").read_text() else 1
 
 
@@ -114,7 +113,6 @@ def _speed(result: dict[str, Any]) -> float:
 
 
 def main() -> None:
-    """Print a row a script."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkout", type=Path)
     parser.add_argument("--only", nargs="*", default=[])

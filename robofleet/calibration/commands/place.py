@@ -89,7 +89,6 @@ def arena(
 
 
 def _taken(files: list[Path], images: list[Path], config: Config | None, count: int) -> list[list[frames.Named]]:
-    """Return the images of each camera."""
     if config is not None:
         if len(files) > 1 and not config.cameras:
             raise CalibrationError(

@@ -142,7 +142,6 @@ def _keep(
     table: tuple[tuple[str, ...], list[tuple[str, ...]]],
     folder: Path,
 ) -> None:
-    """Write every robot's file, and say what was found."""
     head, rows = table
     shown = Table(*head)
     for row in rows:

@@ -40,7 +40,6 @@ Overrides = Annotated[
 
 
 def report_file(requested: Path | None, command: str) -> Path:
-    """Return where the page goes."""
     return requested or Path("runs") / f"{utc_now().strftime('%Y%m%dT%H%M%SZ')}-{command}" / "report.html"
 
 
@@ -68,7 +67,6 @@ def camera_file(camera: str, configs: Path | None, config: Path | None) -> Path:
 
 
 def known_camera(camera: str, configs: Path | None, config: Path | None) -> Path:
-    """Return the file of a camera that was calibrated before."""
     file = camera_file(camera, configs, config)
     if not file.exists():
         others = sorted(other.stem for other in file.parent.glob("*.yaml"))

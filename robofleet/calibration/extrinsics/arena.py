@@ -128,7 +128,6 @@ def _judged(
     camera: Path, model: CameraModel, survey: Survey, images: Sequence[Named], seen: Look, agreement: Agreement,
     wanted: Wanted,
 ) -> Found:  # fmt: skip
-    """Return a place that is good enough; CalibrationError if it is not."""
     placement, survey_mm = agreement.placement, wanted.survey_mm
     region = region_of(survey, wanted.arena_m, wanted.tag_height_m)
     sigma = predicted(placement, region)
@@ -147,7 +146,6 @@ def _judged(
 
 
 def _written(found: Found, report: Path) -> Result:
-    """Write the page and the camera's file."""
     camera, model, agreement, marks, region, sigma_mm, notes = found
     write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, region, sigma_mm, notes)
     assert model.arena is not None
@@ -212,7 +210,6 @@ def _rms_mm(errors: Array) -> float:
 
 
 def _notes(agreement: Agreement, marks: Marks, survey_mm: float | None) -> list[str]:
-    """Return what to know of single marks."""
     placement, inside = agreement.placement, agreement.inside
     notes = []
     for i in np.flatnonzero(~inside):
@@ -241,7 +238,6 @@ def _notes(agreement: Agreement, marks: Marks, survey_mm: float | None) -> list[
 def _refuse_poor(
     agreement: Agreement, marks: Marks, figures: dict[str, float | None], notes: Sequence[str], survey_mm: float | None
 ) -> None:
-    """Raise CalibrationError if the pose should not be used."""
     placement, faults = agreement.placement, []
     widths = _widths(placement, marks)
     if len(widths) and not _WIDTH_RATIO[0] < np.median(widths) < _WIDTH_RATIO[1]:

@@ -55,11 +55,9 @@ class Marks:
     by_lens: Array | float = 0.0  # (N, 2, K) how x, y follow the lens's values [m], if they were seen; 0: by hand
 
     def __len__(self) -> int:
-        """Return N."""
         return len(self.names)
 
     def chosen(self, which: NDArray[np.bool_]) -> "Marks":
-        """Return some of them."""
         names = tuple(name for name, keep in zip(self.names, which, strict=True) if keep)
         points, headings, sides, pixels, ahead, sigma_px = (
             array[which] for array in (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)

@@ -84,7 +84,6 @@ class Placement:
 
     @property
     def geometry(self) -> CameraGeometry:
-        """Return the camera in its place."""
         return self.lens.geometry.moved(self.T_world_camera)
 
     def spread(self, points: Array) -> Array:

@@ -108,7 +108,6 @@ def _known(marks: Marks, known: dict[str, Array]) -> NDArray[np.bool_]:
 
 
 def _placed(marks: Marks, placement: Placement | None, known: dict[str, Array]) -> Marks:
-    """Return marks with a place for those that nobody surveyed: a known one, or where a camera sees it."""
     points = marks.points.copy()
     for i in np.flatnonzero(np.isnan(points[:, 0])):
         if marks.names[i] in known:

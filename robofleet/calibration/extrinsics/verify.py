@@ -79,8 +79,6 @@ class _Known(NamedTuple):
 
 
 class _Hypothesis(NamedTuple):
-    """What may have happened."""
-
     placement: Placement  # by the marks that stayed
     stayed: Flags  # (N,)
     change: Array  # (6,) of the camera
@@ -108,7 +106,6 @@ def verify(camera: Path, survey_file: Path, images: Sequence[Named], survey_mm: 
 
 
 def _calibrated(camera: Path, model: CameraModel, survey_mm: float | None) -> Calibrated:
-    """Return the pose of a camera's file, and how good it was."""
     if model.T_world_camera is None:
         raise CalibrationError(f"{camera}: T_world_camera: is missing: run robofleet calibrate arena")
     arena, covariance = model.arena, np.zeros((6, 6))
@@ -179,7 +176,6 @@ def _by_pixels(lens: Lens, marks: Marks, calibrated: Calibrated) -> _Known | Non
 
 
 def _by_survey(lens: Lens, marks: Marks, calibrated: Calibrated) -> _Known:
-    """Return the places at which marks were surveyed."""
     try:
         absorbed = place(lens, marks, calibrated.T, calibrated.survey_m).absorbed
     except np.linalg.LinAlgError as error:
@@ -205,7 +201,6 @@ def _compared(lens: Lens, known: _Known) -> tuple[Array, Array, Array]:
 
 
 def _by_those(lens: Lens, known: _Known, stayed: Flags) -> _Hypothesis | None:
-    """Return the hypothesis that some marks stayed; None if they do not determine a pose."""
     if np.count_nonzero(stayed) < LEAST - 1 or on_one_line(known.marks.points[stayed]):
         return None
     try:

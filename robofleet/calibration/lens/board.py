@@ -42,7 +42,6 @@ class Board:
     dictionary: str = "DICT_5X5_250"
 
     def __post_init__(self) -> None:
-        """Refuse a board that cannot be printed."""
         if min(self.squares) < 4:
             raise CalibrationError(f"a board of {self.shown} has too few corners: take 4 x 4 squares or more")
         if not 0.3 * self.square_m <= self.marker_m < self.square_m:
@@ -60,7 +59,6 @@ class Board:
 
     @property
     def shown(self) -> str:
-        """The board's squares in words."""
         return f"{self.squares[0]} x {self.squares[1]} squares"
 
     @property
@@ -70,7 +68,6 @@ class Board:
 
     @property
     def print(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board."""
         return cv2.aruco.CharucoBoard(self.squares, self.square_m, self.marker_m, self._dictionary)
 
     @property
@@ -119,7 +116,6 @@ class BoardCheck:
         self._ratios: list[float] = []
 
     def add(self, sight: Sight) -> None:
-        """Take what one image showed."""
         self._images += 1
         self._marked += len(sight.markers) >= _CORNERS
         self._fitting += sight.view is not None
@@ -128,7 +124,6 @@ class BoardCheck:
             self._ratios.append(sight.marker_ratio)
 
     def faults(self) -> list[str]:
-        """Return why this cannot be the board that was named."""
         board, last = self._board, self._board.squares[0] * self._board.squares[1] // 2 - 1
         if not self._seen:
             where = f"{self._images} images"

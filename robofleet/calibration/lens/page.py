@@ -27,7 +27,6 @@ _CORNER_BGR = (90, 60, 230)
 
 
 def page(measured: Measured, gathering: Gathering, faults: Sequence[str]) -> Report:
-    """Return the report of a lens, refused for ``faults`` or good."""
     report = Report("Camera lens")
     warnings = measured.warnings()
     if not faults:
@@ -76,7 +75,6 @@ def distortion_figure(measured: Measured) -> Figure:
 
 
 def coverage_figure(measured: Measured) -> Figure:
-    """Draw the corners over the image."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 4.2), layout="constrained")
         axes = figure.subplots()
@@ -177,7 +175,6 @@ def _lens(report: Report, measured: Measured) -> None:
 
 
 def _thumbnail(view: BoardView, text: str, *, good: bool | None) -> Picture:
-    """Return a view's image, small, with the corners that were found."""
     scale = _THUMBNAIL_WIDTH_PX / view.image.shape[1]
     small = cv2.resize(view.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     drawn = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)

@@ -25,7 +25,6 @@ class Lens:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the values' names, with their units."""
         coefficients = _FISHEYE if self.kind == "fisheye" else _PINHOLE
         return ("f_x_px", "f_y_px", "c_x_px", "c_y_px", *coefficients[: len(self.values) - 4])
 

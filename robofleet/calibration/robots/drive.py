@@ -192,7 +192,6 @@ def _cut(
 
 
 def _ends(config: Config) -> Array:
-    """Return when each robot of a drive has driven [s]."""
     (behaviour,) = groups.behaviours(config)
     assert isinstance(behaviour, Excitation)
     return behaviour.ends

@@ -207,7 +207,6 @@ class _Player:
         self._answer_text, self._answer = b"", self._lockstep.request(request)
 
     def _stop(self) -> None:
-        """Stop them all, as whoever stops a run does."""
         clock = self._lockstep.clock
         self._stops_ns.append(clock.now_ns())
         stop = EmergencyStop(self._lockstep.bus, self._config.units, clock.now_ns())
@@ -275,9 +274,7 @@ class _Player:
         return effects
 
     def _outages(self, process: str) -> list[Outage]:
-        """Return when a process did not run, or had another time than the rest."""
         return self._acting("killed", "stopped", "clock_step", process=process)
 
     def _acting(self, *kinds: str, **keys: str) -> list[Outage]:
-        """Return when faults of some kinds acted."""
         return [Outage(fault.start_ns, fault.end_ns) for fault in self._faults.of(*kinds, **keys)]

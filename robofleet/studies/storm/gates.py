@@ -54,7 +54,6 @@ class GateAudit:
         self.moving: Array = np.empty((0, 2))  # instant [ns], whether the target is not zero
 
     def violations(self, decisions: Sequence[GateDecision]) -> list[Violation]:
-        """Return what did not hold, oldest first."""
         rows, until_ns, start = [], 0, 0
         before, previous = GateState(boot_id=0), None
         for row, decision in enumerate(decisions):

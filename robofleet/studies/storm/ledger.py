@@ -38,7 +38,6 @@ class Ledger:
         bus.tap(self._take)
 
     def turning(self) -> set[str]:
-        """Return the robots whose wheels are let turn now."""
         return {robot for robot, rows in self.decisions.items() if rows[-1].state.target != STOP}
 
     def obeying(self) -> set[str]:
@@ -46,12 +45,10 @@ class Ledger:
         return {robot for robot, rows in self.decisions.items() if rows[-1].state.status == GateStatus.OPEN}
 
     def forget(self) -> None:
-        """Let go of everything."""
         self.decisions.clear()
         self.sent_ns.clear()
 
     def probe(self, robot: str, now_ns: int, inputs: Inputs, state: GateState) -> None:
-        """Keep what a gate decided."""
         self.decisions[robot].append(GateDecision(self._now_ns(), now_ns, inputs, state))
 
     def _take(self, message: tuple[str, bytes]) -> None:

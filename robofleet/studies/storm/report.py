@@ -33,7 +33,6 @@ def progress(seeds: int, replay: str) -> Iterator[Watch]:
 
 
 def lines(episode: Episode, replay: str) -> Iterator[str]:
-    """Yield what there is to say of a seed that failed."""
     if not episode.violations:
         return
     yield f"seed {episode.seed}: {replay} --seeds 1 --first {episode.seed}"
@@ -50,7 +49,6 @@ def lines(episode: Episode, replay: str) -> Iterator[str]:
 
 
 def summarise(tally: Tally, elapsed_s: float) -> bool:
-    """Print the tally; returns whether all held."""
     table = Table("fault", "times", "effects", "reaction", "seeds", title="what came, and what was done about it")
     events = sorted(event for event in Event if event and (tally.events[event] or event in REACTIONS))
     for row in range(max(len(KINDS), len(events))):

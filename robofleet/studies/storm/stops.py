@@ -34,7 +34,6 @@ class Stop(NamedTuple):
 
 
 def stops(requested_ns: Sequence[int], resets_ns: Sequence[int]) -> list[Stop]:
-    """Return the emergency stops that were asked for."""
     return [Stop(ns, min((reset for reset in resets_ns if reset > ns), default=np.inf)) for ns in requested_ns]
 
 

@@ -33,7 +33,6 @@ class Tally:
         self.unplayed: list[str] = []  # seeds of which nothing is known, and why
 
     def add(self, episode: Episode) -> None:
-        """Count a seed."""
         self.seeds += 1
         self.simulated_s += episode.simulated_s
         self.longest_queue = max(self.longest_queue, episode.longest_queue)

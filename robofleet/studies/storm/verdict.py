@@ -12,6 +12,5 @@ class Violation(NamedTuple):
     numbers: str
 
     def __str__(self) -> str:
-        """Return one line."""
         who = f"{self.robot}: " if self.robot else ""
         return f"{self.at_s:.4f} s: {who}{self.invariant}: {self.numbers}"

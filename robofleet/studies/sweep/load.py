@@ -126,7 +126,6 @@ class _Broken:
         self._times: dict[tuple[str, ...], int] = {}
 
     def add(self, error: ConfigError, number: int, setting: Setting) -> None:
-        """Take what is wrong with a setting."""
         values = ", ".join(f"{key}={spelled(value)}" for key, value in setting.values.items())
         for line in error.faults:
             position = tuple(line.split(": ")[:2])
@@ -174,7 +173,6 @@ def _seeded(config: Config, seed: int) -> Config:
 
 
 def _words(config: Path, values: dict[str, Any], faults: Path | None) -> str:
-    """Return the command of a run, but for its seed."""
     words = ["robofleet", "run", str(config), "--lockstep"]
     words += [word for key, value in values.items() for word in ("--set", f"{key}={spelled(value)}")]
     return shlex.join([*words, *(("--faults", str(faults)) if faults is not None else ())])

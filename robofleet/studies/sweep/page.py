@@ -22,7 +22,6 @@ _LISTED_RUNS = 50
 
 
 def write(study: Study, runs: Sequence[Ran], folder: Path, files: Sequence[Path]) -> Path:
-    """Write the page; returns its file. OSError if it cannot be."""
     endings = np.array([ran.ending for ran in runs])
     page = Page(study.name, _subtitle(study, runs))
     _verdict(page, runs, endings)

@@ -61,8 +61,6 @@ SCENARIOS = {
 
 @dataclass(frozen=True)
 class Crossing:
-    """What came of one."""
-
     gap: float  # smallest distance between two bodies [m]
     edge: float  # smallest distance of a body from the arena's edge [m]
     arrived: int  # robots at their goals at the end
@@ -124,7 +122,6 @@ class Arena:
 
 
 def cross(config: Config, seed: int, scenario: Scenario) -> Crossing:
-    """Drive one crossing."""
     rng, c, truth, n = np.random.default_rng(seed), config.controller, config.tracker.truth, scenario.robots
     arena, estimate, barrier = Arena(config, scenario, rng), fleet.fleet_filter(config), fleet.barrier(config)
     noise = np.array([truth.position_noise_m, truth.position_noise_m, truth.heading_noise_rad])
@@ -156,7 +153,6 @@ def cross(config: Config, seed: int, scenario: Scenario) -> Crossing:
 
 
 def points(poses: Array, ahead: float) -> Array:
-    """Return the points p (N, 2)."""
     return np.array([point_from_pose(x, y, psi, ahead) for x, y, psi in poses.tolist()])
 
 
@@ -177,13 +173,11 @@ def _asked(config: Config, scenario: Scenario, robot: Robot, pose: Array, goal: 
 
 
 def crossed(name: str, seed: int) -> Crossing:
-    """Drive one crossing of a scenario."""
     scenario = SCENARIOS[name]
     return cross(configuration(scenario.robots), seed, scenario)
 
 
 def main() -> None:
-    """Print a row for every scenario: over all seeds, the smallest gap and edge, and the median and longest time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"of: {'; '.join(SCENARIOS)}")
     parser.add_argument("--seeds", type=int, default=20)
@@ -204,7 +198,6 @@ def main() -> None:
 
 
 def row(name: str, found: list[Crossing]) -> str:
-    """Return a scenario's row."""
     all_there = sum(meeting.arrived == meeting.moving for meeting in found)
     robots = f"{sum(meeting.arrived for meeting in found)}/{sum(meeting.moving for meeting in found)}"
     gap, edge = (1e3 * min(values) for values in zip(*((meeting.gap, meeting.edge) for meeting in found), strict=True))

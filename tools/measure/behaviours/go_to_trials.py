@@ -45,8 +45,6 @@ ALONE = 2  # so many of the robots that have furthest to go are tried alone
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of one."""
-
     seed: int
     arrived: bool
     seconds: float  # until all had arrived
@@ -68,7 +66,6 @@ def configuration(robots: int, *changes: str) -> Config:
 
 
 def places(config: Config, count: int, rng: np.random.Generator) -> Array:
-    """Return random poses (N, 3)."""
     radius = config.members[0].vehicle.body_radius_m
     half = np.array(config.arena.size_m) / 2 - APART * radius
     found: list[Array] = []
@@ -142,7 +139,6 @@ def trial(robots: int, seed: int) -> Trial:
 
 
 def table(robots: int, trials: Sequence[Trial]) -> str:
-    """Return what came of them."""
     seconds, alone = (np.array([getattr(result, key) for result in trials]) for key in ("seconds", "alone"))
     gaps = [result.gap for result in trials]
     missing = [result.seed for result in trials if not result.arrived]
@@ -164,7 +160,6 @@ def table(robots: int, trials: Sequence[Trial]) -> str:
 
 
 def main() -> None:
-    """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", type=int, nargs="+", default=[4, 10, 20])
     parser.add_argument("--seeds", type=int, default=300)

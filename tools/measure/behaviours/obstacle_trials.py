@@ -36,8 +36,6 @@ Pose = dict[str, float]
 
 
 class Trial(NamedTuple):
-    """What came of one."""
-
     seed: int
     outcome: str
     cause: str | None
@@ -116,7 +114,6 @@ def scene(behaviour: str, seed: int) -> tuple[Config, int]:
 
 
 def drive(behaviour: str, seed: int) -> Trial:
-    """Drive one scene."""
     config, _ = scene(behaviour, seed)
     run = Lockstep(config)
     outcome, cause = run.run()
@@ -131,7 +128,6 @@ def arrived(behaviour: str, trial: Trial) -> bool:
 
 
 def main() -> None:
-    """Drive all seeds and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("behaviours", nargs="*", default=["go_to", "cyclic_pursuit"])
     parser.add_argument("--seeds", type=int, default=200)

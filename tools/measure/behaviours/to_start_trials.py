@@ -51,7 +51,6 @@ def drive(seed: int, duration_s: float) -> tuple[str, str | None, float, float]:
 
 
 def main() -> None:
-    """Drive all seeds and print a line each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=1)

@@ -55,7 +55,6 @@ def row(title: str, seeds: int, wrong_m: float = 0.0) -> str:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=300)
     seeds = parser.parse_args().seeds

@@ -174,7 +174,6 @@ def print_cost(folder: Path, times: int) -> None:
 
 
 def main() -> None:
-    """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--times", type=int, default=100)
     parser.add_argument("--supervisor", choices=TROUBLES)

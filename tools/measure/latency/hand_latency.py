@@ -87,7 +87,6 @@ def until(statuses: Stream, turning: bool, since_ns: int) -> float:
 
 
 def main() -> None:
-    """Print both times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--times", type=int, default=20)
     parser.add_argument("--page", action="store_true", help="by the operator's page, in Chromium")

@@ -48,7 +48,6 @@ def latencies(run: Run, sent: list[int]) -> Array:
 
 
 def main() -> None:
-    """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")

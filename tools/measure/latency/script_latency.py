@@ -33,7 +33,6 @@ class Stages(NamedTuple):
 
 
 def measure(seconds: float, folder: Path, *settings: str) -> Stages:
-    """Return the stages of a run."""
     sent: dict[int, int] = {}
     with Fleet(CONFIG, out=folder, settings=settings) as fleet:
         for k, _ in enumerate(fleet.ticks(seconds)):
@@ -55,7 +54,6 @@ def measure(seconds: float, folder: Path, *settings: str) -> Stages:
 
 
 def main() -> None:
-    """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--camera", action="store_true", help="with images, not with the truth")

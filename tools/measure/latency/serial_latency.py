@@ -36,7 +36,6 @@ def measure(driver: str, seconds: float, folder: Path) -> list[float]:
 
 
 def main() -> None:
-    """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--driver", choices=MOTION, default="gternal")
     parser.add_argument("--seconds", type=float, default=60.0)

@@ -70,7 +70,6 @@ def ticks(bus: ZenohBus, arena: str, seconds: float) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    """Print the figures of all sides."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", type=int, default=100)
     parser.add_argument("--turns", type=int, default=3, help="of each side")

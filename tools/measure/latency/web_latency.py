@@ -53,7 +53,6 @@ class MeasuredPage(feed.Page):
     took_ms: list[float] = []  # noqa: RUF012 - one process has one list
 
     def drawn(self, seq: int) -> None:
-        """Take the time."""
         now_ns = CLOCK.now_ns()
         self.took_ms += [(now_ns - at_ns) / MS for sent, at_ns in self._undrawn if sent == seq and at_ns]
         super().drawn(seq)
@@ -134,8 +133,6 @@ def say(config: Config) -> None:
 
 
 class Browser:
-    """One Chromium."""
-
     def __init__(self, url: str) -> None:
         from selenium import webdriver
 
@@ -147,7 +144,6 @@ class Browser:
         self.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
 
     def open(self) -> None:
-        """Open the page."""
         self.driver.get(self._url)
 
     def first_picture_ms(self) -> float | None:
@@ -163,7 +159,6 @@ class Browser:
         return float(spent), int(self.driver.execute_script("return window.robofleet?.state.drawn ?? 0"))
 
     def leave(self) -> None:
-        """Show nothing."""
         self.driver.get("about:blank")
 
 
@@ -206,7 +201,6 @@ def measure(bus: ZenohBus, config: Config, url: str, pages: int, seconds: float,
 
 
 def figures(values: list[float]) -> str:
-    """Return percentiles in words."""
     if not values:
         return "nothing"
     p50, p99 = np.percentile(values, (50, 99))
@@ -231,7 +225,6 @@ def served(file: Path) -> Iterator[str]:
 
 
 def main() -> None:
-    """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=4)
     parser.add_argument("--pages", type=int, default=3)

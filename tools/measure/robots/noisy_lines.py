@@ -45,7 +45,6 @@ def run(config: Path, folder: Path, seed: int, seconds: float, share: float) -> 
 
 
 def main() -> None:
-    """Run, print a line a run, and what they sum up to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config", nargs="?", type=Path, default=SERIAL, metavar="CONFIG")
     parser.add_argument("--runs", type=int, default=20)

@@ -73,7 +73,6 @@ class Pulled:
             self.cause = self.cause or run_cause(self.state, self.config.groups[0].robots)
 
     def phase(self) -> int | None:
-        """Listen, and return the fleet's phase."""
         self.listen()
         return None if self.state is None else self.state.phase
 
@@ -89,13 +88,11 @@ class Pulled:
         wait(runs, _START_WITHIN_S, f"a run; {self.state}")
 
     def close(self) -> None:
-        """End every process."""
         self._children.reap(CLOCK)
         self.bus.close()
 
 
 def pull(config_file: Path, robot: str, seconds: float, folder: Path) -> str:
-    """Return what happened, in a line."""
     fleet = Pulled(config_file, robot, seconds, folder)
     try:
         fleet.run()
@@ -112,7 +109,6 @@ def pull(config_file: Path, robot: str, seconds: float, folder: Path) -> str:
 
 
 def main() -> None:
-    """Pull out each robot's line once."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("config", nargs="?", type=Path, default=SERIAL, metavar="CONFIG")
     parser.add_argument("--robots", default="r1,r2,r3")

@@ -24,7 +24,6 @@ _LOOP = "while True: pass"
 
 @contextmanager
 def busy_loops(count: int) -> Iterator[None]:
-    """Keep so many cores busy."""
     loops = [subprocess.Popen([sys.executable, "-c", _LOOP]) for _ in range(count)]
     try:
         yield
@@ -59,7 +58,6 @@ def one_run(folder: Path, *overrides: str) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print a line a run, and how many were as they must be."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")

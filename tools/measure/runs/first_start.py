@@ -48,7 +48,6 @@ def start(folder: Path, interrupted_after_s: float | None = None) -> tuple[dict[
 
 
 def main() -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--times", type=int, default=3, help="of each")
     times = parser.parse_args().times

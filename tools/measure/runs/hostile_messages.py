@@ -60,8 +60,6 @@ _FLOATS = (
 
 @dataclass
 class Figures:
-    """What came of it."""
-
     messages: Counter[str] = field(default_factory=Counter)  # by topic
     fleets: int = 0
     starts: int = 0  # before and after the attacks
@@ -77,7 +75,6 @@ class Forge:
         self.sent: dict[str, bytes] = {}  # newest true payload of each key
 
     def payload(self, topic: Topic, full: str) -> bytes:
-        """Return a payload for a key."""
         if topic.layout is None:
             return bytes(self._pick(_WORDS))
         sent = self.sent.get(full, b"")
@@ -119,7 +116,6 @@ class Forge:
         return heads.tobytes() + items.tobytes() + numbers
 
     def _spoil(self, rows: Any, share: float) -> None:
-        """Change a share of all fields."""
         for row in range(min(len(rows), 16)):
             for name in rows.dtype.names:
                 if self._rng.random() < share:
@@ -245,7 +241,6 @@ def attack(config: Config, messages: int, seed: int, *, whole: bool = True) -> F
 
 
 def main() -> None:
-    """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--messages", type=int, default=10000)
     parser.add_argument("--config", type=Path)

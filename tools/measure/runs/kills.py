@@ -86,14 +86,12 @@ class Fleet:
             self._children.signal(name, number)
 
     def listen(self) -> None:
-        """Take what came."""
         self.state = self._state.take() or self.state
         for robot, inbox in self._inboxes.items():
             if (status := inbox.take()) is not None:
                 self.statuses[robot] = status
 
     def ask(self, request: bytes) -> bytes:
-        """Ask the supervisor."""
         return asked(self.bus, CLOCK, "supervisor", request)
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
@@ -126,7 +124,6 @@ class Fleet:
         return all(status.gate != 0 and not turns(status) for status in self.statuses.values())
 
     def close(self) -> None:
-        """End every process."""
         self._children.reap(CLOCK)
         self.bus.close()
 

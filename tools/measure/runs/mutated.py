@@ -87,15 +87,11 @@ _TEXTS = (
 
 
 class Kind(NamedTuple):
-    """One file that is read, and how."""
-
     file: Path
     load: Callable[[], object]
 
 
 class Figures(NamedTuple):
-    """What came of it."""
-
     refused: Counter[str]  # by the file's folder
     accepted: Counter[str]
     others: dict[str, str]  # other errors: where each was raised, and one change by which
@@ -268,7 +264,6 @@ def attack(folder: Path, files: int, seed: int) -> Figures:
 
 
 def main() -> None:
-    """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--files", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)

@@ -56,7 +56,6 @@ def measured(fleet: Fleet, folder: Path, turns: int, seconds: float) -> dict[str
 
 
 def main() -> None:
-    """Print the figures of both sides."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--turns", type=int, default=6, help="of each side")
     parser.add_argument("--seconds", type=float, default=10.0, help="of each turn")

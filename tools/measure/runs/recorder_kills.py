@@ -35,8 +35,6 @@ _ON_ITS_WAY_NS = 300 * MS  # what was said before the kill is heard by then
 
 
 class Outcome(NamedTuple):
-    """What one kill cost."""
-
     messages: int  # messages until the kill
     lost: int  # of these
     lost_ms: float  # how long before the kill the oldest of them was heard

@@ -44,8 +44,6 @@ _DRIVES = ((0.7, 1.0), (0.55, 0.8), (0.9, 0.6))  # defocus [px], light
 
 
 class Scene(NamedTuple):
-    """What the frames are like."""
-
     noise: float  # [grey levels], see RayCaster.image
     darkness: float = 0.0  # the light, once it went out; 0: it stays on
     cable_px: float = 0.0  # a cable so wide falls across every tag
@@ -77,8 +75,6 @@ def cell_wide(family: str) -> float:
 
 
 class Frame(NamedTuple):
-    """An image and what it shows."""
-
     image: NDArray[np.uint8]
     exposure_ns: int
     prints: tuple[Print, ...]
@@ -87,8 +83,6 @@ class Frame(NamedTuple):
 
 
 class Score:
-    """What one candidate made of one scene."""
-
     def __init__(self) -> None:
         self.errors: list[tuple[float, float, float]] = []  # x, y [mm; world], psi [deg]
         self.tags = self.wrong = 0
@@ -107,7 +101,6 @@ class Score:
                 self.wrong += 1
 
     def row(self) -> dict[str, float]:
-        """Return the columns of the table."""
         if not self.errors:
             return {"measured": 0.0, "wrong": self.wrong}
         x, y, heading = np.array(self.errors).T
@@ -143,7 +136,6 @@ def drives(scene: Scene, frames: Sequence[int]) -> Iterator[tuple[Setting, RayCa
 
 
 def evaluate(scene: Scene, names: Sequence[str], frames: Sequence[int]) -> dict[str, dict[str, float]]:
-    """Return the rows of the table: candidates', and the bound's if it is named."""
     scores, bounds = {name: Score() for name in names if name != BOUND}, []
     for setting, caster, pictures in drives(scene, frames):
         candidates = {name: CANDIDATES[name](setting) for name in scores}
@@ -220,7 +212,6 @@ def _rms(values: Array) -> float:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="one JSON object, and nothing else")
     parser.add_argument("--frames", type=int, default=90, help="images a scene")

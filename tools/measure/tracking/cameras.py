@@ -61,7 +61,6 @@ def overlapping(folder: Path) -> Path:
 
 
 def driven(file: Path, *overrides: str) -> Recording:
-    """Run a configuration in lockstep."""
     run = Lockstep(load_checked(file, overrides, lockstep=True))
     outcome = run.run()
     print(f"  {file.stem}: {outcome[0]}" + (f": {outcome[1]}" if outcome[1] else ""))
@@ -100,8 +99,6 @@ def in_view(config: Config, at: Array) -> NDArray[np.bool_]:
 
 
 class Seam(NamedTuple):
-    """What the example shows of its seam."""
-
     seam_mm: float  # rms where both cameras see a robot
     middle_mm: float  # rms below the cameras, on the same straights
     step_mm: float  # largest change of the error from tick to tick where the cameras that see a robot change
@@ -195,7 +192,6 @@ PARTS = {"seam": (measure_seam, 82.0), "knock": (measure_knock, 8.0), "unplug": 
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure the parts that are named."""
     assert __doc__ is not None
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], metavar="PART", help=", ".join(PARTS))

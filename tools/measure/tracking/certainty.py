@@ -35,8 +35,6 @@ Array = NDArray[np.float64]
 
 
 class Scene(NamedTuple):
-    """What the frames are like."""
-
     tags: int = 20
     small: bool = False  # 720p in place of 1080p
     light: float = 0.7
@@ -124,7 +122,6 @@ def placed(scene: Scene, poses: int, seed: int = 1) -> Iterator[Placed]:
 
 
 def certainty(scene: Scene, poses: int) -> dict[str, float]:
-    """Return a row of the table."""
     images = list(placed(scene, poses))
     error = np.concatenate([image.error for image in images])
     spread = np.concatenate([image.fit.covariance for image in images])
@@ -203,7 +200,6 @@ def _cover(scene: Scene, pixel: float, rng: np.random.Generator) -> Cable | None
 
 
 def main() -> None:
-    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--poses", type=int, default=2000, help="of each scene")
     parser.add_argument("--scenes", default="", help="scenes whose name has this in it")

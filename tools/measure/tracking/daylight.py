@@ -34,8 +34,6 @@ MINUTE = "[{at_s: 5, light: 1.0}, {at_s: 25, light: 0.2}, {at_s: 30, light: 0.2}
 
 
 class Shown(NamedTuple):
-    """One image, and what the tracker made of it."""
-
     at_s: float
     white: float  # grey of the brightest robot's white cells
     measured: int  # robots
@@ -90,7 +88,6 @@ class Day:
         return float(x), float(y), math.remainder(psi, math.tau)
 
     def tick(self) -> Shown:
-        """Let a tick pass and its image come."""
         self.ticks.newest += 1
         self.ticks.newest_stamp_ns = self.clock.now_ns()
         end_ns = self.clock.now_ns() + TICK_NS
@@ -115,7 +112,6 @@ class Day:
         return Shown(at_s, light.white, len(measured), rms, after_ns, seen.exposure_ns, frame.exposure)
 
     def run(self, seconds: float) -> list[Shown]:
-        """Return what was shown in so long a time."""
         return [self.tick() for _ in range(math.ceil(seconds * S / TICK_NS))]
 
     def _to(self, instant_ns: int) -> None:

@@ -38,8 +38,6 @@ ANYWHERE = [(x, y) for x in (0, 320, 640, 960, 1279) for y in (0, 360, 719)]
 
 
 class Trouble(NamedTuple):
-    """What an episode does."""
-
     settings: SimulatedCameraSettings = SimulatedCameraSettings()
     light: float = 1.0
     exposure: float = 0.004
@@ -54,7 +52,6 @@ def cables(rng: np.random.Generator) -> tuple[Cable, ...]:
 
 
 def troubles(rng: np.random.Generator) -> dict[str, Trouble]:
-    """Return an episode of each kind."""
     lamps = tuple(
         Glare(at_px=tuple(rng.uniform((0, 0), SIZE).tolist()), radius_px=rng.uniform(5, 40), gray=300.0)
         for _ in range(3)
@@ -169,7 +166,6 @@ def episode(trouble: Trouble, images: int, rng: np.random.Generator) -> tuple[in
 
 
 def main() -> None:
-    """Print a row for each kind of trouble, and their sum."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=int, default=10_400, help="of twenty tags; default: 208,000 tag-images")
     parser.add_argument("--seed", type=int, default=1)

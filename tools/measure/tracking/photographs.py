@@ -37,15 +37,11 @@ _LEAST_PX = 24.0  # along a side there: smaller ones are enlarged
 
 
 class Listed(NamedTuple):
-    """A tag on a photograph."""
-
     tag: int
     corners: Array  # (4, 2) [px]
 
 
 class Photograph(NamedTuple):
-    """What is listed of one."""
-
     file: str
     tags: list[Listed]
 
@@ -54,7 +50,6 @@ Detect = Callable[[Image], list[Listed]]
 
 
 def listed() -> Iterator[Photograph]:
-    """Yield what is listed."""
     file, tags = "", list[Listed]()
     for line in _LIST.read_text(encoding="ascii").splitlines():
         if line.startswith(" "):
@@ -153,7 +148,6 @@ def _opencv(detector: cv2.aruco.ArucoDetector) -> Detect:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder

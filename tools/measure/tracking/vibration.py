@@ -130,7 +130,6 @@ def _placed(eye: RayCamera, T: Array) -> RayCamera:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=int, default=90)
     parser.add_argument("--axes", default=",".join(AXES), help="of x, y, z and all (default: each of these)")
