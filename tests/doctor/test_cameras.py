@@ -14,11 +14,7 @@ from robofleet.doctor.needs import Needs
 from robofleet.doctor.v4l2_device import DeviceReport, Mode
 
 LAB = Path(__file__).parents[2] / "configs" / "lab.yaml"
-MODES = (
-    Mode("MJPG", 1280, 720, (60.0, 30.0)),
-    Mode("MJPG", 640, 480, (30.0,)),
-    Mode("YUYV", 1280, 720, (10.0,)),
-)
+MODES = (Mode("MJPG", 1280, 720, (60.0, 30.0)), Mode("MJPG", 640, 480, (30.0,)), Mode("YUYV", 1280, 720, (10.0,)))
 CAPTURE, METADATA, DEVICE_CAPS = 0x1, 0x00800000, 0x80000000
 
 

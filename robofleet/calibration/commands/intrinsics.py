@@ -54,8 +54,7 @@ def intrinsics(
         typer.Option(metavar="LONGxSHORT", help="Sides of the arena, as 3.5x2.3; default: all seen within 45 degrees."),
     ] = "",
     device: Annotated[
-        str,
-        typer.Option("--device", help="The device, as camera.source names it; --live finds it out."),
+        str, typer.Option("--device", help="The device, as camera.source names it; --live finds it out.")
     ] = "",
     configs: ConfigsFolder = None,
     report: ReportFile = None,
