@@ -16,11 +16,11 @@ from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.runs.check import refusals
 from robofleet.studies.engine import Local
-from robofleet.studies.storm import workers
 from robofleet.studies.storm.bodies import apart, at_goals
 from robofleet.studies.storm.episode import play
 from robofleet.studies.storm.schedule import KINDS, WINDOW_S, plan
 from robofleet.studies.storm.tally import SOME, Tally
+from robofleet.studies.storm.tally import storm as played
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -94,7 +94,7 @@ def _overlap(faults: Iterable[Any]) -> bool:
 
 @pytest.mark.slow
 def test_two_storms_leave_every_invariant_standing(fleet: Config) -> None:
-    tally = workers.storm(fleet, range(1, 3), Local(1), lambda _tally, _episode: None)
+    tally = played(fleet, range(1, 3), Local(1), lambda _tally, _episode: None)
     assert [(e.seed, *e.violations[:2]) for e in tally.failed] == []
     assert list(tally.shortfalls()) == []
     assert tally.seeds == 2

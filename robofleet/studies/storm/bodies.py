@@ -16,8 +16,7 @@ from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 from robofleet.safety.latches import Latch
 from robofleet.studies.storm.gates import intervals
-from robofleet.studies.storm.ledger import GateDecision, Outage
-from robofleet.studies.storm.verdict import Violation
+from robofleet.studies.storm.ledger import GateDecision, Span, Violation
 from robofleet.vehicles.interface import STOP
 
 _GRID_STEP_NS = 10_000_000  # a robot goes 2 mm in it
@@ -37,7 +36,7 @@ def rest_within_s(robot: Robot) -> float:
 
 
 def rolling_on(
-    robot: Robot, decisions: Array, sent_ns: Array, truth: NDArray[Any], runaways: Sequence[Outage]
+    robot: Robot, decisions: Array, sent_ns: Array, truth: NDArray[Any], runaways: Sequence[Span]
 ) -> list[Violation]:
     """Find robots that move although their output has been zero for long enough.
 
@@ -64,7 +63,7 @@ def rolling_on(
 
 
 def unnamed(
-    robot: str, decisions: Sequence[GateDecision], runaways: Sequence[Outage], outages: Sequence[Outage]
+    robot: str, decisions: Sequence[GateDecision], runaways: Sequence[Span], outages: Sequence[Span]
 ) -> list[Violation]:
     """Find wheels that turned by themselves for a second, with an output of zero, and whose gates were not latched.
 
@@ -89,7 +88,7 @@ def unnamed(
 
 
 def unheld(
-    robot: str, decisions: Sequence[GateDecision], stuck: Sequence[Outage], outages: Sequence[Outage]
+    robot: str, decisions: Sequence[GateDecision], stuck: Sequence[Span], outages: Sequence[Span]
 ) -> list[Violation]:
     """Find wheels that stood though their output was to turn, for so long that the run should have been held.
 

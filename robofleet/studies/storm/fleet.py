@@ -13,7 +13,7 @@ from robofleet.core.arrays import Array, Flags
 from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import CAUSES, Event, Phase
 from robofleet.studies.storm.gates import intervals
-from robofleet.studies.storm.verdict import Violation
+from robofleet.studies.storm.ledger import Violation
 
 # After how long such a fault has to have stopped a robot, or all of them.
 _STOPS_WITHIN_S = {

@@ -56,8 +56,21 @@ class Ledger:
         self.sent_ns[message[0]].append(self._now_ns())
 
 
-class Outage(NamedTuple):
-    """When a process did not run, or had its clock changed [lockstep's clock, ns]."""
+class Span(NamedTuple):
+    """From when until when something was so [lockstep's clock, ns]."""
 
     start_ns: float
     end_ns: float
+
+
+class Violation(NamedTuple):
+    """One invariant that did not hold."""
+
+    invariant: str
+    at_s: float  # simulated time since the lockstep began
+    robot: str  # "" where it is not about one
+    numbers: str
+
+    def __str__(self) -> str:
+        who = f"{self.robot}: " if self.robot else ""
+        return f"{self.at_s:.4f} s: {who}{self.invariant}: {self.numbers}"
