@@ -14,7 +14,9 @@ from robofleet.calibration.commands.shared import (
     Overrides,
     ReportFile,
     camera_file,
+    count,
     report_file,
+    size,
 )
 from robofleet.calibration.commands.shared import live as live_camera
 from robofleet.calibration.frames import open_camera
@@ -24,7 +26,6 @@ from robofleet.calibration.lens.gathering import Gathering, gather
 from robofleet.calibration.lens.intrinsics import COEFFICIENTS, Conditions, Measured, measure
 from robofleet.calibration.lens.live import Screen, capture, lens_config
 from robofleet.calibration.lens.page import page
-from robofleet.calibration.sizes import count, size
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import Lens as Kind

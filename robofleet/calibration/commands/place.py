@@ -14,11 +14,11 @@ from robofleet.calibration.commands.shared import (
     ReportFile,
     known_camera,
     report_file,
+    size,
 )
 from robofleet.calibration.commands.shared import live as live_camera
 from robofleet.calibration.extrinsics.arena import Wanted, calibrate_arena, calibrate_together
 from robofleet.calibration.extrinsics.verify import verify as verify_camera
-from robofleet.calibration.sizes import size
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.tree import Config
 

@@ -28,17 +28,8 @@ _UNLIKELY = 1e-3  # chance of residuals, below which the marks contradict what w
 _WIDTH_RATIO = (0.8, 1.25)  # of a tag as seen, over the surveyed side
 
 
-class Result(NamedTuple):
-    """A camera's place."""
-
-    model: CameraModel  # with it
-    figures: dict[str, float | None]
-    notes: tuple[str, ...]  # marks that were left out, and what else to know
-    kept: Path | None  # where the calibration before went
-
-
 class Found(NamedTuple):
-    """A camera's place that can be used; nothing is written yet."""
+    """A camera's place that can be used."""
 
     camera: Path
     model: CameraModel  # with it
@@ -46,7 +37,13 @@ class Found(NamedTuple):
     marks: Marks
     region: Region
     sigma_mm: Array
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # marks that were left out, and what else to know
+    kept: Path | None = None  # where the calibration before went
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        assert self.model.arena is not None
+        return self.model.arena.figures
 
 
 class Wanted(NamedTuple):
@@ -58,7 +55,7 @@ class Wanted(NamedTuple):
     tag_height_m: float = 0.0
 
 
-def calibrate_arena(camera: Path, images: Sequence[Named], report: Path, wanted: Wanted) -> Result:
+def calibrate_arena(camera: Path, images: Sequence[Named], report: Path, wanted: Wanted) -> Found:
     """Measure where a camera hangs, write it into its file, and a page about it.
 
     Raises:
@@ -74,7 +71,7 @@ def calibrate_arena(camera: Path, images: Sequence[Named], report: Path, wanted:
 
 def calibrate_together(
     cameras: Sequence[Path], images: Sequence[Sequence[Named]], report: Path, wanted: Wanted
-) -> list[Result]:
+) -> list[Found]:
     """Measure where several cameras hang by one survey, ``images`` of each; writes their files and a page for each.
 
     Tags that two cameras see tie them together, also those that nobody surveyed: they lie on the floor.
@@ -106,10 +103,7 @@ def calibrate_together(
         notes = [note for note in looks[k].notes if "in no image" not in note or note.partition(":")[0] not in others]
         seen = Look(with_places(view, agreement), tuple(f"{camera.stem}: {note}" for note in notes))
         judged.append(_judged(camera, model, survey, images[k], seen, agreement, wanted))
-    return [
-        _written(camera_images, report.with_name(f"{report.stem}-{camera_images.camera.stem}{report.suffix}"))
-        for camera_images in judged
-    ]
+    return [_written(found, report.with_name(f"{report.stem}-{found.camera.stem}{report.suffix}")) for found in judged]
 
 
 def _shared_strangers(survey: Survey, images: Sequence[Sequence[Named]]) -> list[FloorTag]:
@@ -145,11 +139,10 @@ def _judged(
     return Found(camera, model, agreement, seen.marks, region, sigma, notes)
 
 
-def _written(found: Found, report: Path) -> Result:
-    camera, model, agreement, marks, region, sigma_mm, notes = found
+def _written(found: Found, report: Path) -> Found:
+    camera, model, agreement, marks, region, sigma_mm, notes, _ = found
     write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, region, sigma_mm, notes)
-    assert model.arena is not None
-    return Result(model, model.arena.figures, notes, save(camera, model))
+    return found._replace(kept=save(camera, model))
 
 
 def lens_of(file: Path, model: CameraModel) -> Lens:
