@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from robofleet import cli
@@ -17,6 +16,7 @@ from robofleet.calibration.extrinsics.fiducials import look
 from robofleet.calibration.extrinsics.placing import moved
 from robofleet.calibration.extrinsics.survey import Survey
 from robofleet.config.calibrated import CameraModel
+from robofleet.core.arrays import Image
 from robofleet.tracking.camera import CameraGeometry
 
 ROOT = Path(__file__).parents[3]
@@ -29,8 +29,6 @@ FIRST = 100  # id of the first tag
 SUB = 4  # points a pixel, each way
 BLUR_PX = 0.5
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Pose = tuple[float, float, float]
 FLOOR: list[Pose] = [(x, y, 0.9 * k - 3.0) for k, (x, y) in enumerate(LAYOUT)]
 
@@ -78,14 +76,16 @@ def surveyed(poses: Sequence[Pose], rng: np.random.Generator, sigma: float = 5e-
 class Lab:
     """A folder with a lens, a survey and an image, and the tool."""
 
-    def __init__(self, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-        self.folder, self._capsys, self._monkeypatch = folder, capsys, monkeypatch
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
         self.camera, self.survey, self.image = folder / "overhead.yaml", folder / "survey.yaml", folder / "floor.png"
         self.report = folder / "report.html"
-        self.write(self.camera, MODEL.model_copy(update={"T_world_camera": None}).model_dump(exclude_none=True))
+        self.write(
+            self.camera, MODEL.model_copy(update={"T_world_camera": None}).model_dump(mode="json", exclude_none=True)
+        )
 
     def write(self, file: Path, tree: object) -> None:
-        file.write_text(yaml.safe_dump(yaml.safe_load(yaml.dump(tree, Dumper=_Plain))))
+        file.write_text(yaml.safe_dump(tree))
 
     def run(self, *arguments: object) -> tuple[int, str]:
         """Exit code, and what was printed: all that a user sees."""
@@ -99,16 +99,9 @@ class Lab:
         return self.run("verify", self.camera, self.survey, image, *more)
 
 
-class _Plain(yaml.SafeDumper):
-    """Tuples as lists."""
-
-
-_Plain.add_representer(tuple, lambda dumper, value: dumper.represent_list(value))
-
-
 @pytest.fixture
-def lab(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Lab:
-    return Lab(tmp_path, capsys, monkeypatch)
+def lab(tmp_path: Path) -> Lab:
+    return Lab(tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from robofleet import cli
@@ -20,8 +19,6 @@ from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 from tests.calibration.extrinsics.test_arena import CAMERA, DOWN, LENS, PIXEL, SIZE, SURVEY_M
 from tests.calibration.extrinsics.test_arena_files import SIDE, rendered, surveyed
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[3]
 BESIDE = 1.4  # of each camera from the middle [m]

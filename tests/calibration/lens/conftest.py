@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from robofleet.calibration.lens.board import Board, BoardView
+from robofleet.core.arrays import Array
 
-Array = NDArray[np.float64]
 BOARD = Board()
 TEXELS_M = 4000.0  # of the board's texture, a metre
 SAMPLES = 2  # of a pixel, along each side

@@ -6,7 +6,6 @@ Everything but the law is what a run has: the shipped robots with their imperfec
 fleet filter, and the barrier with the parameters of the shipped platoon. A robot that stalls tells nobody.
 """
 
-import argparse
 import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -20,14 +19,14 @@ from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S, WallClock
 from robofleet.nodes import fleet
 from robofleet.safety.barrier import NO_ANSWER
 from robofleet.vehicles.differential_drive import body_from_point, feasible_ratio, point_from_pose, wheels_from_body
 from robofleet.vehicles.interface import WheelSpeeds
 from robofleet.vehicles.plant import Plant
-
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 DELAY_TICKS = 3  # 99 ms
@@ -178,11 +177,8 @@ def crossed(name: str, seed: int) -> Crossing:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, seeds=20, first=1, jobs=(2, "processes that drive crossings at the same time"))
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"of: {'; '.join(SCENARIOS)}")
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2, help="processes that drive crossings at the same time")
     arguments = parser.parse_args()
     unknown = [name for name in arguments.scenarios if name not in SCENARIOS]
     if unknown:

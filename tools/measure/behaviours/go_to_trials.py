@@ -7,7 +7,6 @@ Nothing else is demanded of them. Everything but the behaviour is what a run has
 poses with noise that are 99 ms old, the fleet filter, and the barrier with the parameters of ``configs/go-to.yaml``.
 """
 
-import argparse
 import math
 import sys
 from collections.abc import Sequence
@@ -17,7 +16,6 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.go_to import GoTo
 from robofleet.behaviours.interface import Situation
@@ -25,12 +23,12 @@ from robofleet.config import groups, slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.control import wheels as commanding
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 from robofleet.nodes import fleet
 from robofleet.vehicles.interface import WheelSpeeds
 from robofleet.vehicles.plant import Plant
-
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 CONFIGURATION = Path(__file__).parents[3] / "configs" / "go-to.yaml"
 APART = 1.3  # body diameters
@@ -160,11 +158,8 @@ def table(robots: int, trials: Sequence[Trial]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, seeds=300, first=1, jobs=2)
     parser.add_argument("--robots", type=int, nargs="+", default=[4, 10, 20])
-    parser.add_argument("--seeds", type=int, default=300)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with ProcessPoolExecutor(arguments.jobs) as pool:

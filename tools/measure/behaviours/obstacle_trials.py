@@ -8,7 +8,6 @@ and those stand on the circle and around it; the barrier alone keeps the robots 
 A scene that ``robofleet check`` refuses (a start or a goal beside an obstacle, no way) is drawn anew.
 """
 
-import argparse
 import json
 import math
 import sys
@@ -25,6 +24,7 @@ from robofleet.config.tree import Config
 from robofleet.reports.metrics import summary
 from robofleet.runs.check import load_checked
 from robofleet.runs.lockstep import Lockstep
+from tools.measure.program import program
 
 SHIPPED = Path(__file__).parents[3] / "configs" / "obstacles.yaml"
 LONGEST_S = {"go_to": 90.0, "cyclic_pursuit": 40.0}
@@ -128,11 +128,8 @@ def arrived(behaviour: str, trial: Trial) -> bool:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, seeds=200, first=1, jobs=2)
     parser.add_argument("behaviours", nargs="*", default=["go_to", "cyclic_pursuit"])
-    parser.add_argument("--seeds", type=int, default=200)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:

@@ -6,7 +6,6 @@ The four robots of the shipped platoon stand anywhere on the floor, at least 1.3
 whole stack: checks, the way to the start, the lap.
 """
 
-import argparse
 import math
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -18,6 +17,7 @@ import numpy as np
 from robofleet.reports.metrics import summary
 from robofleet.runs.check import load_checked
 from robofleet.runs.lockstep import Lockstep
+from tools.measure.program import program
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 RADIUS, HALF = 0.055, (1.6, 1.0)  # of a GTernal's body, of the arena [m]
@@ -51,11 +51,7 @@ def drive(seed: int, duration_s: float) -> tuple[str, str | None, float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--duration", type=float, default=88.0)
-    arguments = parser.parse_args()
+    arguments = program(__doc__, seeds=20, first=1, duration=88.0).parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     completed = 0
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:

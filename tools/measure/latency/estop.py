@@ -39,6 +39,7 @@ from tests.operator.asked_run import asked_run, until_asked
 from tests.runs.realrun import own_folders
 from tests.runs.unlaunched import started
 from tests.shipped import PLATOON
+from tools.measure.program import program
 
 _CLOCK = WallClock()
 _DRIVES_NS = S  # between the start and the stop
@@ -174,10 +175,8 @@ def print_cost(folder: Path, times: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--times", type=int, default=100)
+    parser = program(__doc__, times=100, cpu=False)
     parser.add_argument("--supervisor", choices=TROUBLES)
-    parser.add_argument("--cpu", action="store_true")
     parser.add_argument("--flood", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.flood is not None:

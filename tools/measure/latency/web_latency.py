@@ -42,6 +42,7 @@ from tests.operator.page.webstand import WebStand
 from tests.runs.realrun import own_folders
 from tests.runs.unlaunched import start_all
 from tests.shipped import PLATOON
+from tools.measure.program import program
 
 CLOCK = WallClock()
 _ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole
@@ -225,13 +226,9 @@ def served(file: Path) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", type=int, default=4)
-    parser.add_argument("--pages", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=40.0)
-    parser.add_argument("--rounds", type=int, default=4)
-    parser.add_argument("--idle", action="store_true", help="do not start the fleet")
-    parser.add_argument("--synthetic", action="store_true")
+    parser = program(
+        __doc__, robots=4, pages=3, seconds=40.0, rounds=4, idle=(False, "do not start the fleet"), synthetic=False
+    )
     for name, kind in (("--serve", Path), ("--lifeline", int), ("--say", str)):
         parser.add_argument(name, type=kind, help=argparse.SUPPRESS)
     a = parser.parse_args()

@@ -1,20 +1,18 @@
 """How soon a dead man stops a robot, and its cost: ``python -m tools.measure.robots.dead_man_figures [--times N]``."""
 
-import argparse
 import select
 import signal
 import statistics
 
 from robofleet.core.clock import S, WallClock
 from tests.drivers.test_dead_man import STOP, Bench
+from tools.measure.program import program
 
 _COST_S = 10.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--times", type=int, default=20)
-    times = parser.parse_args().times
+    times = program(__doc__, times=20).parse_args().times
     for name, number in (("killed", signal.SIGKILL), ("stopped", signal.SIGSTOP)):
         took_ms = sorted(_took_ms(number) for _ in range(times))
         print(

@@ -8,7 +8,6 @@ A wrong motion is a target that a wheel-speed loop took, and that a firmware whi
 within 0.3 s before.
 """
 
-import argparse
 import json
 import re
 import subprocess
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.runs.realrun import own_folders
+from tools.measure.program import program
 
 SERIAL = Path(__file__).parents[3] / "configs" / "platoon-serial.yaml"
 KINDS = ("line_cut", "line_garbage", "line_late")
@@ -45,12 +45,8 @@ def run(config: Path, folder: Path, seed: int, seconds: float, share: float) -> 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, runs=20, first=1, seconds=20.0, share=0.01)
     parser.add_argument("config", nargs="?", type=Path, default=SERIAL, metavar="CONFIG")
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--share", type=float, default=0.01)
     arguments = parser.parse_args()
     completed, struck = 0, 0
     wrong: dict[str, list[tuple[int, float, int]]] = {}

@@ -6,7 +6,6 @@ Real processes without a launcher, so that nothing ends them. When the robot sta
 says that it cannot be reached, and what the supervisor names, is what the bus brought.
 """
 
-import argparse
 import math
 import os
 import tempfile
@@ -28,6 +27,7 @@ from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.endpoints import own_endpoint
 from tests.runs.realrun import own_folders
 from tests.runs.unlaunched import started
+from tools.measure.program import program
 from tools.measure.robots.noisy_lines import SERIAL
 from tools.measure.runs.kills import wait
 
@@ -109,10 +109,8 @@ def pull(config_file: Path, robot: str, seconds: float, folder: Path) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, robots="r1,r2,r3", seconds=(8.0, "for which the line is out"))
     parser.add_argument("config", nargs="?", type=Path, default=SERIAL, metavar="CONFIG")
-    parser.add_argument("--robots", default="r1,r2,r3")
-    parser.add_argument("--seconds", type=float, default=8.0, help="for which the line is out")
     asked_for = parser.parse_args()
     for robot in asked_for.robots.split(","):
         with tempfile.TemporaryDirectory() as folder:

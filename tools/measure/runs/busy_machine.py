@@ -4,7 +4,6 @@ The runs have no right to a higher priority, as on a laptop. Exit 1 unless each 
 busy.
 """
 
-import argparse
 import json
 import os
 import shutil
@@ -16,6 +15,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from tools.measure.program import program
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 LOOPS = 2
@@ -58,8 +59,7 @@ def one_run(folder: Path, *overrides: str) -> dict[str, Any]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5)
+    parser = program(__doc__, runs=5)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     arguments = parser.parse_args()
     good = 0

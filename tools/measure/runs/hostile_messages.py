@@ -9,7 +9,6 @@ step on. Then the fleet must start again, or say why not. It prints how many mes
 were afterwards.
 """
 
-import argparse
 import math
 import tempfile
 from collections import Counter
@@ -29,6 +28,7 @@ from robofleet.core.clock import S
 from robofleet.operator.estop import EmergencyStop
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
+from tools.measure.program import program
 from tools.measure.runs.hostile_listeners import listeners
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -241,10 +241,8 @@ def attack(config: Config, messages: int, seed: int, *, whole: bool = True) -> F
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--messages", type=int, default=10000)
+    parser = program(__doc__, messages=10000, seed=1)
     parser.add_argument("--config", type=Path)
-    parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     for file in [arguments.config] if arguments.config else [CONFIGS / f"{name}.yaml" for name in SHIPPED]:
         figures = attack(load_config(file, [TRUTH]), arguments.messages, arguments.seed)

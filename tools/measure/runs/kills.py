@@ -10,7 +10,6 @@ Real processes over Zenoh. The times are the drivers' own (``RobotStatus``): fro
 their last command and their last permission echoed, to a target of zero and to an output of zero.
 """
 
-import argparse
 import os
 import signal
 import sys
@@ -34,6 +33,7 @@ from tests.bus.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint
 from tests.runs import struck_runs
 from tests.runs.unlaunched import started, wait_ready
+from tools.measure.program import program
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 ROBOTS = ("r1", "r2")
@@ -165,9 +165,7 @@ def strike(
 
 def main() -> None:
     """Strike every victim so many times; exit 1 if a wheel went on for too long."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--times", type=int, default=25, help="of each process")
-    parser.add_argument("--seed", type=int, default=1)
+    parser = program(__doc__, times=(25, "of each process"), seed=1)
     parser.add_argument("--config", type=Path, action="append", default=[], help="of whole runs; again for more")
     parser.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE", help="of these runs"

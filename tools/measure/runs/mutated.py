@@ -8,7 +8,6 @@ refusal in the project's own words may come of it, and none may take long. It pr
 and what else came.
 """
 
-import argparse
 import json
 import os
 import re
@@ -42,6 +41,7 @@ from robofleet.hosts.authority import Authority
 from robofleet.runs.check import refusals
 from robofleet.studies.sweep.load import _complaints, load
 from robofleet.studies.sweep.plan import Sweep
+from tools.measure.program import program
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 REFUSALS = ConfigError, RefusedError, CalibrationError, KeysError
@@ -264,10 +264,7 @@ def attack(folder: Path, files: int, seed: int) -> Figures:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--files", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = program(__doc__, files=2000, seed=1).parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CONFIG_HOME"] = folder
         figures = attack(Path(folder), arguments.files, arguments.seed)

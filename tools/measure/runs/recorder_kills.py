@@ -7,7 +7,6 @@ killed. Everything that the listener had 0.25 s before the kill must be in the m
 readers must find the file whole.
 """
 
-import argparse
 import os
 import shutil
 import signal
@@ -26,6 +25,7 @@ from robofleet.core.clock import MS, S
 from robofleet.recording.channels import keys as recorded_keys
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import read
+from tools.measure.program import program
 from tools.measure.runs.kills import CLOCK, Fleet
 
 LOST_MS = 250.0
@@ -91,10 +91,7 @@ def missing(run: Path, arrivals: list[Arrival]) -> list[Arrival]:
 
 def main() -> None:
     """Kill so many recorders; exit 1 if one lost more than it may."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = program(__doc__, runs=50, seed=1).parse_args()
     rng = np.random.default_rng(arguments.seed)
     outcomes = []
     with tempfile.TemporaryDirectory() as name:

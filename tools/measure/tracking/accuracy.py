@@ -11,7 +11,6 @@ Cramer and Rao's: the least rms that any unbiased estimator of the same greys ca
 the light unknown (and no cable).
 """
 
-import argparse
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -21,13 +20,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, PeerTag, Setting
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter
-
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 SIDE, HEIGHT = 0.07, 0.08
 SIZE = (1920, 1080)
@@ -212,11 +211,13 @@ def _rms(values: Array) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="one JSON object, and nothing else")
-    parser.add_argument("--frames", type=int, default=90, help="images a scene")
-    parser.add_argument("--only", default="", help="candidates whose name has this in it")
-    parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
+    parser = program(
+        __doc__,
+        json=(False, "one JSON object, and nothing else"),
+        frames=(90, "images a scene"),
+        only=("", "candidates whose name has this in it"),
+        scenes=("", "scenes whose name has this in it"),
+    )
     arguments = parser.parse_args()
     names = [name for name in CANDIDATES if arguments.only in name]
     scenes = {title: scene for title, scene in SCENES.items() if arguments.scenes in title}

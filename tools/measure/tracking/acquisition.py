@@ -10,7 +10,6 @@ many of all images; what was said that is wrong: of no such tag, or of a tag ove
 largest error [mm]; the median time of an image [ms].
 """
 
-import argparse
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -27,6 +26,7 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting
 from tests.tracking.raycast import BLACK, SQUARES, WHITE, Cable, Print, RayCaster, clutter
+from tools.measure.program import program
 from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, WRONG, camera, cell_wide
 from tools.measure.tracking.accuracy import Scene as Quality
 
@@ -161,11 +161,13 @@ def _cover(scene: Scene, rng: np.random.Generator) -> Cable:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="one JSON object, and nothing else")
-    parser.add_argument("--trials", type=int, default=10, help="of 8 tags and 10 images, a scene")
-    parser.add_argument("--only", default="", help="candidates whose name has one of these, separated by |, in it")
-    parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
+    parser = program(
+        __doc__,
+        json=(False, "one JSON object, and nothing else"),
+        trials=(10, "of 8 tags and 10 images, a scene"),
+        only=("", "candidates whose name has one of these, separated by |, in it"),
+        scenes=("", "scenes whose name has this in it"),
+    )
     parser.add_argument("--family", default="36h11", choices=SQUARES, help="of the tags")
     arguments = parser.parse_args()
     wanted = arguments.only.split("|")

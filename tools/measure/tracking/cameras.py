@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording, Run
 from robofleet.runs.check import load_checked
 from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import NO_TAG, describe
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "configs" / "two-cameras.yaml"

@@ -8,7 +8,6 @@ flat by its listed corners, up to 0.4 sides aside, and searched there with forty
 many places beside the tags are searched, which show none. Columns: listed tags that are found; what else is said.
 """
 
-import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,17 +16,15 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import pyapriltags
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Image
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.deep import DeepSearch
 from robofleet.tracking.tags.detection import TagDetector
 from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import OURS
-
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 APRILTAG = "pyapriltags, decimate 1"
 OTHERS = range(40)
@@ -148,7 +145,7 @@ def _opencv(detector: cv2.aruco.ArucoDetector) -> Detect:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__)
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
     cv2.setNumThreads(1)
