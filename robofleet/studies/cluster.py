@@ -59,16 +59,14 @@ def cluster(address: str, jobs: int | None) -> Iterator[Cluster]:
     """Connect to the cluster at ``HOST:PORT``; to a new one on this machine where that is empty."""
     need_extra("ray", "ray")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a laboratory's runs are nobody else's business
-    with _of_others(address) if address else _own(jobs or len(os.sched_getaffinity(0))) as ray:
+    if address:
+        _reach(address)
+        started = _started(f"ray://{address}", _TOKEN, address=f"ray://{address}")
+    else:
+        started = _own(jobs or len(os.sched_getaffinity(0)))
+    with started as ray:
         cores = round(ray.cluster_resources().get("CPU", 1))
         yield Cluster(min(jobs or cores, cores))
-
-
-@contextmanager
-def _of_others(address: str) -> Iterator[Any]:
-    _reach(address)
-    with _started(f"ray://{address}", _TOKEN, address=f"ray://{address}") as ray:
-        yield ray
 
 
 @contextmanager

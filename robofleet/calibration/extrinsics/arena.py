@@ -13,7 +13,7 @@ from robofleet.calibration.extrinsics.consensus import Agreement, agree, chance
 from robofleet.calibration.extrinsics.fiducials import Look, Marks, TagFinder, look
 from robofleet.calibration.extrinsics.page import write_page
 from robofleet.calibration.extrinsics.placing import PARAMETERS, Lens, Placement, on_plane, rotation_vector
-from robofleet.calibration.extrinsics.region import Region, predicted, region_of
+from robofleet.calibration.extrinsics.region import floor_points, predicted
 from robofleet.calibration.extrinsics.survey import LEAST, Survey, load_survey
 from robofleet.calibration.extrinsics.together import SurveyView, agree_together, with_places
 from robofleet.calibration.frames import Named, refuse_other_sizes
@@ -35,7 +35,7 @@ class Found(NamedTuple):
     model: CameraModel  # with it
     agreement: Agreement
     marks: Marks
-    region: Region
+    points: Array  # (G, 3) of the floor that matters [m; world]
     sigma_mm: Array
     notes: tuple[str, ...]  # marks that were left out, and what else to know
     kept: Path | None = None  # where the calibration before went
@@ -123,8 +123,8 @@ def _judged(
     wanted: Wanted,
 ) -> Found:  # fmt: skip
     placement, survey_mm = agreement.placement, wanted.survey_mm
-    region = region_of(survey, wanted.arena_m, wanted.tag_height_m)
-    sigma = predicted(placement, region)
+    points = floor_points(survey, wanted.arena_m, wanted.tag_height_m)
+    sigma = predicted(placement, points)
     figures = _figures(agreement, seen.marks, sigma)
     notes = (*seen.notes, *_notes(agreement, seen.marks, survey_mm))
     if 0.0 < (in_sight := float(np.isfinite(sigma).mean())) < 1.0:
@@ -136,12 +136,12 @@ def _judged(
     where = provenance("arena", inputs, figures, PARAMETERS, placement.covariance.tolist())
     pose, marks = _pose(placement.T_world_camera), _seen(seen.marks)
     model = model.model_copy(update={"T_world_camera": pose, "arena": where, "marks": marks})
-    return Found(camera, model, agreement, seen.marks, region, sigma, notes)
+    return Found(camera, model, agreement, seen.marks, points, sigma, notes)
 
 
 def _written(found: Found, report: Path) -> Found:
-    camera, model, agreement, marks, region, sigma_mm, notes, _ = found
-    write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, region, sigma_mm, notes)
+    camera, model, agreement, marks, points, sigma_mm, notes, _ = found
+    write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, points, sigma_mm, notes)
     return found._replace(kept=save(camera, model))
 
 

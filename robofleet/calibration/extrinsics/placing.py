@@ -46,12 +46,12 @@ class Lens:
 
     def by_pixel(self, pixels: Array) -> Array:
         """Return how the slopes change with the pixel (N, 2, 2) [1/px]."""
-        return np.linalg.inv(self._derivatives(pixels)[0])
+        return np.asarray(np.linalg.inv(self._derivatives(pixels)[0]))
 
     def by_lens(self, pixels: Array) -> Array:
         """Return how the slopes change with the lens's values (N, 2, K)."""
         by_slope, by_value = self._derivatives(pixels)
-        return np.linalg.solve(by_slope, -by_value)
+        return np.asarray(np.linalg.solve(by_slope, -by_value))
 
     def _derivatives(self, pixels: Array) -> tuple[Array, Array]:
         """Return how pixels change with their slopes (N, 2, 2) [px], and with the lens's values (N, 2, K)."""

@@ -35,7 +35,7 @@ from robofleet.calibration.extrinsics.arena import covariance_of, lens_of
 from robofleet.calibration.extrinsics.consensus import agree, chance, distances, limit, refuse_undetermined
 from robofleet.calibration.extrinsics.fiducials import Marks, look
 from robofleet.calibration.extrinsics.placing import Lens, Placement, change_between, errors_at, on_plane, place
-from robofleet.calibration.extrinsics.region import region_of
+from robofleet.calibration.extrinsics.region import floor_points
 from robofleet.calibration.extrinsics.survey import LEAST, load_survey, on_one_line
 from robofleet.calibration.frames import Named, refuse_other_sizes
 from robofleet.calibration.store import CalibrationError, load
@@ -99,7 +99,7 @@ def verify(camera: Path, survey_file: Path, images: Sequence[Named], survey_mm: 
     refuse_other_sizes(images, model)
     marks, notes = look(survey, images, lens.size)
     try:
-        verdict = judge(lens, marks, calibrated, region_of(survey, None, 0.0).points)
+        verdict = judge(lens, marks, calibrated, floor_points(survey, None, 0.0))
     except CalibrationError as unclear:
         raise CalibrationError((*(f"cannot tell: {fault}" for fault in unclear.faults), *notes)) from unclear
     return Verdict(verdict.good, (*verdict.sentences, *notes))
