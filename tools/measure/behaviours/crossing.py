@@ -9,6 +9,7 @@ fleet filter, and the barrier with the parameters of the shipped platoon. A robo
 import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,12 +71,13 @@ class Crossing:
     seconds: float  # until all were there to stay; infinite where they were not
 
 
-def configuration(robots: int = 8) -> Config:
-    """Return the shipped platoon's configuration with so many robots."""
+@cache
+def configuration(robots: int = 8, file: Path = PLATOON, changes: tuple[str, ...] = ()) -> Config:
+    """Return a configuration with so many GTernals in its group, and changes of it."""
     names = [f"r{k}" for k in range(1, robots + 1)]
     start = "start: {x_m: 0, y_m: 0, heading_deg: 0}"
     rows = [f"{{id: {name}, tag: {k}, vehicle: gternal, {start}}}" for k, name in enumerate(names)]
-    return load_config(PLATOON, [f"robots=[{', '.join(rows)}]", f"groups.0.robots=[{', '.join(names)}]"])
+    return load_config(file, [f"robots=[{', '.join(rows)}]", f"groups.0.robots=[{', '.join(names)}]", *changes])
 
 
 class Arena:

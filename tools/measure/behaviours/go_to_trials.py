@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,6 @@ import numpy as np
 from robofleet.behaviours.go_to import GoTo
 from robofleet.behaviours.interface import Situation
 from robofleet.config import groups, slices
-from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.control import wheels as commanding
 from robofleet.core.arrays import Array
@@ -28,6 +27,7 @@ from robofleet.core.clock import S
 from robofleet.nodes import fleet
 from robofleet.vehicles.interface import WheelSpeeds
 from robofleet.vehicles.plant import Plant
+from tools.measure.behaviours import crossing
 from tools.measure.program import program
 
 CONFIGURATION = Path(__file__).parents[3] / "configs" / "go-to.yaml"
@@ -52,15 +52,8 @@ class Trial:
     alone: float = math.nan  # the slowest robot's time if nobody else is there [s]
 
 
-@cache
 def configuration(robots: int, *changes: str) -> Config:
-    """Return a configuration with so many robots, and changes of it."""
-    names = [f"r{k}" for k in range(1, robots + 1)]
-    start = "start: {x_m: 0, y_m: 0, heading_deg: 0}"
-    listed = [f"{{id: {name}, tag: {k}, vehicle: gternal, {start}}}" for k, name in enumerate(names)]
-    return load_config(
-        CONFIGURATION, [f"robots=[{', '.join(listed)}]", f"groups.0.robots=[{', '.join(names)}]", *changes]
-    )
+    return crossing.configuration(robots, CONFIGURATION, changes)
 
 
 def places(config: Config, count: int, rng: np.random.Generator) -> Array:

@@ -21,9 +21,8 @@ import numpy as np
 
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.reports.metrics import summary
 from robofleet.runs.check import load_checked
-from robofleet.runs.lockstep import Lockstep
+from robofleet.testing import run_lockstep
 from tools.measure.program import program
 
 SHIPPED = Path(__file__).parents[3] / "configs" / "obstacles.yaml"
@@ -114,11 +113,9 @@ def scene(behaviour: str, seed: int) -> tuple[Config, int]:
 
 
 def drive(behaviour: str, seed: int) -> Trial:
-    config, _ = scene(behaviour, seed)
-    run = Lockstep(config)
-    outcome, cause = run.run()
-    figures = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
-    return Trial(seed, outcome, cause, figures["duration_s"], figures["min_obstacle_gap_mm"], figures["min_gap_mm"])
+    run = run_lockstep(scene(behaviour, seed)[0])
+    figures = (run.summary[name] for name in ("duration_s", "min_obstacle_gap_mm", "min_gap_mm"))
+    return Trial(seed, run.outcome, run.cause, *figures)
 
 
 def arrived(behaviour: str, trial: Trial) -> bool:

@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.reports.metrics import summary
 from robofleet.runs.check import load_checked
-from robofleet.runs.lockstep import Lockstep
+from robofleet.testing import run_lockstep
 from tools.measure.program import program
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
@@ -42,12 +41,9 @@ def drive(seed: int, duration_s: float) -> tuple[str, str | None, float, float]:
     config = load_checked(
         PLATOON, ["run.begin=go_to_start", f"run.duration_s={duration_s}", f"run.seed={seed}", *placed], lockstep=True
     )
-    run = Lockstep(config)
-    outcome, cause = run.run()
-    figures = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
-    error = figures["control_error_mm"]
-    gap = figures["min_gap_mm"]
-    return outcome, cause, math.nan if gap is None else gap, math.nan if error is None else error["mean"]
+    run = run_lockstep(config)
+    error, gap = run.summary["control_error_mm"], run.summary["min_gap_mm"]
+    return run.outcome, run.cause, math.nan if gap is None else gap, math.nan if error is None else error["mean"]
 
 
 def main() -> None:

@@ -19,8 +19,8 @@ from robofleet.bus.keys import TICK, key
 from robofleet.bus.messages import TICK_RECORD
 from robofleet.core.clock import MS, S
 from robofleet.recording.log import FILE
+from tools.measure.fleet import CLOCK, Fleet, pair
 from tools.measure.program import program
-from tools.measure.runs.kills import CLOCK, Fleet
 
 _STREAM = 1 << 14
 _SETTLED_NS = S  # after a process was started or killed
@@ -59,7 +59,7 @@ def main() -> None:
     arguments = program(__doc__, turns=(6, "of each side"), seconds=(10.0, "of each turn")).parse_args()
     with tempfile.TemporaryDirectory() as name:
         os.environ["XDG_STATE_HOME"] = name
-        fleet = Fleet(Path(name))
+        fleet = Fleet(Path(name), pair())
         try:
             found = measured(fleet, Path(name), arguments.turns, arguments.seconds)
         finally:

@@ -25,8 +25,8 @@ from robofleet.core.clock import MS, S
 from robofleet.recording.channels import keys as recorded_keys
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import read
+from tools.measure.fleet import CLOCK, Fleet, pair
 from tools.measure.program import program
-from tools.measure.runs.kills import CLOCK, Fleet
 
 LOST_MS = 250.0
 _STREAM = 1 << 17
@@ -97,7 +97,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         os.environ["XDG_STATE_HOME"] = name
-        fleet = Fleet(folder)
+        fleet = Fleet(folder, pair())
         stream = fleet.bus.stream(*recorded_keys(fleet.config), capacity=_STREAM)
         try:
             for k in range(arguments.runs):
