@@ -76,9 +76,8 @@ def from_camera(config: Config, count: int) -> list[Named]:
     try:
         return [(f"live image {i + 1}", camera.read().image.copy()) for i in range(count)]
     except EOFError:
-        raise CalibrationError(
-            f"{config.camera.source}: the camera ended before {count} images: name a longer recording"
-        ) from None
+        why = f"{config.camera.source}: the camera ended before {count} images: name a longer recording"
+        raise CalibrationError(why) from None
     except (CameraError, OSError) as error:
         raise CalibrationError(f"{config.camera.source}: {error}") from error
     finally:

@@ -58,9 +58,8 @@ def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
         refused = f"{permission.user_name()} may not open it"
         return Finding(str(path), grave, refused, permission.cure(path))
     except OSError as error:
-        return Finding(
-            str(path), grave, f"it cannot be asked: {error.strerror}", "end what uses it, or plug it in again"
-        )
+        refused = f"it cannot be asked: {error.strerror}"
+        return Finding(str(path), grave, refused, "end what uses it, or plug it in again")
     if device is None:
         return None
     usb = usb_of(path)

@@ -107,9 +107,8 @@ def network(_needs: Needs) -> Iterator[Finding]:
     if found:
         yield ok("network", f"{socket.gethostname()}: {', '.join(found)}; robofleet listens on this machine only")
     else:
-        yield Finding(
-            "network", Mark.WARN, "this machine has no address", "join a network, if a phone is to see the page"
-        )
+        cure = "join a network, if a phone is to see the page"
+        yield Finding("network", Mark.WARN, "this machine has no address", cure)
 
 
 def addresses() -> list[tuple[str, str]]:

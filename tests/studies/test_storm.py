@@ -72,9 +72,8 @@ def test_a_robot_that_touches_a_bystander_is_found(fleet: Config) -> None:
     """A storm judges by where the bodies were; the summary, the barrier and the supervisor have no say."""
     robot = fleet.robots[0]
     start = robot.start.model_copy(update={"x_m": 1.0, "y_m": 0.0})
-    config = fleet.model_copy(
-        update={"robots": (robot.model_copy(update={"id": "p1", "tag": 9, "start": start}), *fleet.robots)}
-    )
+    parked = robot.model_copy(update={"id": "p1", "tag": 9, "start": start})
+    config = fleet.model_copy(update={"robots": (parked, *fleet.robots)})
     times = np.array([1e9, 2e9])
     for gap, found in ((1e-4, []), (-1e-4, ["the body touches p1's"])):
         truths = []

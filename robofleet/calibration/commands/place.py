@@ -25,9 +25,7 @@ from robofleet.config.tree import Config
 SurveyFile = Annotated[Path, typer.Argument(metavar="SURVEY", help="YAML with floor_tags and points, in metres.")]
 Images = Annotated[list[Path] | None, typer.Argument(metavar="[IMAGES]...", help="Images, or folders of them.")]
 FrameCount = Annotated[int, typer.Option("--frames", min=1, max=1000, help="Images to average, at most.")]
-SurveyMm = Annotated[
-    float | None, typer.Option(min=0.01, max=100.0, help="Standard deviation of the survey, one coordinate.")
-]
+SurveyMm = Annotated[float | None, typer.Option(min=0.01, max=100.0, help="Survey's standard deviation, a coordinate.")]
 
 
 def arena(

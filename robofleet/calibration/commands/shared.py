@@ -83,9 +83,7 @@ def size(text: str, option: str) -> tuple[float, float]:
     """Return the two sides of ``3.5x2.3``; CalibrationError, which names the option, for anything else."""
     found = re.fullmatch(rf"\s*({_NUMBER})\s*[xX]\s*({_NUMBER})\s*", text)
     if found is None:
-        raise CalibrationError(
-            f"{option}: {text!r} is not a size: write two numbers with an x between them, as 3.5x2.3"
-        )
+        raise CalibrationError(f"{option}: {text!r} is not a size: write two numbers with an x between, as 3.5x2.3")
     sides = float(found[1]), float(found[2])
     if not all(0.0 < side <= _LARGEST for side in sides):
         raise CalibrationError(f"{option}: {text!r}: each side must be more than 0 and at most {_LARGEST:g}")

@@ -86,12 +86,11 @@ def calibrate_together(
     for model, camera_images in zip(models, images, strict=True):
         refuse_other_sizes(camera_images, model)
     strangers = _shared_strangers(survey, images)
+    whole_survey = survey.model_copy(update={"floor_tags": (*survey.floor_tags, *strangers)})
     views, looks = [], []
     for camera, model, camera_images in zip(cameras, models, images, strict=True):
         lens = lens_of(camera, model)
-        seen = look(
-            survey.model_copy(update={"floor_tags": (*survey.floor_tags, *strangers)}), camera_images, lens.size
-        )
+        seen = look(whole_survey, camera_images, lens.size)
         points = seen.marks.points.copy()
         points[np.isin(seen.marks.names, [f"tag {tag.tag}" for tag in strangers]), :2] = np.nan
         views.append(SurveyView(camera.stem, lens, replace(seen.marks, points=points)))
@@ -109,13 +108,10 @@ def calibrate_together(
 def _shared_strangers(survey: Survey, images: Sequence[Sequence[Named]]) -> list[FloorTag]:
     """Return the tags that two cameras or more see and nobody surveyed."""
     finder, surveyed = TagFinder(survey.family), {tag.tag for tag in survey.floor_tags}
-    seen = Counter(
-        tag for camera_images in images for tag in (finder.find(camera_images[0][1]) if camera_images else ())
-    )
+    seen = Counter(tag for own_images in images for tag in (finder.find(own_images[0][1]) if own_images else ()))
     side_m = survey.floor_tags[0].side_m
-    return [
-        FloorTag(tag=tag, side_m=side_m, x_m=0.0, y_m=0.0) for tag, n in seen.items() if n > 1 and tag not in surveyed
-    ]
+    shared = [tag for tag, count in seen.items() if count > 1 and tag not in surveyed]
+    return [FloorTag(tag=tag, side_m=side_m, x_m=0.0, y_m=0.0) for tag in shared]
 
 
 def _judged(
@@ -234,9 +230,8 @@ def _refuse_poor(
     placement, faults = agreement.placement, []
     widths = _widths(placement, marks)
     if len(widths) and not _WIDTH_RATIO[0] < np.median(widths) < _WIDTH_RATIO[1]:
-        faults.append(
-            f"the tags look {np.median(widths):.3g} times as wide as their side_m: side_m or the survey's unit is wrong"
-        )
+        ratio = f"the tags look {np.median(widths):.3g} times as wide as their side_m"
+        faults.append(f"{ratio}: side_m or the survey's unit is wrong")
     if survey_mm is not None and chance(placement.chi_square, placement.freedom) < _UNLIKELY:
         faults.append(
             f"the marks are {figures['residual_rms_mm']:.2g} mm rms off the best pose, too much for a survey of "

@@ -110,9 +110,7 @@ def _begin(lens: Lens, marks: Marks, survey_m: float | None) -> Agreement:
             if off[order].sum() < best:
                 best, best_T, nearest = off[order].sum(), T, order
     if best_T is None:
-        raise CalibrationError(
-            "no pose above the floor shows the marks where they are: check the survey's axes and units"
-        )
+        raise CalibrationError("no pose above the floor shows the marks where they are: check the survey's axes, units")
     inside = np.zeros(n, np.bool_)
     inside[nearest] = True
     if on_one_line(marks.points[inside]):

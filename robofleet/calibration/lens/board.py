@@ -45,17 +45,15 @@ class Board:
         if min(self.squares) < 4:
             raise CalibrationError(f"a board of {self.shown} has too few corners: take 4 x 4 squares or more")
         if not 0.3 * self.square_m <= self.marker_m < self.square_m:
-            raise CalibrationError(
-                f"markers of {self.marker_m * 1e3:g} mm do not fit {self.square_m * 1e3:g} mm squares"
-            )
+            sizes_mm = f"{self.marker_m * 1e3:g} mm do not fit {self.square_m * 1e3:g}"
+            raise CalibrationError(f"markers of {sizes_mm} mm squares")
         if not self.dictionary.startswith("DICT_") or not hasattr(cv2.aruco, self.dictionary):
             known = ", ".join(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
             raise CalibrationError(f"there is no dictionary {self.dictionary}: take one of {known}")
         markers, printed = len(self._dictionary.bytesList), self.squares[0] * self.squares[1] // 2
         if printed > markers:
-            raise CalibrationError(
-                f"{self.shown} need {printed} markers, {self.dictionary} has {markers}: take a larger one"
-            )
+            needed = f"{self.shown} need {printed} markers, {self.dictionary} has {markers}"
+            raise CalibrationError(f"{needed}: take a larger one")
 
     @property
     def shown(self) -> str:

@@ -56,9 +56,8 @@ class Fit:
     @property
     def information(self) -> Array:
         """Return what is known of the lens (P, P), prior included, poses eliminated [1 / px^2 of noise]."""
-        return np.asarray(
-            np.einsum("vkp,vkq->pq", self.roots, self.roots) + self.noise_px**2 * np.diag(self.prior.information)
-        )
+        prior = self.noise_px**2 * np.diag(self.prior.information)
+        return np.asarray(np.einsum("vkp,vkq->pq", self.roots, self.roots) + prior)
 
     @property
     def covariance(self) -> Array:

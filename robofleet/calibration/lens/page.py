@@ -192,22 +192,14 @@ def _views(report: Report, measured: Measured, gathering: Gathering) -> None:
         lean, angle = tilt(pose)
         cells = int((cell_counts(measured.conditions.size, view.pixels) > 0).sum())
         where = f"{angle:.0f} deg" if lean is Lean.FLAT else f"{angle:.0f} deg, {lean.value} edge away"
-        rows.append(
-            (view.name, len(view.ids), cells, f"{pose[5]:.2f}", where, float(miss), measured.floor.shift_mm(change))
-        )
+        influence_mm = measured.floor.shift_mm(change)
+        rows.append((view.name, len(view.ids), cells, f"{pose[5]:.2f}", where, float(miss), influence_mm))
     report.table(("image", "corners", "cells", "distance, m", "tilt", "typical miss, px", "influence, mm"), rows)
-    report.pictures(
-        [
-            *(
-                _thumbnail(view, f"{view.name}: {miss:.2f} px", good=None)
-                for view, miss in zip(fit.views, fit.typical_px, strict=True)
-            ),
-            *(
-                _thumbnail(view, f"{view.name}: left out, {miss:.2f} px", good=False)
-                for view, miss in measured.outliers
-            ),
-        ]
-    )
+    used = zip(fit.views, fit.typical_px, strict=True)
+    left_out = [
+        _thumbnail(o.view, f"{o.view.name}: left out, {o.typical_px:.2f} px", good=False) for o in measured.outliers
+    ]
+    report.pictures([*(_thumbnail(view, f"{view.name}: {miss:.2f} px", good=None) for view, miss in used), *left_out])
     if measured.outliers:
         report.section("Left out", "These views do not fit the others: blurred, moved, bent, or another board.")
         report.table(

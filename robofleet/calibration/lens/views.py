@@ -144,9 +144,8 @@ class Coverage:
                     f"{_TILTED_VIEWS} or more are needed"
                 )
         if self.depths < _DEPTH_RATIO:
-            faults.append(
-                f"all corners are about equally far: the farthest is {self.depths:.2f} times as far as the nearest"
-            )
+            depths = f"the farthest is {self.depths:.2f} times as far as the nearest"
+            faults.append(f"all corners are about equally far: {depths}")
         return faults
 
 
@@ -160,9 +159,8 @@ class Wanted(NamedTuple):
     rms_mm: float  # over the arena, with it
 
     def __str__(self) -> str:
-        how = (
-            "flat" if self.lean is Lean.FLAT else f"its {self.lean.value} edge {_ASKED_DEG:g} deg away from the camera"
-        )
+        away = f"its {self.lean.value} edge {_ASKED_DEG:g} deg away from the camera"
+        how = "flat" if self.lean is Lean.FLAT else away
         return f"show the board {place(self.row, self.column)} of the image, about {self.distance_m:.1f} m away, {how}"
 
 

@@ -175,9 +175,8 @@ def _physical(fitted: Array) -> Array:
     h = math.atan2(-f_y, f_x)
     c, s = math.cos(h), math.sin(h)
     radius = math.hypot(f_x, f_y)
-    return np.array(
-        [c * q_x - s * q_y, s * q_x + c * q_y, math.degrees(h), radius, 2 * radius / (left_turn + right_turn)]
-    )
+    base = 2 * radius / (left_turn + right_turn)
+    return np.array([c * q_x - s * q_y, s * q_x + c * q_y, math.degrees(h), radius, base])
 
 
 def _between(at_s: Array, angles: Array, asked_s: Array) -> Array:

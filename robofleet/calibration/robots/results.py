@@ -130,9 +130,7 @@ def latency_page(found: Sequence[Latency], believed: Sequence[tuple[float, Diffe
             f"{robot_latency.left_out} of {len(robot_latency.at_s) + 1 + robot_latency.left_out} poses were outliers.",
         )
         figure = _latency_figure(robot_latency, delay_s, drive.motor_lag)
-        page.figure(
-            figure, "A wheel's answer to a step of its command at 0; and the turns of the drive, beside the fit's."
-        )
+        page.figure(figure, "A wheel's answer to a step of its command at 0; the turns of the drive, beside the fit's.")
     return page
 
 

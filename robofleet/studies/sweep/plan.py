@@ -146,10 +146,9 @@ def settings(sweep: Sweep) -> Iterator[Setting]:
             draws[key] = distribution.draw(sweep.random.seed, key, count)
             drawn_at[key] = ("random", "keys", key)
     for chosen in itertools.product(*(range(len(values)) for values in sweep.grid.values())):
-        grid = {key: sweep.grid[key][i] for key, i in zip(sweep.grid, chosen, strict=True)}
-        grid_at: dict[str, tuple[str | int, ...]] = {
-            key: ("grid", key, i) for key, i in zip(sweep.grid, chosen, strict=True)
-        }
+        rows = dict(zip(sweep.grid, chosen, strict=True))
+        grid = {key: sweep.grid[key][i] for key, i in rows.items()}
+        grid_at: dict[str, tuple[str | int, ...]] = {key: ("grid", key, i) for key, i in rows.items()}
         for draw in range(count):
             drawn = {key: values[draw] for key, values in draws.items()}
             for faults in range(len(sweep.faults)):

@@ -152,10 +152,8 @@ def test_marks_on_boxes_and_from_any_side() -> None:
     points = np.column_stack([np.array(EIGHT), rng.uniform(0.0, 0.4, 8)])
     for yaw in np.linspace(-math.pi, math.pi, 7):
         camera = CAMERA.moved(moved(DOWN, np.array([0.3, -0.2, yaw, 0.0, 0.0, 0.8])))
-        nan = np.full(8, np.nan)
-        marks = Marks(
-            tuple("abcdefgh"), points, nan, nan, camera.project(points), np.stack([nan, nan], 1), np.full(8, 0.02)
-        )
+        nan, none, sigma = np.full(8, np.nan), np.full((8, 2), np.nan), np.full(8, 0.02)
+        marks = Marks(tuple("abcdefgh"), points, nan, nan, camera.project(points), none, sigma)
         found = agree(LENS, marks, None).placement.T_world_camera
         assert found == pytest.approx(camera.T_world_camera, abs=1e-4)
 

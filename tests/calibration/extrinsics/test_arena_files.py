@@ -199,23 +199,17 @@ def test_a_camera_is_named_as_a_configuration_names_it(lab: Lab, floor: Image, m
     good(lab.run("verify", "overhead", "survey.yaml", "floor.png"))
     monkeypatch.chdir("/")
     good(lab.run("verify", "overhead", lab.survey, lab.image, "--configs", lab.folder / "configs"))
-    assert "overhaed.yaml (did you mean overhead?)" in refused(
-        lab.run("verify", "overhaed", lab.survey, lab.image, "--configs", lab.folder / "configs")
-    )
-    assert f"there is no camera {lab.folder / 'other.yaml'}" in refused(
-        lab.run("verify", lab.folder / "other.yaml", lab.survey, lab.image)
-    )
+    misspelt = lab.run("verify", "overhaed", lab.survey, lab.image, "--configs", lab.folder / "configs")
+    assert "overhaed.yaml (did you mean overhead?)" in refused(misspelt)
+    other = lab.folder / "other.yaml"
+    assert f"there is no camera {other}" in refused(lab.run("verify", other, lab.survey, lab.image))
 
 
 def test_the_live_camera_is_changed_by_set(lab: Lab) -> None:
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(4))})
-    platoon = ROOT / "configs" / "platoon.yaml"
-    assert "there is no camera 'nothing'" in refused(
-        lab.run("verify", "overhead", lab.survey, "--live", platoon, "--set", "camera.source=nothing")
-    )
-    assert "unknown key" in refused(
-        lab.run("verify", "overhead", lab.survey, "--live", platoon, "--set", "camera.sorce=v4l2")
-    )
+    command = "verify", "overhead", lab.survey, "--live", ROOT / "configs" / "platoon.yaml", "--set"
+    assert "there is no camera 'nothing'" in refused(lab.run(*command, "camera.source=nothing"))
+    assert "unknown key" in refused(lab.run(*command, "camera.sorce=v4l2"))
 
 
 @pytest.mark.slow
@@ -329,10 +323,8 @@ def test_strangers_twins_and_the_missing_are_named(lab: Lab) -> None:
 def test_live_images_come_from_the_configured_camera(lab: Lab) -> None:
     lab.write(lab.survey, {"floor_tags": surveyed(FLOOR, np.random.default_rng(9))})
     live = "--live", ROOT / "configs/platoon.yaml", "--frames", 2
-    overhead = ROOT / "configs/cameras/overhead.yaml"
-    assert "cannot tell: 0 surveyed marks are in sight" in refused(
-        lab.run("verify", overhead, lab.survey, "--survey-mm", 0.5, *live)
-    )
+    seen = lab.run("verify", ROOT / "configs/cameras/overhead.yaml", lab.survey, "--survey-mm", 0.5, *live)
+    assert "cannot tell: 0 surveyed marks are in sight" in refused(seen)
     assert "give one of them" in refused(lab.verify(lab.image, "--live", ROOT / "configs/platoon.yaml"))
 
 

@@ -1,5 +1,6 @@
 """A lens from corners with noise: right within its own sigma, refused where the views do not determine it."""
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -94,9 +95,8 @@ def test_each_lack_is_named(true_camera: TrueCamera) -> None:
     assert "hardly any corner of the board was in the upper left corner of the image" in corner
     assert "next view: show the board in the upper left corner" in corner
 
-    poses = [
-        true_camera.pose(u, v, 0.7, 0, upper) for u in (90, 400, 710) for v in (80, 300, 520) for upper in (-25, 25)
-    ]
+    places = itertools.product((90, 400, 710), (80, 300, 520), (-25, 25))
+    poses = [true_camera.pose(u, v, 0.7, 0, upper) for u, v, upper in places]
     sideways = "\n".join(measured(true_camera, seen(true_camera, poses, 0.05, rng)).faults())
     assert "the left or right edge was tilted away by 12 deg in 0 views" in sideways
     assert "its left edge" in sideways or "its right edge" in sideways

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.runs.check import load_checked
+from robofleet.config.load import load_config
 from robofleet.testing import run_lockstep
 from tools.measure.program import program
 
@@ -35,13 +35,10 @@ def starts(seed: int, count: int) -> list[tuple[float, float, float]]:
 
 def drive(seed: int, duration_s: float) -> tuple[str, str | None, float, float]:
     """Return how a run ended, its cause, the smallest gap [mm], and the mean control error [mm]."""
-    placed = [
-        f"robots.{k}.start={{x_m: {x}, y_m: {y}, heading_deg: {psi}}}" for k, (x, y, psi) in enumerate(starts(seed, 4))
-    ]
-    config = load_checked(
-        PLATOON, ["run.begin=go_to_start", f"run.duration_s={duration_s}", f"run.seed={seed}", *placed], lockstep=True
-    )
-    run = run_lockstep(config)
+    changes = ["run.begin=go_to_start", f"run.duration_s={duration_s}", f"run.seed={seed}"]
+    for k, (x, y, psi) in enumerate(starts(seed, 4)):
+        changes.append(f"robots.{k}.start={{x_m: {x}, y_m: {y}, heading_deg: {psi}}}")
+    run = run_lockstep(load_config(PLATOON, changes))
     error, gap = run.summary["control_error_mm"], run.summary["min_gap_mm"]
     return run.outcome, run.cause, math.nan if gap is None else gap, math.nan if error is None else error["mean"]
 

@@ -71,9 +71,8 @@ def main() -> None:
     for angle in ANGLES:
         heights = [lowest(angle, arena) for arena in ARENAS]
         sides = [side_px(lens(angle, height)) for height in heights]
-        cells = (
-            f"{height:.1f} m, {side:.0f} / {1.5 * side:.0f} px" for height, side in zip(heights, sides, strict=True)
-        )
+        pairs = zip(heights, sides, strict=True)
+        cells = (f"{height:.1f} m, {side:.0f} / {1.5 * side:.0f} px" for height, side in pairs)
         print(f"| {angle}° |", " | ".join(cells), "|")
 
 

@@ -15,9 +15,8 @@ def main() -> None:
     times = program(__doc__, times=20).parse_args().times
     for name, number in (("killed", signal.SIGKILL), ("stopped", signal.SIGSTOP)):
         took_ms = sorted(_took_ms(number) for _ in range(times))
-        print(
-            f"driver {name}: stop after {statistics.median(took_ms):.0f} ms (median), {took_ms[-1]:.0f} ms (of {times})"
-        )
+        median, worst = statistics.median(took_ms), took_ms[-1]
+        print(f"driver {name}: stop after {median:.0f} ms (median), {worst:.0f} ms (of {times})")
     bench = Bench("for ever")
     try:
         bench.hear(b".....")

@@ -67,9 +67,8 @@ def main() -> None:
     print(f"completed: {completed} of {arguments.runs}; lines struck: {struck}")
     for robot, found in wrong.items():
         counts, furthest, longest = zip(*found, strict=True)
-        print(
-            f"{robot}: {sum(counts)} wrong motions, at most {max(furthest):.3f} rad/s off, {max(longest)} ms at longest"
-        )
+        worst = f"at most {max(furthest):.3f} rad/s off, {max(longest)} ms at longest"
+        print(f"{robot}: {sum(counts)} wrong motions, {worst}")
 
 
 if __name__ == "__main__":

@@ -38,17 +38,8 @@ def one_run(folder: Path, *overrides: str) -> dict[str, Any]:
     """Return the summary of a run; what it says goes to ``folder``'s ``said``."""
     ordinary = ["setpriv", "--bounding-set", "-sys_nice", "--inh-caps", "-sys_nice"] if os.geteuid() == 0 else []
     changes = [word for change in ("arena.name=busy-machine", *overrides) for word in ("--set", change)]
-    command = [
-        *ordinary,
-        sys.executable,
-        "-m",
-        "robofleet",
-        "run",
-        str(PLATOON),
-        "--out",
-        str(folder / "run"),
-        "--json",
-    ]
+    run = "run", str(PLATOON), "--out", str(folder / "run"), "--json"
+    command = [*ordinary, sys.executable, "-m", "robofleet", *run]
     with (folder / "said").open("w") as log:
         done = subprocess.run(
             [*command, *changes], stdout=subprocess.PIPE, stderr=log, text=True, check=False,

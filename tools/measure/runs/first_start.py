@@ -30,10 +30,8 @@ def start(folder: Path, interrupted_after_s: float | None = None) -> tuple[dict[
             *("--set", "arena.name=first-start", "--out", str(folder / "run")),
         ],
         env=os.environ | {"XDG_STATE_HOME": str(folder)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
     phases: dict[str, float] = {}
     if interrupted_after_s is not None:
         threading.Timer(interrupted_after_s, run.send_signal, [signal.SIGINT]).start()

@@ -38,21 +38,7 @@ _PERIOD_S = 0.011  # between two rounds, of one message on each topic
 _FEW = 2  # topics
 _ROUNDS = 250  # of one fleet
 _SELDOM = 6  # of so many fleets one has all listeners
-_WORDS = (
-    b"start",
-    b"stop",
-    b"hold",
-    b"resume",
-    b"park",
-    b"reset",
-    b"arm",
-    b"status",
-    b"estop",
-    b"pictures",
-    b"leave r1",
-    b"",
-    b"\xff" * 99,
-)
+_WORDS = *b"start stop hold resume park reset arm status estop pictures".split(), b"leave r1", b"", b"\xff" * 99
 _FLOATS = (
     0.0, -0.0, 1.0, -1.0, 2.0, 0.5, 1e-9, 5e-324, 1e6, -1e6, 1e300, -1e300, math.pi, math.nan, math.inf, -math.inf,
 )  # fmt: skip
@@ -89,9 +75,8 @@ class Forge:
             self._spoil(heads, self._rng.choice((0.0, 0.1, 0.3)))
         heads["version"] = VERSION
         if isinstance(topic.layout, BlobLayout):
-            return heads.tobytes() + (
-                rest if self._rng.random() < 0.5 else self._rng.bytes(int(self._rng.integers(200)))
-            )
+            blob = rest if self._rng.random() < 0.5 else self._rng.bytes(int(self._rng.integers(200)))
+            return heads.tobytes() + blob
         if isinstance(topic.layout, Layout):
             return heads.tobytes()
         item = np.dtype([(name, kind) for name, kind in types["items"]])

@@ -151,9 +151,8 @@ def kinds(folder: Path) -> Iterator[Kind]:
     yield Kind(keys / f"{_NAME}.json", lambda: credentials.credentials(_ARENA, _NAME))
     yield Kind(keys / credentials.REGISTER, lambda: Authority(_ARENA, keys).entries())
     joined = keys / credentials.JOINED
-    joined.write_text(
-        json.dumps({"arena": _ARENA, "name": _NAME, "kind": "operator", "router": ["tls/192.168.1.5:7447"]})
-    )
+    own = {"arena": _ARENA, "name": _NAME, "kind": "operator", "router": ["tls/192.168.1.5:7447"]}
+    joined.write_text(json.dumps(own))
     yield Kind(joined, credentials.joined)
 
 
@@ -192,9 +191,8 @@ def changed(  # noqa: PLR0912 - a branch for each kind of mistake
                     holder[f"{where[-1]}{pick(('s', ' ', '_m', '.x'))}"] = holder.pop(where[-1])
                 else:
                     holder[where[-1]] = value
-        done = (
-            json.dumps(tree) if is_json else yaml.safe_dump(tree, sort_keys=False, allow_unicode=bool(rng.integers(2)))
-        )
+        unicode = not is_json and bool(rng.integers(2))
+        done = json.dumps(tree) if is_json else yaml.safe_dump(tree, sort_keys=False, allow_unicode=unicode)
         return done.encode(errors="surrogatepass"), f"at {where}: {value!r:.60}"
     lines, at = text.splitlines(), int(rng.integers(max(1, len(text.splitlines()))))
     what = int(rng.integers(6))
@@ -269,9 +267,8 @@ def main() -> None:
         os.environ["XDG_CONFIG_HOME"] = folder
         figures = attack(Path(folder), arguments.files, arguments.seed)
     refused, accepted = figures.refused.total(), figures.accepted.total()
-    print(
-        f"{refused} refused, {accepted} accepted, {len(figures.others)} other errors; longest {figures.longest_s:.1f} s"
-    )
+    others = f"{len(figures.others)} other errors; longest {figures.longest_s:.1f} s"
+    print(f"{refused} refused, {accepted} accepted, {others}")
     for where, change in figures.others.items():
         print(f"    {where}: {change}")
 

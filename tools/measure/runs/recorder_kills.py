@@ -57,9 +57,8 @@ def strike(fleet: Fleet, stream: Stream, folder: Path, rng: np.random.Generator)
     run = folder / "run"
     run.mkdir()
     (folder / FILE).rename(run / FILE)
-    mended = subprocess.run(
-        [sys.executable, "-m", "robofleet", "repair", str(run)], capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-m", "robofleet", "repair", str(run)]
+    mended = subprocess.run(command, capture_output=True, text=True, check=True)
     lost = [arrival for arrival in missing(run, arrivals) if arrival.at_ns < killed_ns]
     shutil.rmtree(run)
     oldest_ms = (killed_ns - min(arrival.at_ns for arrival in lost)) / MS if lost else 0.0

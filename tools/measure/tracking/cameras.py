@@ -90,9 +90,8 @@ def in_view(config: Config, at: Array) -> NDArray[np.bool_]:
     points = np.concatenate([corners, np.full((*corners.shape[:-1], 1), config.tracker.tag_height_m)], -1)
     found = []
     for view in config.views:
-        seen = CameraGeometry.from_model(view.camera.model).sees(
-            points.reshape(-1, 3), (view.camera.width, view.camera.height)
-        )
+        geometry, size = CameraGeometry.from_model(view.camera.model), (view.camera.width, view.camera.height)
+        seen = geometry.sees(points.reshape(-1, 3), size)
         found.append(seen.reshape(points.shape[:-1]).all(-1))
     return np.array(found)
 

@@ -54,18 +54,10 @@ class Day:
         self._publish = [bus.publisher(TRUTH, robot.id) for robot in self.config.robots]
         self.ticks = cast(Any, SimpleNamespace(began_ns=S, newest=0, newest_stamp_ns=0, update=lambda: None))
         self._taken: list[Any] = []
-        rng = np.random.default_rng(1)
         context = PoseContext(
-            config=self.config,
-            clock=self.clock,
-            bus=bus,
-            ticks=self.ticks,
-            rng=rng,
-            extra_delay_ns=0,
-            wake=lambda _: None,
-            real_time=False,
-            around=self._watched,
-        )
+            config=self.config, clock=self.clock, bus=bus, ticks=self.ticks, rng=np.random.default_rng(1),
+            extra_delay_ns=0, wake=lambda _: None, real_time=False, around=self._watched,
+        )  # fmt: skip
         self.source = CameraPoses(context)
         self._light = TagLight(robot_targets(self.config))
         self._eye = CameraGeometry.from_model(self.config.camera.model)
