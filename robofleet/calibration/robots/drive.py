@@ -77,7 +77,7 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
     Raises:
         CalibrationError: the drive did not come to its end.
     """
-    watch = _Watch(config, say)
+    watch = _watch(config, say)
     if lockstep:
         simulated = Lockstep(config)
         outcome, cause = simulated.run(watch)
@@ -137,9 +137,22 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
         wheels = np.column_stack([ticks["items"]["left_rad_s"][:, row], ticks["items"]["right_rad_s"][:, row]])
         commanded, counted = _angles(recording.of_robot(STATUS, robot.id), ticks)
         requested = (ticks["stamp_ns"] - start_ns) / S, wheels
-        series = _cut(robot.id, requested, (measured[:, 0], measured[:, 1:]), commanded, counted)
-        held_s = float(held[:, row].sum()) * config.controller.tick_s
-        drives.append(RobotDrive(robot.id, *series, held_s, robot.vehicle.max_wheel_acceleration_rad_s2))
+        cut = _cut(robot.id, requested, (measured[:, 0], measured[:, 1:]), commanded, counted)
+        (commands_s, commands), (poses_s, own_poses), (told_s, told), (encoders_s, encoders) = cut
+        drive = RobotDrive(
+            robot=robot.id,
+            commands_s=commands_s,
+            commands_rad_s=commands,
+            poses_s=poses_s,
+            poses=own_poses,
+            told_s=told_s,
+            told_rad=told,
+            encoders_s=encoders_s,
+            encoders_rad=encoders,
+            held_s=float(held[:, row].sum()) * config.controller.tick_s,
+            acceleration_rad_s2=robot.vehicle.max_wheel_acceleration_rad_s2,
+        )
+        drives.append(drive)
     return drives
 
 
@@ -167,7 +180,7 @@ def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Timed, Timed]:
     return (at_s, commanded), (at_s, counted) if np.ptp(counted, axis=0).any() else nothing
 
 
-def _cut(robot: str, requested: Timed, *others: Timed) -> Iterator[Array]:
+def _cut(robot: str, requested: Timed, *others: Timed) -> Iterator[Timed]:
     """Yield a robot's own part of each series: the others stand then, and it stands before and after."""
     moving = requested[0][requested[1].any(axis=1)]
     if not len(moving):
@@ -175,7 +188,7 @@ def _cut(robot: str, requested: Timed, *others: Timed) -> Iterator[Array]:
     start_s, end_s = float(moving[0]) - _REST_AROUND_S, float(moving[-1]) + _REST_AROUND_S
     for at_s, values in (requested, *others):
         own = (at_s >= start_s) & (at_s <= end_s)
-        yield from (at_s[own], values[own])
+        yield at_s[own], values[own]
 
 
 def _ends(config: Config) -> Array:
@@ -184,24 +197,23 @@ def _ends(config: Config) -> Array:
     return behaviour.ends
 
 
-class _Watch:
-    """Says which robot drives, or what is waited for."""
+def _watch(config: Config, say: Callable[[str], None]) -> Watch:
+    """Return what says which robot drives, or what is waited for."""
+    ends, last_text = _ends(config), ""
+    count = int(np.searchsorted(ends, config.run.duration_s))
 
-    def __init__(self, config: Config, say: Callable[[str], None]) -> None:
-        self._config, self._say, self._last_text = config, say, ""
-        self._ends = _ends(config)
-        self._count = int(np.searchsorted(self._ends, config.run.duration_s))
-
-    def __call__(self, recording: Recording, phase: str) -> None:
+    def watch(recording: Recording, phase: str) -> None:
+        nonlocal last_text
         text = WAITING.get(phase, phase)
         if phase == "held" and (state := recording.newest(STATE)) is not None:
-            words = state_words(state, None, self._config.ids)
-            text = f"held: {words.advice}; then press r, or `robofleet resume`"
+            text = f"held: {state_words(state, None, config.ids).advice}; then press r, or `robofleet resume`"
         head = recording.newest(TICK) if phase == "running" else None
         if head is not None and head.run_tick >= 0:
-            row = int(np.searchsorted(self._ends, head.run_tick * self._config.controller.tick_s, side="right"))
-            if row < self._count:
-                text = f"{self._config.members[row].id} drives"
-        if text != self._last_text:
-            self._last_text = text
-            self._say(text)
+            row = int(np.searchsorted(ends, head.run_tick * config.controller.tick_s, side="right"))
+            if row < count:
+                text = f"{config.members[row].id} drives"
+        if text != last_text:
+            last_text = text
+            say(text)
+
+    return watch
