@@ -135,20 +135,19 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
         measured = np.array(sorted(poses)).reshape(-1, 4)
         measured = measured[np.unique(measured[:, 0], return_index=True)[1]]
         wheels = np.column_stack([ticks["items"]["left_rad_s"][:, row], ticks["items"]["right_rad_s"][:, row]])
-        commanded, counted = _angles(recording.of_robot(STATUS, robot.id), ticks)
-        requested = (ticks["stamp_ns"] - start_ns) / S, wheels
-        cut = _cut(robot.id, requested, (measured[:, 0], measured[:, 1:]), commanded, counted)
-        (commands_s, commands), (poses_s, own_poses), (told_s, told), (encoders_s, encoders) = cut
+        series = ((ticks["stamp_ns"] - start_ns) / S, wheels), (measured[:, 0], measured[:, 1:])
+        angles = _angles(recording.of_robot(STATUS, robot.id), ticks)
+        requested, located, commanded, counted = _cut(robot.id, *series, *angles)
         drive = RobotDrive(
             robot=robot.id,
-            commands_s=commands_s,
-            commands_rad_s=commands,
-            poses_s=poses_s,
-            poses=own_poses,
-            told_s=told_s,
-            told_rad=told,
-            encoders_s=encoders_s,
-            encoders_rad=encoders,
+            commands_s=requested[0],
+            commands_rad_s=requested[1],
+            poses_s=located[0],
+            poses=located[1],
+            told_s=commanded[0],
+            told_rad=commanded[1],
+            encoders_s=counted[0],
+            encoders_rad=counted[1],
             held_s=float(held[:, row].sum()) * config.controller.tick_s,
             acceleration_rad_s2=robot.vehicle.max_wheel_acceleration_rad_s2,
         )
