@@ -15,10 +15,10 @@ _RATE_WINDOW_S = 600.0  # of the estimate of the time left
 
 
 class Bar:
-    """Counts what is finished and what failed."""
+    """Counts what is finished and what ``failed``."""
 
     def __init__(self, what: str, total: int, done: int, progress: Progress) -> None:
-        self._what, self._total, self._done, self._failed = what, total, done, 0
+        self._what, self._total, self._done, self.failed = what, total, done, 0
         self._began_ns, self._before = stopwatch_ns(), done
         self._next_ns = self._began_ns + _LINE_NS
         self._progress = progress
@@ -26,16 +26,12 @@ class Bar:
 
     def add(self, *, failed: bool = False) -> None:
         self._done += 1
-        self._failed += failed
-        words = f"{self._what}, {self._failed} failed" if self._failed else self._what
+        self.failed += failed
+        words = f"{self._what}, {self.failed} failed" if self.failed else self._what
         self._progress.update(self._task, completed=self._done, description=words)
         if not self._progress.console.is_terminal and stopwatch_ns() >= self._next_ns:
             self._next_ns = stopwatch_ns() + _LINE_NS
             print(f"{words}: {self._done:,} of {self._total:,}, {self._left()} left", file=sys.stderr, flush=True)
-
-    @property
-    def failed(self) -> int:
-        return self._failed
 
     def say(self, *lines: str) -> None:
         for line in lines:

@@ -7,24 +7,13 @@ import cv2
 import typer
 from rich.console import Console
 
-from robofleet.calibration.commands.shared import (
-    CameraName,
-    ConfigsFolder,
-    Live,
-    Overrides,
-    ReportFile,
-    camera_file,
-    count,
-    report_file,
-    size,
-)
-from robofleet.calibration.commands.shared import live as live_camera
+from robofleet.calibration.commands import shared
 from robofleet.calibration.frames import open_camera
 from robofleet.calibration.lens.board import Board
 from robofleet.calibration.lens.floor import Ceiling
 from robofleet.calibration.lens.gathering import Gathering, gather
 from robofleet.calibration.lens.intrinsics import COEFFICIENTS, Conditions, Measured, measure
-from robofleet.calibration.lens.live import Screen, capture, lens_config
+from robofleet.calibration.lens.live import capture, lens_config, screen
 from robofleet.calibration.lens.page import page
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.calibrated import CameraModel
@@ -34,12 +23,12 @@ _USUAL: dict[Kind, int] = {"pinhole": 5, "fisheye": 4}  # coefficients
 
 
 def intrinsics(
-    camera: CameraName,
+    camera: shared.CameraName,
     source: Annotated[
         Path | None, typer.Argument(metavar="[IMAGES]", help="Folder of images, or a video, of the board.")
     ] = None,
-    live: Live = None,
-    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    live: shared.Live = None,
+    overrides: shared.Overrides = [],  # noqa: B006 - typer copies it
     squares: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Of the board.")] = "11x8",
     square_mm: Annotated[float, typer.Option(help="Side of a square of the board.")] = 40.0,
     marker_mm: Annotated[float, typer.Option(help="Side of a marker in it.")] = 30.0,
@@ -57,8 +46,8 @@ def intrinsics(
     device: Annotated[
         str, typer.Option("--device", help="The device, as camera.source names it; --live finds it out.")
     ] = "",
-    configs: ConfigsFolder = None,
-    report: ReportFile = None,
+    configs: shared.ConfigsFolder = None,
+    report: shared.ReportFile = None,
 ) -> None:
     """Measure a lens from views of a ChArUco board (robofleet sheet prints it).
 
@@ -68,12 +57,12 @@ def intrinsics(
 
     The camera's file is written: configs/cameras/ceiling.yaml.
     """
-    file = camera_file(camera, configs, live)
+    file = shared.camera_file(camera, configs, live)
     if (source is None) == (live is None):
         raise CalibrationError("name a folder or a video, or a configuration with --live")
-    config = live_camera(live, overrides, lens_config)
-    board = Board(count(squares, "--squares"), square_mm / 1e3, marker_mm / 1e3, dictionary)
-    arena = size(arena_m, "--arena-m") if arena_m else None
+    config = shared.live(live, overrides, lens_config)
+    board = Board(shared.count(squares, "--squares"), square_mm / 1e3, marker_mm / 1e3, dictionary)
+    arena = shared.size(arena_m, "--arena-m") if arena_m else None
     if not 0.0 <= tag_height_m < height_m < 1000.0:
         raise CalibrationError("--tag-height-m must lie between the floor and the camera's --height-m")
     ceiling, coefficient_count = Ceiling(height_m, tag_height_m, arena), _coefficients(lens, coefficients)
@@ -81,13 +70,13 @@ def intrinsics(
     def conditions(pixels: tuple[int, int]) -> Conditions:
         return Conditions(board, lens, coefficient_count, pixels, ceiling)
 
-    shown = report_file(report, "intrinsics")
+    shown = shared.report_file(report, "intrinsics")
     if config is not None:
         source_camera = open_camera(config)
         gathering, identity = Gathering(board, film=True), source_camera.identity
         try:
-            with Screen(Console(stderr=True)) as screen:
-                capture(source_camera, gathering, conditions, screen)
+            with screen(Console(stderr=True)) as show:
+                capture(source_camera, gathering, conditions, show)
         finally:
             source_camera.close()
             _keep(gathering, shown.parent / "views")

@@ -6,17 +6,7 @@ from typing import Annotated
 import typer
 
 from robofleet.calibration import frames
-from robofleet.calibration.commands.shared import (
-    CameraName,
-    ConfigsFolder,
-    Live,
-    Overrides,
-    ReportFile,
-    known_camera,
-    report_file,
-    size,
-)
-from robofleet.calibration.commands.shared import live as live_camera
+from robofleet.calibration.commands import shared
 from robofleet.calibration.extrinsics.arena import Wanted, calibrate_arena, calibrate_together
 from robofleet.calibration.extrinsics.verify import verify as verify_camera
 from robofleet.calibration.store import CalibrationError
@@ -29,11 +19,11 @@ SurveyMm = Annotated[float | None, typer.Option(min=0.01, max=100.0, help="Surve
 
 
 def arena(
-    camera: CameraName,
+    camera: shared.CameraName,
     survey: SurveyFile,
     images: Images = None,
-    live: Live = None,
-    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    live: shared.Live = None,
+    overrides: shared.Overrides = [],  # noqa: B006 - typer copies it
     count: FrameCount = 20,
     survey_mm: SurveyMm = None,
     arena_m: Annotated[
@@ -45,8 +35,8 @@ def arena(
     tag_height_m: Annotated[
         float | None, typer.Option(min=0.0, help="Height of the robots' tags; default: --live's, or 0.")
     ] = None,
-    configs: ConfigsFolder = None,
-    report: ReportFile = None,
+    configs: shared.ConfigsFolder = None,
+    report: shared.ReportFile = None,
 ) -> None:
     """Find where the camera hangs, from surveyed tags and points on the floor.
 
@@ -59,17 +49,17 @@ def arena(
     The camera's file is written again, with its place; `robofleet sheet floor` prints tags for the floor. Several
     cameras, with commas between them, are placed at once, by one survey and by the tags that two of them see.
     """
-    files = [known_camera(name, configs, live) for name in camera.split(",")]
+    files = [shared.known_camera(name, configs, live) for name in camera.split(",")]
     if twice := [
         file.stem for k, file in enumerate(files) if file.resolve() in [earlier.resolve() for earlier in files[:k]]
     ]:
         raise CalibrationError(f"{camera}: {twice[0]} is written twice: name each camera once")
-    config = live_camera(live, overrides)
-    sides = size(arena_m, "--arena-m") if arena_m else None
+    config = shared.live(live, overrides)
+    sides = shared.size(arena_m, "--arena-m") if arena_m else None
     if config is not None:
         sides = sides or config.arena.size_m
         tag_height_m = config.tracker.tag_height_m if tag_height_m is None else tag_height_m
-    page = report_file(report, "arena")
+    page = shared.report_file(report, "arena")
     taken = _taken(files, images or [], config, count)
     wanted = Wanted(survey, survey_mm, sides, tag_height_m or 0.0)
     if len(files) == 1:
@@ -102,21 +92,21 @@ def _taken(files: list[Path], images: list[Path], config: Config | None, count: 
 
 
 def verify(
-    camera: CameraName,
+    camera: shared.CameraName,
     survey: SurveyFile,
     images: Images = None,
-    live: Live = None,
-    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    live: shared.Live = None,
+    overrides: shared.Overrides = [],  # noqa: B006 - typer copies it
     count: FrameCount = 20,
     survey_mm: SurveyMm = None,
-    configs: ConfigsFolder = None,
+    configs: shared.ConfigsFolder = None,
 ) -> None:
     """Say whether the camera still hangs where it was calibrated; writes nothing.
 
     $ robofleet calibrate verify ceiling survey.yaml --live configs/lab.yaml
     """
-    file = known_camera(camera, configs, live)
-    (taken,) = _taken([file], images or [], live_camera(live, overrides), count)
+    file = shared.known_camera(camera, configs, live)
+    (taken,) = _taken([file], images or [], shared.live(live, overrides), count)
     verdict = verify_camera(file, survey, taken, survey_mm)
     if not verdict.good:
         raise CalibrationError(verdict.sentences)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from robofleet.calibration.extrinsics.fiducials import Marks
-from robofleet.calibration.extrinsics.placing import Lens, Placement, met, place
+from robofleet.calibration.extrinsics.placing import Lens, Placement, on_plane, place
 from robofleet.calibration.extrinsics.survey import LEAST, on_one_line
 from robofleet.calibration.store import CalibrationError
 from robofleet.core.arrays import Array, Flags
@@ -105,7 +105,7 @@ def _begin(lens: Lens, marks: Marks, survey_m: float | None) -> Agreement:
         for T in _poses(marks.points[four], slopes[four]):
             if T[2, 3] <= heights.max():
                 continue
-            off = ((met(T, slopes, heights) - marks.points[:, :2]) ** 2).sum(1)
+            off = ((on_plane(T, slopes, heights)[0] - marks.points[:, :2]) ** 2).sum(1)
             order = off.argsort()[:count]
             if off[order].sum() < best:
                 best, best_T, nearest = off[order].sum(), T, order

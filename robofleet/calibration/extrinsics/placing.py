@@ -101,13 +101,6 @@ class Placement:
         return errors_at(self.lens, marks, self.T_world_camera, self.covariance, self.survey_m)
 
 
-def met(T_world_camera: Array, slopes: Array, heights: Array) -> Array:
-    """Return where rays meet their planes (N, 2) [m; world]."""
-    R, centre = T_world_camera[:3, :3], T_world_camera[:3, 3]
-    rays = slopes @ R[:, :2].T + R[:, 2]
-    return np.asarray(centre[:2] + ((heights - centre[2]) / rays[:, 2])[:, None] * rays[:, :2])
-
-
 def on_plane(T_world_camera: Array, slopes: Array, heights: Array) -> tuple[Array, Array, Array]:
     """Return where rays meet their planes, and how that moves.
 

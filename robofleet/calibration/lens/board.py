@@ -1,5 +1,6 @@
 """A ChArUco board, and what an image shows of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -104,38 +105,24 @@ class BoardDetector:
         return float(np.median(sides) / self._square_m)
 
 
-class BoardCheck:
-    """Notices, over many images, that the board is not the one that was named."""
-
-    def __init__(self, board: Board) -> None:
-        self._board = board
-        self._images = self._marked = self._fitting = 0
-        self._seen: set[int] = set()
-        self._ratios: list[float] = []
-
-    def add(self, sight: Sight) -> None:
-        self._images += 1
-        self._marked += len(sight.markers) >= _CORNERS
-        self._fitting += sight.view is not None
-        self._seen.update(sight.markers)
-        if sight.marker_ratio is not None:
-            self._ratios.append(sight.marker_ratio)
-
-    def faults(self) -> list[str]:
-        board, last = self._board, self._board.squares[0] * self._board.squares[1] // 2 - 1
-        if not self._seen:
-            where = f"{self._images} images"
-            return [f"no marker of {board.dictionary} in {where}: was the board in sight, is --dictionary right?"]
-        strange = sorted(marker for marker in self._seen if marker > last)
-        if len(strange) > last // 4:  # a few may be misread, or of another sheet
-            listed = ", ".join(map(str, strange[:5]))
-            return [f"markers {listed} ... are not of a board of {board.shown} (0 to {last}): check --squares"]
-        if self._fitting < self._marked / 2:
-            return [
-                f"the markers do not lie as on a board of {board.shown}: in {self._marked - self._fitting} of "
-                f"{self._marked} images no corners fit them; check --squares, and that the print is not mirrored"
-            ]
-        named, measured = board.marker_m / board.square_m, float(np.median(self._ratios or [np.nan]))
-        if abs(measured - named) > _RATIO * named:
-            return [f"markers measure {measured:.2f} of a square, not {named:.2f}: check --square-mm and --marker-mm"]
-        return []
+def mismatch(board: Board, sights: Sequence[Sight]) -> list[str]:
+    """Return why what many images showed cannot be the board that was named."""
+    last, seen = board.squares[0] * board.squares[1] // 2 - 1, {marker for sight in sights for marker in sight.markers}
+    if not seen:
+        where = f"{len(sights)} images"
+        return [f"no marker of {board.dictionary} in {where}: was the board in sight, is --dictionary right?"]
+    strange = sorted(marker for marker in seen if marker > last)
+    if len(strange) > last // 4:  # a few may be misread, or of another sheet
+        listed = ", ".join(map(str, strange[:5]))
+        return [f"markers {listed} ... are not of a board of {board.shown} (0 to {last}): check --squares"]
+    marked = sum(len(sight.markers) >= _CORNERS for sight in sights)
+    ratios = [sight.marker_ratio for sight in sights if sight.marker_ratio is not None]
+    if len(ratios) < marked / 2:
+        return [
+            f"the markers do not lie as on a board of {board.shown}: in {marked - len(ratios)} of {marked} images no "
+            "corners fit them; check --squares, and that the print is not mirrored"
+        ]
+    named, measured = board.marker_m / board.square_m, float(np.median(ratios or [np.nan]))
+    if abs(measured - named) > _RATIO * named:
+        return [f"markers measure {measured:.2f} of a square, not {named:.2f}: check --square-mm and --marker-mm"]
+    return []

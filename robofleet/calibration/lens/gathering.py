@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from robofleet.calibration.frames import MIRRORED, images
-from robofleet.calibration.lens.board import Board, BoardCheck, BoardDetector, BoardView
+from robofleet.calibration.lens.board import Board, BoardDetector, BoardView, Sight, mismatch
 from robofleet.calibration.lens.views import Collector, Offer
 from robofleet.calibration.store import CalibrationError
 from robofleet.core.arrays import Image
@@ -19,7 +19,7 @@ class Gathering:
 
     def __init__(self, board: Board, *, film: bool) -> None:
         self._board, self._film = board, film
-        self._detector, self._check = BoardDetector(board), BoardCheck(board)
+        self._detector, self._sights = BoardDetector(board), list[Sight]()
         self._collector: Collector | None = None
         self._mirrored = False
         self.size = (0, 0)  # of the images, width and height [px]
@@ -51,7 +51,7 @@ class Gathering:
         if sight.view is None and not self.views:
             mirror = np.ascontiguousarray(image[:, ::-1])
             self._mirrored = self._mirrored or self._detector.detect(name, mirror).view is not None
-        self._check.add(sight)
+        self._sights.append(sight._replace(view=None))  # without its image
         self.fates[name] = Offer.NO_BOARD if sight.view is None else self._collector.offer(sight.view)
         return self.fates[name]
 
@@ -59,7 +59,7 @@ class Gathering:
         """Raise a CalibrationError if there is nothing to fit a lens to, or if the board is another one."""
         if not self.fates:
             raise CalibrationError("there is no image: name a folder or a video that has some")
-        faults = [MIRRORED] if self.mirrored else self._check.faults()
+        faults = [MIRRORED] if self.mirrored else mismatch(self._board, self._sights)
         if not faults and len(self.views) < FIRST:
             tally = ", ".join(f"{count} {offer.value}" for offer, count in self.counts.items())
             hold = "; hold the board still for a moment at each place" if self.counts[Offer.MOVING] else ""

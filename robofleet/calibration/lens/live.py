@@ -1,6 +1,7 @@
 """Captures a board with a live camera: shows what was seen, and asks for the view that would help most."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from rich.console import Console, Group, RenderableType
@@ -18,11 +19,13 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.tracking.sources import Camera, CameraError
 
+Show = Callable[[Gathering, Measured | None, Offer], None]
+
 _ARROWS = {Lean.LEFT: "<", Lean.RIGHT: ">", Lean.UPPER: "^", Lean.LOWER: "v", Lean.FLAT: "o"}
 
 
 def capture(
-    camera: Camera, gathering: Gathering, conditions: Callable[[tuple[int, int]], Conditions], screen: "Screen"
+    camera: Camera, gathering: Gathering, conditions: Callable[[tuple[int, int]], Conditions], show: Show
 ) -> None:
     """Take a camera's images until its lens is determined, they end, or the operator stops it with Ctrl-C.
 
@@ -35,35 +38,29 @@ def capture(
             offer = gathering.take(f"image {len(gathering.fates) + 1}", image)
             if offer is Offer.NEW and len(gathering.views) >= FIRST:
                 measured = measure(gathering.views, conditions(gathering.size))
-            screen.show(gathering, measured, offer)
+            show(gathering, measured, offer)
     except (EOFError, KeyboardInterrupt):
         return
     except (CameraError, OSError) as error:
         raise CalibrationError(f"the camera failed: {error}: look at its cable, and start again") from error
 
 
-class Screen:
-    """What the operator sees while capturing; lines, one a view, where it is no terminal."""
+@contextmanager
+def screen(console: Console) -> Iterator[Show]:
+    """Yield what shows the operator what there is and what is wanted; lines, one a view, where it is no terminal."""
+    live = Live(console=console, auto_refresh=False) if console.is_terminal else None
+    warned = False
 
-    def __init__(self, console: Console) -> None:
-        self._console, self._warned = console, False
-        self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
+    def show(gathering: Gathering, measured: Measured | None, offer: Offer) -> None:
+        nonlocal warned
+        if live is not None:
+            live.update(picture(gathering, measured, offer), refresh=True)
+        elif offer is Offer.NEW or (gathering.mirrored and not warned):
+            warned = gathering.mirrored
+            console.print(Group(*_lines(gathering, measured)))
 
-    def __enter__(self) -> "Screen":
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def show(self, gathering: Gathering, measured: Measured | None, offer: Offer) -> None:
-        if self._live is not None:
-            self._live.update(picture(gathering, measured, offer), refresh=True)
-        elif offer is Offer.NEW or (gathering.mirrored and not self._warned):
-            self._warned = gathering.mirrored
-            self._console.print(Group(*_lines(gathering, measured)))
+    with live or nullcontext():
+        yield show
 
 
 def picture(gathering: Gathering, measured: Measured | None, offer: Offer) -> RenderableType:

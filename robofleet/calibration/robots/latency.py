@@ -13,18 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.calibration.robots import increments as motion
 from robofleet.calibration.robots.drive_file import RobotDrive
-from robofleet.calibration.robots.increments import (
-    Increments,
-    Noise,
-    increments,
-    left_out,
-    noise_of,
-    refuse_unusable,
-    through_gate,
-    wheel_travel,
-    whiten,
-)
 from robofleet.calibration.store import CalibrationError
 from robofleet.core.arrays import Array
 
@@ -68,7 +58,7 @@ def find(drive: RobotDrive) -> Latency:
     Raises:
         CalibrationError: the drive does not determine them.
     """
-    refuse_unusable(drive)
+    motion.refuse_unusable(drive)
     changes = int(np.abs(np.diff(drive.commands_rad_s, axis=0)).any(axis=1).sum())
     if changes < _LEAST_CHANGES:
         raise CalibrationError(
@@ -86,13 +76,13 @@ def _find(drive: RobotDrive) -> Latency:
     model = _Model(drive, kept)
     theta, free = model.coarse(), 2
     for _ in range(_PASSES):  # the first says little of the noise, as the grid is coarse, nor of outliers
-        noises = tuple(noise_of(e[None], model.inc) for e in model.residuals(theta))
+        noises = tuple(motion.noise_of(e[None], model.inc) for e in model.residuals(theta))
         theta, covariance = model.descend(theta, noises, free)
         small = _SMALL_LAG_S if theta[0] >= 0.0 else 2.0 * _SMALL_LAG_S
         if free == 2 and theta[1] < small:  # it is one with the delay
             free, theta = 1, np.array([theta.sum(), 0.0])
             theta, covariance = model.descend(theta, noises, free)
-        kept = left_out(drive, kept, model.residuals(theta))
+        kept = motion.left_out(drive, kept, model.residuals(theta))
         model = _Model(drive, kept)
     measured, modelled = model.turns(theta)
     found = Latency(
@@ -122,8 +112,8 @@ class _Model:
 
     def __init__(self, drive: RobotDrive, kept: NDArray[np.bool_]) -> None:
         self._at_s, poses = drive.poses_s[kept], drive.poses[kept]
-        self._outputs = through_gate(drive)
-        self.inc: Increments = increments(self._at_s, poses)
+        self._outputs = motion.through_gate(drive)
+        self.inc: motion.Increments = motion.increments(self._at_s, poses)
 
     def residuals(self, theta: Array) -> tuple[Array, ...]:
         """Return what is left of the three channels, unwhitened."""
@@ -140,7 +130,7 @@ class _Model:
         grid = [np.array([delay, lag]) for delay in _DELAYS for lag in _LAGS]
         return min(grid, key=cost)
 
-    def descend(self, theta: Array, noises: tuple[Noise, ...], free: int) -> tuple[Array, Array]:
+    def descend(self, theta: Array, noises: tuple[motion.Noise, ...], free: int) -> tuple[Array, Array]:
         """Return the least whitened squares from theta on (Gauss-Newton, steps halved), and theta's covariance.
 
         ``free``: 2, or 1 for the delay alone.
@@ -168,20 +158,20 @@ class _Model:
         return self.inc.turn / self.inc.duration_s, (self.inc.turn - e) / self.inc.duration_s
 
     def _channels(self, theta: Array) -> list[tuple[Array, Array]]:
-        angles = np.diff(wheel_travel(*self._outputs, theta[0], theta[1], self._at_s), axis=0)
+        angles = np.diff(motion.wheel_travel(*self._outputs, theta[0], theta[1], self._at_s), axis=0)
         rate = np.abs(angles[:, 1] - angles[:, 0]) / self.inc.duration_s
         turning = np.column_stack([angles, rate * (angles[:, 1] - angles[:, 0])])  # the last: what slips
         shifting = np.column_stack([angles, self.inc.turn])
         return [(turning, self.inc.turn), (shifting, self.inc.shift[:, 0]), (shifting, self.inc.shift[:, 1])]
 
-    def _whitened(self, theta: Array, noises: tuple[Noise, ...]) -> Array:
+    def _whitened(self, theta: Array, noises: tuple[motion.Noise, ...]) -> Array:
         parts = []
         for (columns, y), noise in zip(self._channels(theta), noises, strict=True):
-            white = whiten(np.column_stack([columns, y]), self.inc, noise)
+            white = motion.whiten(np.column_stack([columns, y]), self.inc, noise)
             parts.append(_left(white[:, :-1], white[:, -1]))
         return np.concatenate(parts)
 
-    def _derivative(self, theta: Array, noises: tuple[Noise, ...]) -> Array:
+    def _derivative(self, theta: Array, noises: tuple[motion.Noise, ...]) -> Array:
         columns = []
         for k in range(2):
             ahead, behind = theta + _DIFFERENCE_S * np.eye(2)[k], theta - _DIFFERENCE_S * np.eye(2)[k]

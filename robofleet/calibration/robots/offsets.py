@@ -13,17 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.calibration.robots import increments as motion
 from robofleet.calibration.robots import latency
 from robofleet.calibration.robots.drive_file import RobotDrive
-from robofleet.calibration.robots.increments import (
-    Increments,
-    Solution,
-    increments,
-    lagging,
-    left_out,
-    refuse_unusable,
-    solve,
-)
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
 from robofleet.core.arrays import Array
@@ -70,7 +62,7 @@ def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
     Raises:
         CalibrationError: the drive does not determine them.
     """
-    refuse_unusable(drive)
+    motion.refuse_unusable(drive)
     by_encoders = len(drive.encoders_s) > _SMOOTHED_STATUSES
     try:
         lag_s = latency.find(drive).motor_lag_s
@@ -78,7 +70,7 @@ def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
         if not by_encoders:
             raise
         lag_s = believed.motor_lag  # what is wrong with it the encoders put right
-    at_s, angles = drive.told_s, lagging(drive.told_s, drive.told_rad, lag_s)
+    at_s, angles = drive.told_s, motion.lagging(drive.told_s, drive.told_rad, lag_s)
     if by_encoders:
         at_s, angles = drive.encoders_s, _put_right(at_s, angles, drive.encoders_s, drive.encoders_rad)
     late_s = 0.0  # of their instants: what the bus takes at least, and what the robot does
@@ -87,7 +79,7 @@ def find(drive: RobotDrive, believed: DifferentialDrive) -> Offsets:
         for _ in range(_OUTLIER_ROUNDS):
             wheels = _between(at_s, angles, drive.poses_s + late_s)
             fit = _Fit(drive, wheels, kept, believed)
-            later_s, fewer = fit.late_s(wheels[kept]), left_out(drive, kept, fit.residuals)
+            later_s, fewer = fit.late_s(wheels[kept]), motion.left_out(drive, kept, fit.residuals)
             if abs(later_s) < _IN_TIME_S and (fewer == kept).all():
                 break
             late_s, kept = late_s + later_s, fewer
@@ -109,16 +101,16 @@ class _Fit:
     def __init__(self, drive: RobotDrive, wheels: Array, kept: NDArray[np.bool_], believed: DifferentialDrive) -> None:
         self._angles = np.diff(wheels[kept], axis=0)
         self._poses, measured = drive.poses[kept], np.unwrap(drive.poses[kept, 2])
-        self.inc: Increments = increments(drive.poses_s[kept], self._poses)
+        self.inc: motion.Increments = motion.increments(drive.poses_s[kept], self._poses)
         turn = believed.wheel_radius / believed.wheel_base * (self._angles[:, 1] - self._angles[:, 0])
         self._rate = np.abs(turn) / self.inc.duration_s
         sides = np.column_stack([-self._angles[:, 0], self._angles[:, 1], -self._rate * turn])
-        self._turning = solve(sides[None], self.inc.turn[None], self.inc)
+        self._turning = motion.solve(sides[None], self.inc.turn[None], self.inc)
         reckoned = np.concatenate([[0.0], np.cumsum(sides @ self._turning.values)])
         self.heading = reckoned + _smoothed(measured - reckoned, _SMOOTHED_POSES)
         self._shifting = self._shifts(self._turning.values)
 
-    def _shifts(self, per_side: Array) -> Solution:
+    def _shifts(self, per_side: Array) -> motion.Solution:
         """Fit q and f in the world's frame with what the turns say of the left and right wheel, and of slip.
 
         A tag's heading is measured like its place; the way of its robot between two poses needs a steadier one.
@@ -129,7 +121,7 @@ class _Fit:
         way = forward * np.cos(middle), forward * np.sin(middle)
         c, s = np.diff(np.cos(self._poses[:, 2])), np.diff(np.sin(self._poses[:, 2]))
         x, y = np.column_stack([c, -s, way[0], -way[1]]), np.column_stack([s, c, way[1], way[0]])
-        return solve(np.array([x, y]), np.diff(self._poses[:, :2], axis=0).T, self.inc)
+        return motion.solve(np.array([x, y]), np.diff(self._poses[:, :2], axis=0).T, self.inc)
 
     @property
     def angle(self) -> float:
@@ -146,7 +138,7 @@ class _Fit:
         """Return how much later the turns' residuals say that the wheels (M, 2) did what they did."""
         speeds = np.gradient(wheels, self.inc.duration_s.mean(), axis=0)
         change = np.diff(speeds, axis=0) @ (self._turning.values[:2] * (-1.0, 1.0))
-        return float(solve(change[None, :, None], self._turning.residuals, self.inc).values[0])
+        return float(motion.solve(change[None, :, None], self._turning.residuals, self.inc).values[0])
 
     def values(self) -> Array:
         """Return what the parameters are."""

@@ -44,46 +44,32 @@ def earlier(file: Path, robot: str) -> RobotCalibration:
 
 
 def with_offsets(before: RobotCalibration, found: Offsets, recording: bytes) -> RobotCalibration:
-    o = found.tag_offset
-    sigma = dict(zip(("forward", "left"), (1e3 * found.sigma[:2]).tolist(), strict=True))
+    o, sigma = found.tag_offset, found.sigma.tolist()
+    offset = TagOffset(forward_m=round(o.forward_m, 7), left_m=round(o.left_m, 7), heading_deg=round(o.heading_deg, 4))
+    wheels = {"wheel_radius_m": round(found.wheel_radius_m, 7), "wheel_base_m": round(found.wheel_base_m, 7)}
     figures = {
-        **{f"sigma_{name}_mm": value for name, value in sigma.items()},
-        "sigma_heading_deg": float(found.sigma[2]),
+        "sigma_forward_mm": 1e3 * sigma[0],
+        "sigma_left_mm": 1e3 * sigma[1],
+        "sigma_heading_deg": sigma[2],
         "residual_rms_mm": float(np.sqrt((found.residuals_mm**2).mean())),
         "left_out_poses": float(found.left_out),
     }
-    return before.model_copy(
-        update={
-            "robot": found.robot,
-            "tag_offset": TagOffset(
-                forward_m=round(o.forward_m, 7), left_m=round(o.left_m, 7), heading_deg=round(o.heading_deg, 4)
-            ),
-            "wheel_radius_m": round(found.wheel_radius_m, 7),
-            "wheel_base_m": round(found.wheel_base_m, 7),
-            "offsets": provenance(
-                "offsets", {"drive.npz": recording}, figures, offsets.PARAMETERS, found.covariance.tolist()
-            ),
-        }
-    )
+    covariance = found.covariance.tolist()
+    source = provenance("offsets", {"drive.npz": recording}, figures, offsets.PARAMETERS, covariance)
+    return before.model_copy(update={"robot": found.robot, "tag_offset": offset, **wheels, "offsets": source})
 
 
 def with_latency(before: RobotCalibration, found: Latency, recording: bytes) -> RobotCalibration:
+    sigma, late = found.sigma.tolist(), {"delay_s": round(found.delay_s, 6), "motor_lag_s": round(found.motor_lag_s, 6)}
     figures = {
-        "sigma_delay_ms": 1e3 * float(found.sigma[0]),
-        "sigma_motor_lag_ms": 1e3 * float(found.sigma[1]),
+        "sigma_delay_ms": 1e3 * sigma[0],
+        "sigma_motor_lag_ms": 1e3 * sigma[1],
         "residual_rms_rad_s": float(np.sqrt(((found.turn_rad_s - found.modelled_rad_s) ** 2).mean())),
         "left_out_poses": float(found.left_out),
     }
-    return before.model_copy(
-        update={
-            "robot": found.robot,
-            "delay_s": round(found.delay_s, 6),
-            "motor_lag_s": round(found.motor_lag_s, 6),
-            "latency": provenance(
-                "latency", {"drive.npz": recording}, figures, latency.PARAMETERS, found.covariance.tolist()
-            ),
-        }
-    )
+    covariance = found.covariance.tolist()
+    source = provenance("latency", {"drive.npz": recording}, figures, latency.PARAMETERS, covariance)
+    return before.model_copy(update={"robot": found.robot, **late, "latency": source})
 
 
 def offsets_table(found: Sequence[Offsets]) -> Rows:

@@ -24,7 +24,7 @@ from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faulty_disk import FaultyLog
 from robofleet.studies.storm.bodies import apart, at_goals, rolling_on, unheld, unnamed
 from robofleet.studies.storm.fleet import States, moved_unasked, unanswered, without_cause
-from robofleet.studies.storm.forger import Forger
+from robofleet.studies.storm.forger import forge
 from robofleet.studies.storm.gates import GateAudit
 from robofleet.studies.storm.ledger import Ledger, Span, Violation
 from robofleet.studies.storm.schedule import Plan, plan, shared
@@ -82,9 +82,7 @@ class _Player:
         assert self._lockstep.faults is not None
         self._faults = self._lockstep.faults
         self._ledger.follow(self._lockstep.clock, self._lockstep.bus)
-        tops = {robot.id: robot.vehicle.max_wheel_speed_rad_s for robot in config.robots}
         self._senders = Senders(config, self._lockstep.bus)
-        self._forger = Forger(self._lockstep.bus, self._lockstep.recording, tops, self._losing)
         self._found: list[Violation] = []
         self._longest_queue = 0
         self._stops_ns: list[int] = []
@@ -108,7 +106,7 @@ class _Player:
             lockstep.advance(max(0.0, run_ns / S + at_s - lockstep.clock.now_ns() / S))  # a stop takes its time
             if request is None:
                 self._look()
-                self._forger.forge(self._rng)
+                forge(lockstep.bus, lockstep.recording, self._losing, self._rng)
             elif request == b"estop":
                 self._stop()
             else:

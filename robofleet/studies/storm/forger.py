@@ -44,29 +44,21 @@ _ENABLES: tuple[Callable[[UnitEnable], UnitEnable], ...] = (
 )
 
 
-class Forger:
-    """An attacker on the network, or a broken program.
+def forge(bus: MemoryBus, recording: Recording, losing: Callable[[str], bool], rng: np.random.Generator) -> None:
+    """Say one wrong command and one wrong enable, as an attacker on the network or a broken program does.
 
     A sequence number once more is wrong only where the first one came: where it may be lost, nothing is forged so.
+    ``losing``: whether messages of a topic may be lost now.
     """
-
-    def __init__(
-        self, bus: MemoryBus, recording: Recording, tops: dict[str, float], losing: Callable[[str], bool]
-    ) -> None:
-        """Take each robot's fastest wheel [rad/s], and what tells whether messages of a topic may be lost now."""
-        self._bus, self._recording, self._tops, self._losing = bus, recording, tops, losing
-
-    def forge(self, rng: np.random.Generator) -> None:
-        """Say one wrong command and one wrong enable."""
-        units = self._recording.config.units
-        unit = tuple(units)[int(rng.integers(len(units)))]
-        command, enable = (self._recording.newest(topic, unit) for topic in (COMMAND, ENABLE))
-        if command is not None:
-            top = max(self._tops[robot] for robot in units[unit])
-            wrong = _COMMANDS[int(rng.integers(len(_COMMANDS)))](command, top)
-            if wrong.seq != command.seq or not self._losing("cmd"):
-                self._bus.publisher(COMMAND, unit)(UNIT_COMMAND.encode(wrong))
-        if enable is not None:
-            broken = _ENABLES[int(rng.integers(len(_ENABLES)))](enable)
-            if broken.seq != enable.seq or not self._losing("enable"):
-                self._bus.publisher(ENABLE, unit)(UNIT_ENABLE.encode(broken))
+    units = recording.config.units
+    unit = tuple(units)[int(rng.integers(len(units)))]
+    command, enable = (recording.newest(topic, unit) for topic in (COMMAND, ENABLE))
+    if command is not None:
+        top = max(recording.config.robot(robot).vehicle.max_wheel_speed_rad_s for robot in units[unit])
+        wrong = _COMMANDS[int(rng.integers(len(_COMMANDS)))](command, top)
+        if wrong.seq != command.seq or not losing("cmd"):
+            bus.publisher(COMMAND, unit)(UNIT_COMMAND.encode(wrong))
+    if enable is not None:
+        broken = _ENABLES[int(rng.integers(len(_ENABLES)))](enable)
+        if broken.seq != enable.seq or not losing("enable"):
+            bus.publisher(ENABLE, unit)(UNIT_ENABLE.encode(broken))

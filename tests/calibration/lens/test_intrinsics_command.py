@@ -153,56 +153,46 @@ def test_a_video_is_read(photos: Path, tmp_path: Path) -> None:
     assert gathering.counts == {Offer.NEW: 3, Offer.MOVING: 3}  # the board had not held still yet
 
 
-def broken(folder: Path) -> Path:
-    folder.mkdir()
-    (folder / "a.png").write_bytes(b"no picture")
-    return folder
-
-
-def mixed(folder: Path) -> Path:
-    folder.mkdir()
-    for name, width in (("a.png", 80), ("b.png", 90)):
-        cv2.imwrite(str(folder / name), np.zeros((60, width), np.uint8))
-    return folder
-
-
-def empty(folder: Path) -> Path:
-    folder.mkdir()
-    (folder / "notes.txt").write_text("nothing")
-    return folder
-
-
-def no_video(folder: Path) -> Path:
-    folder.write_text("this is no video")
-    return folder
+SMALL, OTHER = (cv2.imencode(".png", np.zeros((60, width), np.uint8))[1].tobytes() for width in (80, 90))
+BROKEN, MIXED, EMPTY = {"a.png": b"no picture"}, {"a.png": SMALL, "b.png": OTHER}, {"notes.txt": b"nothing"}
 
 
 @pytest.mark.parametrize(
-    ("make", "options", "words"),
+    ("files", "options", "words"),
     [
-        (broken, (), "a.png"),
-        (mixed, (), "b.png: 90 x 60 px, but the first image has 80 x 60"),
-        (empty, (), "no image"),
-        (no_video, (), "input"),
-        (lambda folder: folder, (), "input"),  # is not there
-        (mixed, ("--squares", "11"), "--squares: '11'"),
-        (mixed, ("--squares", "11.5x8"), "--squares: '11.5x8'"),
-        (mixed, ("--squares", "3x3"), "too few corners"),
-        (mixed, ("--marker-mm", "50"), "do not fit"),
-        (mixed, ("--dictionary", "DICT_NONE"), "no dictionary DICT_NONE"),
-        (mixed, ("--coefficients", "6"), "--coefficients: a pinhole lens has 4, 5, 8, 12, 14, not 6"),
-        (mixed, ("--lens", "fisheye", "--coefficients", "5"), "a fisheye lens has 4, not 5"),
-        (mixed, ("--arena-m", "3x-2"), "--arena-m: '3x-2'"),
-        (mixed, ("--arena-m", "nanx2"), "--arena-m: 'nanx2'"),
-        (mixed, ("--height-m", "0.05"), "--height-m"),
-        (mixed, ("--live", "lab.yaml"), "--live"),
-        (mixed, ("--lens", "mirror"), "mirror"),
+        (BROKEN, (), "a.png"),
+        (MIXED, (), "b.png: 90 x 60 px, but the first image has 80 x 60"),
+        (EMPTY, (), "no image"),
+        (b"this is no video", (), "input"),
+        (None, (), "input"),  # is not there
+        (MIXED, ("--squares", "11"), "--squares: '11'"),
+        (MIXED, ("--squares", "11.5x8"), "--squares: '11.5x8'"),
+        (MIXED, ("--squares", "3x3"), "too few corners"),
+        (MIXED, ("--marker-mm", "50"), "do not fit"),
+        (MIXED, ("--dictionary", "DICT_NONE"), "no dictionary DICT_NONE"),
+        (MIXED, ("--coefficients", "6"), "--coefficients: a pinhole lens has 4, 5, 8, 12, 14, not 6"),
+        (MIXED, ("--lens", "fisheye", "--coefficients", "5"), "a fisheye lens has 4, not 5"),
+        (MIXED, ("--arena-m", "3x-2"), "--arena-m: '3x-2'"),
+        (MIXED, ("--arena-m", "nanx2"), "--arena-m: 'nanx2'"),
+        (MIXED, ("--height-m", "0.05"), "--height-m"),
+        (MIXED, ("--live", "lab.yaml"), "--live"),
+        (MIXED, ("--lens", "mirror"), "mirror"),
     ],
 )
 def test_bad_input_ends_at_the_edge(
-    make: Callable[[Path], Path], options: tuple[str, ...], words: str, calibrate: Calibrate, tmp_path: Path
+    files: dict[str, bytes] | bytes | None,
+    options: tuple[str, ...],
+    words: str,
+    calibrate: Calibrate,
+    tmp_path: Path,
 ) -> None:
-    source = make(tmp_path / "input")
+    source = tmp_path / "input"
+    if isinstance(files, bytes):
+        source.write_bytes(files)
+    elif files is not None:
+        source.mkdir()
+        for name, content in files.items():
+            (source / name).write_bytes(content)
     before = set(tmp_path.rglob("*"))
     result = calibrate("ceiling", source, *options)
     assert result.exit_code == 2

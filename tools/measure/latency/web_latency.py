@@ -19,14 +19,14 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
+from selenium.webdriver import Chrome
 
 from robofleet.bus.bus import Inbox
 from robofleet.bus.keys import STATE, TICK, key
-from robofleet.bus.messages import RUN_STATE, TICK_RECORD
+from robofleet.bus.messages import RUN_STATE
 from robofleet.bus.requests import asked
 from robofleet.bus.zenoh_bus import ZenohBus, open_router
 from robofleet.config.load import load_config, resolved_yaml
@@ -38,11 +38,13 @@ from robofleet.runs.children import Children
 from robofleet.safety.supervisor import Event, Phase
 from tests.endpoints import own_endpoint
 from tests.nodes.longfleet import fleet_of
+from tests.operator.page.browser import chromium
 from tests.operator.page.webstand import WebStand
 from tests.runs.realrun import own_folders
 from tests.runs.unlaunched import start_all
 from tests.shipped import PLATOON
 from tools.measure.program import program
+from tools.measure.runs.recorder_cost import heard
 
 CLOCK = WallClock()
 _ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole
@@ -133,42 +135,17 @@ def say(config: Config) -> None:
                     stand.say_status(robot)
 
 
-class Browser:
-    def __init__(self, url: str) -> None:
-        from selenium import webdriver
-
-        options = webdriver.ChromeOptions()
-        for option in ("headless=new", "no-sandbox", "disable-gpu", "disable-background-networking"):
-            options.add_argument(f"--{option}")
-        options.add_argument("--window-size=1280,900")
-        self._url, self.driver = url, webdriver.Chrome(options, webdriver.ChromeService("/usr/bin/chromedriver"))
-        self.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
-
-    def open(self) -> None:
-        self.driver.get(self._url)
-
-    def first_picture_ms(self) -> float | None:
-        """Return the time from the navigation's start to the first tick drawn [ms]."""
-        script = "return performance.getEntriesByName('first-tick-drawn')[0]?.startTime"
-        found: Any = self.driver.execute_script(script)
-        return None if found is None else float(found)
-
-    def busy_s(self) -> tuple[float, int]:
-        """Return how long the page's thread has computed [s of its processor], and the ticks that it drew meanwhile."""
-        metrics = self.driver.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
-        (spent,) = (metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
-        return float(spent), int(self.driver.execute_script("return window.robofleet?.state.drawn ?? 0"))
-
-    def leave(self) -> None:
-        self.driver.get("about:blank")
+def first_picture_ms(browser: Chrome) -> float | None:
+    """Return the time from the navigation's start to the first tick drawn [ms]."""
+    found = browser.execute_script("return performance.getEntriesByName('first-tick-drawn')[0]?.startTime")
+    return None if found is None else float(found)
 
 
-def lateness_us(bus: ZenohBus, config: Config, seconds: float) -> list[float]:
-    """Return how late the controller's ticks were in a while [us]."""
-    stream = bus.stream(key(config.arena.name, TICK), capacity=1 << 16)
-    CLOCK.sleep_until(CLOCK.now_ns() + round(seconds * S))
-    heads = [TICK_RECORD.decode_head(payload) for *_, payload in stream.drain()]
-    return [head.lateness_ns / 1000 for head in heads if head is not None]
+def busy_s(browser: Chrome) -> tuple[float, int]:
+    """Return how long the page's thread has computed [s of its processor], and the ticks that it drew meanwhile."""
+    metrics = browser.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    (spent,) = (metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
+    return float(spent), int(browser.execute_script("return window.robofleet?.state.drawn ?? 0"))
 
 
 def measure(bus: ZenohBus, config: Config, url: str, pages: int, seconds: float, rounds: int) -> None:
@@ -176,24 +153,26 @@ def measure(bus: ZenohBus, config: Config, url: str, pages: int, seconds: float,
     late: dict[int, list[float]] = {0: [], pages: []}
     first: list[float] = []
     drawing_ms: list[float] = []  # of a page's processor, for a tick
+    stream = bus.stream(key(config.arena.name, TICK), capacity=1 << 16)
     with ExitStack() as opened:
-        browsers = [Browser(url) for _ in range(pages)]
+        browsers = [opened.enter_context(chromium()) for _ in range(pages)]
         for browser in browsers:
-            opened.callback(browser.driver.quit)
+            browser.set_window_size(1280, 900)
+            browser.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
         for _ in range(rounds):
-            late[0] += lateness_us(bus, config, seconds / rounds)
+            late[0] += heard(stream, seconds / rounds)[:, 0].tolist()
             for browser in browsers:
-                browser.open()
+                browser.get(url)
             CLOCK.sleep_until(CLOCK.now_ns() + 2 * S)
             psutil.cpu_percent()
-            before = [browser.busy_s() for browser in browsers]
-            late[pages] += lateness_us(bus, config, seconds / rounds)
+            before = [busy_s(browser) for browser in browsers]
+            late[pages] += heard(stream, seconds / rounds)[:, 0].tolist()
             busy = psutil.cpu_percent()
-            for (began_s, had), (spent_s, has) in zip(before, [browser.busy_s() for browser in browsers], strict=True):
+            for (began_s, had), (spent_s, has) in zip(before, map(busy_s, browsers), strict=True):
                 drawing_ms.append(1e3 * (spent_s - began_s) / max(1, has - had))
-            first += [ms for browser in browsers if (ms := browser.first_picture_ms()) is not None]
+            first += [ms for browser in browsers if (ms := first_picture_ms(browser)) is not None]
             for browser in browsers:
-                browser.leave()
+                browser.get("about:blank")
     for count, found in late.items():
         print(f"lateness with {count} pages: {figures(found)} us of {len(found)} ticks in {seconds:.0f} s")
     print(f"first picture after opening: {figures(first)} ms of {len(first)} openings")

@@ -226,7 +226,6 @@ class Shown:
     def __init__(self, config: Config, stream: Stream, opened: Callable[[Sequence[Channel]], Opened]) -> None:
         self._viewers = Viewers(config, stream, Served(lambda: False, 0), opened, EPOCH_NS)
         self.step = self._viewers.step
-        self._now_ns = 0
 
     def close(self) -> None:
         self._viewers.rest(0)
