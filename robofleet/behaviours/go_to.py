@@ -279,8 +279,7 @@ class GoTo(Behaviour):
         for name in s.goals:
             if name not in robots:
                 yield Refusal(
-                    f"settings.goals.{name}",
-                    f"{name} is not in the group: the group's robots are {', '.join(robots)}",
+                    f"settings.goals.{name}", f"{name} is not in the group: the group's robots are {', '.join(robots)}"
                 )
         for robot in robots:
             if robot not in s.goals:

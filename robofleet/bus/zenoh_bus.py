@@ -50,10 +50,7 @@ _TRANSPORT = {
     "transport/link/rx/max_message_size": LARGEST_MESSAGE,
 }
 # Beyond this computer: a link that is away for less goes on, and signs of life take less of the air.
-_FAR = {
-    "transport/link/tx/lease": 1000,
-    "transport/link/tx/keep_alive": 3,
-}
+_FAR = {"transport/link/tx/lease": 1000, "transport/link/tx/keep_alive": 3}
 # Who connects and says nothing, or nonsense, takes nobody's place: of Zenoh's own 100, each is held for 10 s.
 _DOOR = {
     "transport/unicast/accept_pending": 8192,
@@ -167,11 +164,7 @@ class ZenohBus:
                 "listen/endpoints": [],
                 "connect/timeout_ms": -1,
                 "connect/exit_on_failure": False,
-                "connect/retry": {
-                    "period_init_ms": 100,
-                    "period_max_ms": 500,
-                    "period_increase_factor": 1.5,
-                },
+                "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
             }
         )
         name = _THIS_USER if credentials is None else credentials.name

@@ -55,10 +55,7 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
     began_ns = 0
 
     def spread() -> None:
-        elapsed_s, share = (
-            (stopwatch_ns() - began_ns) / S,
-            sum(work[code] for code in done) / sum(work.values()),
-        )
+        elapsed_s, share = ((stopwatch_ns() - began_ns) / S, sum(work[code] for code in done) / sum(work.values()))
         say(Progress(name, len(done), len(work), elapsed_s * (1 - share) / share if done else -1.0, share))
 
     class Listener(event.Listener):

@@ -260,8 +260,7 @@ def test_the_router_itself_passes_on_nothing_that_is_larger_than_its_topic_allow
     bus.supervisor._session.get(request, lambda _: None, payload=bytes(REQUEST.largest + 1))
     until(lambda: (mark, 3) in received or None, lambda: bus.stranger.put(mark, b"end"))
     until(
-        lambda: asked_for,
-        lambda: bus.supervisor._session.get(request, lambda _: None, payload=bytes(REQUEST.largest)),
+        lambda: asked_for, lambda: bus.supervisor._session.get(request, lambda _: None, payload=bytes(REQUEST.largest))
     )
     assert set(received) - {(mark, 1), (mark, 3)} == expected
     assert {len(payload) for payload in asked_for} == {REQUEST.largest}

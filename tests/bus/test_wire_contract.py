@@ -3,20 +3,7 @@
 import struct
 
 from robofleet.bus import sensors
-from robofleet.bus.keys import (
-    ALIVE,
-    COMMAND,
-    ENABLE,
-    LEASE,
-    POSES,
-    REQUEST,
-    STATE,
-    STATUS,
-    TICK,
-    TOPICS,
-    TRUTH,
-    key,
-)
+from robofleet.bus.keys import ALIVE, COMMAND, ENABLE, LEASE, POSES, REQUEST, STATE, STATUS, TICK, TOPICS, TRUTH, key
 from robofleet.bus.layouts import ListLayout
 from robofleet.bus.messages import (
     BUSY_MACHINE,

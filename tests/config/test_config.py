@@ -276,11 +276,7 @@ def test_a_path_is_taken_from_the_configurations_folder(platoon: Path, tmp_path:
 def test_a_fault_in_a_shared_file_is_reported_once_at_that_files_place(platoon: Path) -> None:
     Path("robots").mkdir()
     text = (CONFIGS / "robots" / "gternal.yaml").read_text()
-    for old, new in (
-        ("radius_m: 0.016", "radius_m: -1"),
-        ("base_m: 0.105", "base_m: 1e-1"),
-        ("max_speed_m_s", "#"),
-    ):
+    for old, new in (("radius_m: 0.016", "radius_m: -1"), ("base_m: 0.105", "base_m: 1e-1"), ("max_speed_m_s", "#")):
         text = text.replace(old, new)
     Path("robots/gternal.yaml").write_text(text)
     assert faults_of(platoon) == (

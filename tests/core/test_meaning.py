@@ -58,14 +58,8 @@ def closed_over(value: Any) -> Callable[[float], float]:
 
 
 CHANGES: dict[str, tuple[Callable[[], World], Callable[[World], None]]] = {
-    "a number": (
-        lambda: World("def f(x): return x * K", K=2.0),
-        lambda world: world.names.update(K=3.0),
-    ),
-    "its type": (
-        lambda: World("def f(x): return 7 // K", K=2),
-        lambda world: world.names.update(K=2.0),
-    ),
+    "a number": (lambda: World("def f(x): return x * K", K=2.0), lambda world: world.names.update(K=3.0)),
+    "its type": (lambda: World("def f(x): return 7 // K", K=2), lambda world: world.names.update(K=2.0)),
     "the sign of zero": (
         lambda: World("def f(x): return math.copysign(x, K)", K=0.0),
         lambda world: world.names.update(K=-0.0),
