@@ -17,13 +17,13 @@ from robofleet.bus.credentials import Credentials, session_id
 from robofleet.bus.keys import STATUS
 from robofleet.bus.permissions import UNIT, access_control
 from robofleet.bus.zenoh_bus import Network, ZenohBus, open_router
-from robofleet.core.clock import WallClock, utc_now
+from robofleet.core.clock import utc_now
 from robofleet.hosts import authority as authorities
 from robofleet.hosts.authority import ROUTER, Authority, identities
+from tests.bus.contract import CLOCK, until
 from tests.endpoints import free_port, own_endpoint
 
 ARENA = "lab"
-CLOCK = WallClock()
 _GIVES_UP_MS = 800
 
 
@@ -40,14 +40,6 @@ class Lab(NamedTuple):
         """Whether the robot's word still arrives."""
         payload = b"%d" % CLOCK.now_ns()
         return until(lambda: (self.robot(payload), self.subscription.take() == payload)[1])
-
-
-def until(true: Callable[[], bool], within_s: float = 5.0) -> bool:
-    """Wait for a condition."""
-    end_ns = CLOCK.now_ns() + round(within_s * 1e9)
-    while not (found := true()) and CLOCK.now_ns() < end_ns:
-        CLOCK.sleep_until(CLOCK.now_ns() + 10_000_000)
-    return found
 
 
 @pytest.fixture(params=["tls", "quic"])
@@ -207,6 +199,6 @@ def test_the_link_of_a_certificate_that_ends_is_ended(lab: Lab, monkeypatch: pyt
     with closing(opened(lab.endpoint, own)) as ends:
         links = ends.info.routers_zid
         assert links()
-        assert until(lambda: utc_now() > certificate.not_after, 10)
-        assert until(lambda: not links(), 10)
+        assert until(lambda: utc_now() > certificate.not_after, within_s=10)
+        assert until(lambda: not links(), within_s=10)
     assert lab.hears_the_robot()
