@@ -206,7 +206,6 @@ class ZenohBus:
         return publish
 
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
-        """Subscribe to a topic."""
         full = every_key(self._arena, topic, name)
         if wake is not None:
             return _Slot(self._declare(self._session.declare_subscriber), full, wake, self._clock)
@@ -214,7 +213,6 @@ class ZenohBus:
         return _Ring(ring, topic.largest)
 
     def newest_by_sender(self, topic: Topic, name: str) -> BySender:
-        """Subscribe to a topic that tells senders apart."""
         senders = BySender(_Newest)
         self.listen_by_sender(topic, name, senders.put)
         return senders
@@ -293,7 +291,6 @@ class ZenohBus:
         return living
 
     def roles(self) -> set[str]:
-        """Return the roles that somebody on this bus has."""
         return roles(self._session, self._arena)
 
     def part(self) -> "ZenohBus":
@@ -439,7 +436,6 @@ class _ZenohRequest:
         self.payload = b"" if query.payload is None else bytes(query.payload)
 
     def reply(self, payload: bytes) -> None:
-        """Answer it."""
         self._query.reply(self._query.key_expr, payload)
         self._query.drop()  # type: ignore[no-untyped-call] # the answer is delivered when the query ends
 

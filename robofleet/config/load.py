@@ -105,7 +105,6 @@ class Typed(str):
     typed: str
 
     def __new__(cls, override: str, typed: str) -> Self:
-        """Keep both."""
         made = super().__new__(cls, override)
         made.typed = typed
         return made
