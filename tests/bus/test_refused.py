@@ -83,20 +83,23 @@ def opened(endpoint: str, own: Credentials | None, *, root: Path | None = None, 
     return zenoh.open(config)
 
 
-def test_without_a_certificate_of_this_authority_there_is_no_link(lab: Lab) -> None:
-    root = lab.authority.folder / "authority.pem"
-    theirs = Credentials.at(lab.elsewhere.folder, "r1")
-    for own in (None, theirs):
+def test_without_a_certificate_of_this_authority_there_is_no_link(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor without encryption, with a certificate that has ended, or to a router of another arena."""
+    own, theirs = (Credentials.at(keys.folder, "r1") for keys in (lab.authority, lab.elsewhere))
+    monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=100))
+    lab.authority.issue("old", UNIT, days=1)
+    plain = lab.endpoint.replace("tls/", "tcp/").replace("quic/", "udp/")
+    tried: list[tuple[str, Credentials | None, Path | None]] = [
+        (lab.endpoint, None, own.authority),
+        (lab.endpoint, theirs, own.authority),
+        (lab.endpoint, Credentials.at(lab.authority.folder, "r2"), theirs.authority),
+        (lab.endpoint, Credentials.at(lab.authority.folder, "old"), None),
+        (plain, None, None),
+    ]
+    for endpoint, credentials, root in tried:
         with pytest.raises(zenoh.ZError):
-            opened(lab.endpoint, own, root=root).close()
-    assert lab.hears_the_robot()
-
-
-def test_a_robot_does_not_join_a_router_of_another_arena(lab: Lab) -> None:
-    own = Credentials.at(lab.authority.folder, "r2")
-    with pytest.raises(zenoh.ZError):
-        opened(lab.endpoint, own, root=lab.elsewhere.folder / "authority.pem").close()
-    assert lab.hears_the_robot()
+            opened(endpoint, credentials, root=root).close()
+        assert lab.hears_the_robot()
 
 
 def test_nobody_takes_a_viewer_for_the_router_though_it_is_called_as_the_routers_host(lab: Lab) -> None:
@@ -130,13 +133,6 @@ def test_a_router_outside_the_networks_of_its_authority_is_not_believed(
                 continue
             with pytest.raises(zenoh.ZError):
                 opened(beyond, own).close()
-
-
-def test_what_is_not_encrypted_is_refused(lab: Lab) -> None:
-    plain = lab.endpoint.replace("tls/", "tcp/").replace("quic/", "udp/")
-    with pytest.raises(zenoh.ZError):
-        opened(plain, None).close()
-    assert lab.hears_the_robot()
 
 
 def test_an_old_tls_is_refused(lab: Lab) -> None:
@@ -179,15 +175,6 @@ def test_who_is_revoked_or_speaks_as_another_unit_says_nothing(lab: Lab) -> None
             assert lab.hears_the_robot()
             lines += [name] * (lab.subscription.take() == b"a lie")
     assert lines == []
-
-
-def test_a_certificate_that_has_ended_is_refused(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=100))
-    lab.authority.issue("old", UNIT, days=1)
-    own = Credentials.at(lab.authority.folder, "old")
-    with pytest.raises(zenoh.ZError):
-        opened(lab.endpoint, own).close()
-    assert lab.hears_the_robot()
 
 
 @pytest.mark.slow_after_first
