@@ -56,7 +56,6 @@ class Excitation(Behaviour):
     figures = (Figure("held", meaning="1: the robot would come too near to something, and is held", live=False),)
 
     def __init__(self, settings: Any, team: Team) -> None:
-        """Draw every robot's script."""
         super().__init__(settings, team)
         self._radii = tuple(body.radius for body in team.bodies)
         self._scripts = [list(_script(drive, team.tick, team.rng)) for drive in team.drives]
@@ -64,7 +63,6 @@ class Excitation(Behaviour):
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new run."""
         self._row, self._part = 0, 0
         self._heading = math.nan  # of the line; NaN: not turned towards it yet
         self._length = 0.0

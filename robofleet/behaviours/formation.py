@@ -62,21 +62,17 @@ class Formation(Behaviour):
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """Make each robot's way."""
         super().__init__(settings, team)
         self._flow = PointFlow(len(team), team.flow.alpha, team.flow.horizon, team.tick, team.flow.integrator)
         self._frame = Trajectory.path(settings.path.path(), settings.path_rate, 0.0)
 
     def restart(self) -> None:
-        """Begin at rest."""
         self._flow.u[:] = 0.0
 
     def changed(self, velocities: Array) -> None:
-        """Go on from what the robots are really asked for."""
         self._flow.u[:] = velocities
 
     def decide(self, now: Situation) -> Decision:
-        """Return the flow's velocities."""
         points = now.points(self.team.point_ahead)
         here, ahead = self._at(np.array([now.t, now.t + self.team.flow.horizon])).transpose(1, 0, 2)
         u, error = self._flow.update(points, ahead, now.driving, now.disturbance)
@@ -95,7 +91,6 @@ class Formation(Behaviour):
         return [(x, y, heading) for (x, y), heading in zip(centres.tolist(), psi.tolist(), strict=True)]
 
     def refusals(self) -> Iterator[Refusal]:
-        """Yield places that are too few or too many."""
         if len(self.settings.offsets_m) != len(self.team):
             message = f"has {len(self.settings.offsets_m)} places for {len(self.team)} robots: write one for each"
             yield Refusal("settings.offsets_m", message)

@@ -55,12 +55,10 @@ class Teleop(Behaviour):
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """See ``Behaviour``."""
         super().__init__(settings, team)
         self.restart()
 
     def restart(self) -> None:
-        """Forget the ways."""
         self._ways = [deque[Array]() for _ in self.team.robots[1:]]  # of each robot that another one follows
 
     def carried(self, robot: int) -> None:
@@ -70,7 +68,6 @@ class Teleop(Behaviour):
                 self._ways[k].clear()
 
     def decide(self, now: Situation) -> Decision:
-        """Do what was commanded; follow."""
         points, n = now.points(self.team.point_ahead), len(self.team)
         velocities, references = np.zeros((n, 2)), np.full((n, 2), np.nan)
         ages, errors = np.full(n, np.nan), np.full(n, np.nan)

@@ -57,7 +57,6 @@ class Track(Behaviour):
     figures = (Figure("control_error", "m", "mm", "Distance of the prediction from the reference (|r - g|)."),)
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """Make the references and the law."""
         super().__init__(settings, team)
         self._ahead = team.point_ahead if settings.law == "point_ahead" else 0.0
         refused = any(self.refusals())
@@ -66,15 +65,12 @@ class Track(Behaviour):
         self._law = _Points(team) if settings.law == "point_ahead" else _Unicycles(team)
 
     def restart(self) -> None:
-        """Begin at rest."""
         self._law.restart()
 
     def changed(self, velocities: Array) -> None:
-        """Go on from what the robots are really asked for."""
         self._law.changed(velocities)
 
     def decide(self, now: Situation) -> Decision:
-        """Return the flow's velocities."""
         here, ahead = (np.array([way.at(t) for way in self._ways]) for t in (now.t, now.t + self.team.flow.horizon))
         velocities, error = self._law.update(now, ahead)
         return Decision(velocities, self._law.of, here, {"control_error": error})
@@ -111,7 +107,6 @@ class Track(Behaviour):
             yield from wheels(self.team, i, f"{key}.{reference.speed_key}", (v, omega), where, reference.slower)
 
     def shapes(self) -> list[Line]:
-        """Return each robot's way."""
         lines = []
         for robot, way in zip(self.team.robots, self._ways, strict=True):
             points = way.position(np.concatenate([way.instants(0.1, 1000), [way.end - way.begin]]))

@@ -62,7 +62,6 @@ class ArenaFile(NamedTuple):
 
     @property
     def user(self) -> str:
-        """Whose run it is, by name."""
         try:
             return pwd.getpwuid(self.uid).pw_name
         except KeyError:

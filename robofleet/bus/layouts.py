@@ -105,15 +105,12 @@ class Layout(Generic[M]):
         return np.dtype(self._columns)
 
     def span(self, first: str, last: str) -> slice:
-        """Return where neighbouring fields lie in a message."""
         return _span(self._columns, first, last)
 
     def describe(self) -> Description:
-        """Return the message's name, and the numpy types of its parts."""
         return self._make.__name__, {"fields": self._columns}
 
     def encode(self, message: M) -> bytes:
-        """Return the payload."""
         try:
             payload = self._struct.pack(VERSION, *message)
         except _TOO_LARGE:
@@ -181,12 +178,10 @@ class ListLayout(Generic[M]):
         return np.dtype([*self._columns, ("items", self.item_dtype, (count,)), *rest])
 
     def describe(self) -> Description:
-        """Return the message's name, and the numpy types of its parts."""
         rest = {"rest": self._make._fields[-1]} if self._numbers else {}
         return self._make.__name__, {"fields": self._columns, "items": self._item_columns, **rest}
 
     def span(self, first: str, last: str) -> slice:
-        """Return where neighbouring fields lie in a message's head."""
         return _span(self._columns, first, last)
 
     def _fits(self, length: int, count: int) -> bool:
@@ -292,7 +287,6 @@ class ListLayout(Generic[M]):
         return message, self._reader.array(count, self.item_dtype, payload, size)
 
     def encode(self, message: M) -> bytes:
-        """Return the payload."""
         *head, items = message[:-1] if self._numbers else message
         try:
             packed = b"".join([self._item.pack(*item) for item in items])
@@ -391,11 +385,9 @@ class BlobLayout(Generic[M]):
         self._columns, self._near = [("version", "u1"), *_columns(make, head)], _judge_instants(head)
 
     def describe(self) -> Description:
-        """Return the message's name, and the numpy types of its parts."""
         return self._make.__name__, {"fields": self._columns, "rest": self._make._fields[-1]}
 
     def encode(self, message: M) -> bytes:
-        """Return the payload."""
         *head, blob = message
         return self._head.pack(VERSION, *_fitted(self._letters, head)) + bytes(blob)
 

@@ -22,7 +22,6 @@ class RoleTakenError(RobofleetError):
     """Raised where another process has the role already. The message names it."""
 
     def __init__(self, arena: str, role: str, living: "Sequence[Token]") -> None:
-        """Say which."""
         which = ", ".join(f"process {token.pid}" for token in living)
         super().__init__(f"the arena {arena} has a {role} already ({which}): end that one first")
 
@@ -35,19 +34,16 @@ class Token(NamedTuple):
 
 
 def alive_key(arena: str, role: str, session: zenoh.Session) -> str:
-    """Return the key of a session's token."""
     return key(arena, ALIVE, f"{role}/{session.info.zid()}/{os.getpid()}")
 
 
 def others(session: zenoh.Session, arena: str, role: str) -> list[Token]:
-    """Return the other sessions that have a role."""
     replies = session.liveliness().get(key(arena, ALIVE, f"{role}/*/*"))
     tokens = [_token(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
     return [token for token in tokens if token.zid != str(session.info.zid())][:_MOST_TOKENS]
 
 
 def roles(session: zenoh.Session, arena: str) -> set[str]:
-    """Return the roles that somebody has."""
     replies = session.liveliness().get(key(arena, ALIVE, "*/*/*"))
     return {str(reply.ok.key_expr).split("/")[-3] for reply in replies if reply.ok is not None}
 
@@ -64,7 +60,6 @@ class Living:
 
     @property
     def ids(self) -> set[str]:
-        """Their Zenoh IDs."""
         return {token.zid for token in tuple(self._tokens)}
 
     @property

@@ -50,10 +50,7 @@ _TRANSPORT = {
     "transport/link/rx/max_message_size": LARGEST_MESSAGE,
 }
 # Beyond this computer: a link that is away for less goes on, and signs of life take less of the air.
-_FAR = {
-    "transport/link/tx/lease": 1000,
-    "transport/link/tx/keep_alive": 3,
-}
+_FAR = {"transport/link/tx/lease": 1000, "transport/link/tx/keep_alive": 3}
 # Who connects and says nothing, or nonsense, takes nobody's place: of Zenoh's own 100, each is held for 10 s.
 _DOOR = {
     "transport/unicast/accept_pending": 8192,
@@ -167,11 +164,7 @@ class ZenohBus:
                 "listen/endpoints": [],
                 "connect/timeout_ms": -1,
                 "connect/exit_on_failure": False,
-                "connect/retry": {
-                    "period_init_ms": 100,
-                    "period_max_ms": 500,
-                    "period_increase_factor": 1.5,
-                },
+                "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
             }
         )
         name = _THIS_USER if credentials is None else credentials.name
@@ -213,7 +206,6 @@ class ZenohBus:
         return publish
 
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
-        """Subscribe to a topic."""
         full = every_key(self._arena, topic, name)
         if wake is not None:
             return _Slot(self._declare(self._session.declare_subscriber), full, wake, self._clock)
@@ -221,7 +213,6 @@ class ZenohBus:
         return _Ring(ring, topic.largest)
 
     def newest_by_sender(self, topic: Topic, name: str) -> BySender:
-        """Subscribe to a topic that tells senders apart."""
         senders = BySender(_Newest)
         self.listen_by_sender(topic, name, senders.put)
         return senders
@@ -300,7 +291,6 @@ class ZenohBus:
         return living
 
     def roles(self) -> set[str]:
-        """Return the roles that somebody on this bus has."""
         return roles(self._session, self._arena)
 
     def part(self) -> "ZenohBus":
@@ -446,7 +436,6 @@ class _ZenohRequest:
         self.payload = b"" if query.payload is None else bytes(query.payload)
 
     def reply(self, payload: bytes) -> None:
-        """Answer it."""
         self._query.reply(self._query.key_expr, payload)
         self._query.drop()  # type: ignore[no-untyped-call] # the answer is delivered when the query ends
 

@@ -38,10 +38,8 @@ def _shape(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
         )
     else:
         base = vehicle.wheel_base_m
-        yield (
-            "wheel_base_m",
-            f"wheels {base:g} m apart stand outside {disc}: mend one{units.meant(base, 2 * body, 'wheel_base_m')}",
-        )
+        message = f"wheels {base:g} m apart stand outside {disc}: mend one{units.meant(base, 2 * body, 'wheel_base_m')}"
+        yield "wheel_base_m", message
 
 
 def _speed(vehicle: Vehicle) -> Iterator[tuple[str, str]]:

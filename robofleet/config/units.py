@@ -5,11 +5,7 @@ import re
 
 _LEAST = 0.003  # of what a number may be: what is less in the other unit was not meant so
 # by a key's last part: the units that people write instead, each with its size in the key's own
-_OTHERS = {
-    "m": {"cm": 0.01, "mm": 0.001},
-    "s": {"ms": 1e-3, "us": 1e-6},
-    "rad": {"degrees": math.pi / 180},
-}
+_OTHERS = {"m": {"cm": 0.01, "mm": 0.001}, "s": {"ms": 1e-3, "us": 1e-6}, "rad": {"degrees": math.pi / 180}}
 _SIZES = {
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},

@@ -285,12 +285,7 @@ def _memoryless_plant(g: Callable[[Array], Array], m: int, g_u: Callable[[Array]
         return 0 if finite(y) and all_finite(dg) else 1
 
     return Plant(
-        f=lambda x, u: np.zeros(1),
-        h=lambda x: np.zeros(m),
-        n=1,
-        m=m,
-        fastest_rate=lambda x, u: 0.0,
-        fused=predict,
+        f=lambda x, u: np.zeros(1), h=lambda x: np.zeros(m), n=1, m=m, fastest_rate=lambda x, u: 0.0, fused=predict
     )
 
 

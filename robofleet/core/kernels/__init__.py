@@ -42,7 +42,6 @@ class Kernel:
         self.py_func, self._options = function, {**options, **_NO_CALLBACK}
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return what the compiled function returns."""
         return self.compiled(*arguments)
 
     @functools.cached_property
