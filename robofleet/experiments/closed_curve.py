@@ -43,7 +43,6 @@ class Track(Model):
     curvature_ramp_m: Positive  # length over which the curvature grows to 1/radius, and over which it falls
 
     def reference(self) -> Reference:
-        """Return the track by arc length."""
         return Reference.rounded_rectangle(self.straights_m, self.corner_radius_m, self.curvature_ramp_m)
 
 

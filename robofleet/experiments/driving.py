@@ -40,7 +40,6 @@ class FlowParameters(Model):
         return FlowSettings(self.alpha, self.horizon_s, step, self.integrator, delay=delay)
 
     def __str__(self) -> str:
-        """Return it as the tables show it."""
         return f"T {self.horizon_s:g} s, alpha {self.alpha:g} 1/s, {self.integrator}"
 
 
@@ -106,7 +105,6 @@ class Peaks:
 
 
 def peaks(drive: Drive, since: float = 0.0) -> Peaks:
-    """Return the peaks of a drive."""
     chosen = drive.t >= since
     steering = np.diff(drive.inputs[chosen, 1]) / (drive.t[1] - drive.t[0])
     return Peaks(

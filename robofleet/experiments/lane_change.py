@@ -55,7 +55,6 @@ class LaneChangeParameters(DriveParameters):
             yield "curve_length_m", f"too short: {reason}, not {self.curve_length_m:g}"
 
     def reference(self, reading: Reading) -> Reference:
-        """Return a reading's curve by arc length."""
         return lane_change(1.0 if reading.second_term == "plus" else -1.0, self.curve_length_m)
 
 

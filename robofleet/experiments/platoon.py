@@ -66,7 +66,6 @@ def run(parameters: PlatoonParameters) -> Result:
 
 
 def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Drive:
-    """Run a platoon of any length in lockstep."""
     config = scaled(parameters, base, robots, integrator)
     lockstep = Lockstep(config)
     outcome, cause = lockstep.run()

@@ -43,7 +43,6 @@ class StabilityParameters(Parameters):
     bicycle_speeds_m_s: tuple[Positive, ...] = Field(min_length=1, strict=False)
 
     def complaints(self) -> Iterator[Complaint]:
-        """Ranges go upwards."""
         for name in ("alpha_1_s", "horizon_s", "step_s"):
             low, high = getattr(self, name)
             if low >= high:

@@ -31,7 +31,6 @@ class Column(NamedTuple):
 
 
 def _recorded(name: str, meaning: str, *, running: bool = False, whole: bool = False, csv: str = "") -> Column:
-    """Return a column of the controller's record of a tick."""
     return Column(name, meaning, lambda s: s.run.items[csv or name], running, whole, csv)
 
 
@@ -106,7 +105,6 @@ def own_name(name: str) -> str:
 
 
 def own_names(gauges: Iterable[Gauge]) -> list[str]:
-    """Return the names of the groups' own columns, each once."""
     return list(dict.fromkeys(own_name(name) for gauge in gauges for name in gauge.columns))
 
 

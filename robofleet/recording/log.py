@@ -81,7 +81,6 @@ class RunLog:
         self._write()
 
     def add(self, full: str, payload: bytes, at_ns: int) -> None:
-        """Keep a message that came at an instant of this process's clock."""
         channel = self._channels.get(full) or self._register(of_key(full))
         self.messages += 1
         self._waiting += 1
@@ -110,7 +109,6 @@ class RunLog:
             self._write()
 
     def end(self, ending: bytes) -> None:
-        """Keep how the run ended, where somebody knows it, and close."""
         if ending:
             self._attach(ENDING, "application/json", ending)
         self.close()
@@ -135,11 +133,9 @@ class RunLog:
             self._file.close()
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the file."""
         self.close()
 
     def _add_drawn(self, messages: DrawnMessages) -> None:

@@ -60,7 +60,6 @@ def delays(run: Run) -> Delays:
 
 
 def compute(run: Run) -> Distribution:
-    """Return how long each tick computed."""
     if run.recording.tick_durations_ns is not None:  # in lockstep no time passes on the controller's clock
         return Distribution.of(run.recording.tick_durations_ns)
     return computed(run) if run.reduced is None else run.reduced.compute
@@ -73,7 +72,6 @@ def computed(run: Run) -> Distribution:
 
 
 def lateness(run: Run) -> Distribution:
-    """Return how late each tick began."""
     return Distribution.of(run.ticks["lateness_ns"]) if run.reduced is None else run.reduced.lateness
 
 

@@ -60,7 +60,6 @@ class Provenance:
         )
 
     def metadata(self) -> dict[str, str]:
-        """Return it as a file keeps it."""
         return {
             "mode": self.mode,
             "epoch_ns": str(self.epoch_ns),

@@ -144,7 +144,6 @@ def about(run: Path, imports: Imports = nothing_imported) -> Recording:
 
 
 def file_of(run: Path) -> Path:
-    """Return the file of a run's folder, or the file itself."""
     return run / FILE if os.path.isdir(run) else run  # noqa: PTH112 - it raises nothing
 
 
@@ -169,7 +168,6 @@ def scanned(stream: BinaryIO) -> Scan:
 
 
 def nothing(scan: Scan, file: Path) -> RecordingError:
-    """Return the refusal of a file without a message."""
     if scan.trouble is None:
         return RecordingError(f"{file}: holds no message: the run ended before its first message: name another run")
     if scan.trouble == NO_MCAP:

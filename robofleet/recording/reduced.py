@@ -22,7 +22,6 @@ class Distribution:
 
     @classmethod
     def of(cls, durations_ns: Any) -> "Distribution":
-        """Return the distribution of durations."""
         return cls(*np.unique(np.asarray(durations_ns, np.int64), return_counts=True))
 
     @classmethod
@@ -38,7 +37,6 @@ class Distribution:
         return joined
 
     def __len__(self) -> int:
-        """Return how many durations there are."""
         return int(self.counts.sum())
 
     @property

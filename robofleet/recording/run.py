@@ -109,16 +109,13 @@ class Recording:
 
     @cached_property
     def gauges(self) -> tuple[Gauge, ...]:
-        """What measures each group."""
         return gauges(self.config, self.groups, self.foreign)
 
     @property
     def whole(self) -> bool:
-        """Whether the file is as it was written, up to its end."""
         return self.trouble is None
 
     def add(self, full: str, payload: bytes) -> None:
-        """Keep a message."""
         self.count += 1
         self.messages[full].append(payload)
         self._places[full].append(self.count)
@@ -137,7 +134,6 @@ class Recording:
         return later
 
     def emptied(self) -> "Recording":
-        """Return the recording without its messages."""
         made = replace(self, messages=defaultdict(list), _places=defaultdict(lambda: array("Q")), _arrays={})
         made.__dict__.update({name: self.__dict__[name] for name in ("groups", "gauges") if name in self.__dict__})
         return made
@@ -149,12 +145,10 @@ class Recording:
                 self.forget(full, len(messages) - most)
 
     def forget(self, full: str, count: int) -> None:
-        """Drop a key's oldest messages."""
         del self.messages[full][:count], self._places[full][:count]
         self._arrays.pop(full, None)
 
     def ending(self) -> bytes:
-        """Return how the run ended, for its file."""
         fields = {name: getattr(self, name) for name in EndingFile.model_fields}
         return dumps(
             {name: list(values) if isinstance(values, array) else values for name, values in fields.items()}
@@ -264,7 +258,6 @@ class GroupColumns:
 
     @property
     def said(self) -> described.Group:
-        """The group as others see it."""
         return self.gauge.said
 
     @cached_property
@@ -276,7 +269,6 @@ class GroupColumns:
         return tuple(curve._replace(values=self._spread(curve.values)) for curve in curves)
 
     def summary(self) -> Figures:
-        """Return its part of ``summary.json``."""
         return peaked(self.gauge.summary(self.past), self.peaks)
 
     def _spread(self, values: Array) -> Array:
@@ -336,7 +328,6 @@ class Run:
         self.frames = [frame for images in self.images.values() for frame in images]
 
     def _take(self, ticks: NDArray[Any]) -> None:
-        """Take the ticks that count."""
         self.ticks = ticks
         self.running = self.ticks["run_tick"] >= 0  # (K,)
         self.t = self.ticks["run_tick"] * self.config.controller.tick_s
@@ -363,7 +354,6 @@ class Run:
 
     @cached_property
     def parts(self) -> tuple[GroupColumns, ...]:
-        """What became of each group."""
         config, running = self.config, self.running
         t, poses, points = self.t[running], self.poses()[running], self.points()[running]
         settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
@@ -444,7 +434,6 @@ class Run:
         return np.where(self.known[:, None], true, estimates)
 
     def after(self, start_s: float) -> NDArray[np.bool_]:
-        """Return which ticks count."""
         return np.asarray(self.t >= start_s)
 
 

@@ -47,17 +47,14 @@ class RunView:
 
     @property
     def config(self) -> Config:
-        """The run's configuration."""
         return self.series.run.config
 
     @property
     def bounds(self) -> Bounds:
-        """What the run is judged by."""
         return self.config.run.bounds
 
     @property
     def colours(self) -> tuple[str, ...]:
-        """Each robot's own colour."""
         return robot_colours(len(self.series.robots))
 
     @property
@@ -102,7 +99,6 @@ def interruptions(axes: Axes, timeline: Timeline) -> None:
 
 
 def phase_colour(phase: int) -> str:
-    """Return the colour of a phase of the run."""
     return {int(known): colour for known, colour in _PHASES.items()}.get(phase, FAINT)
 
 
@@ -134,7 +130,6 @@ def level(axes: Axes, value: float | None, label: str = "") -> None:
 
 
 def logarithmic(axes: Axes, lowest: float) -> None:
-    """Make the y axis logarithmic, from a value up."""
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.yaxis.set_minor_locator(NullLocator())

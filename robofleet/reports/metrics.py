@@ -222,7 +222,6 @@ def _tracker(run: Run, whole: Reduced, recording: Recording) -> Figures:
 
 
 def _images(run: Run, frames: list[FleetPoses]) -> Images:
-    """What a camera saw."""
     if not frames:
         return Images()
     fleet, members = ({robot.tag for robot in robots} for robots in (run.config.robots, run.config.members))
@@ -328,7 +327,6 @@ _LAW_SHARE = 0.2  # of the timed error: a smaller control error is not its reaso
 
 
 def remarks(config: Config, groups: Mapping[str, Any]) -> list[str]:
-    """Return the remarks on all groups' figures."""
     return [
         line
         for name, figures in groups.items()

@@ -25,7 +25,6 @@ def _robots_lines(axes: Axes, view: RunView, values: Array) -> None:
 
 
 def wheels(view: RunView) -> Figure | None:
-    """Draw each robot's faster wheel."""
     items = view.series.run.items
     drives = [slices.drive(robot) for robot in view.config.members]
     figure, (axes,) = strips(view, ["faster wheel, rad/s"])
@@ -108,7 +107,6 @@ _BINS = 60
 
 
 def delays(view: RunView) -> list[tuple[str, str]]:
-    """Return the legend of the delays."""
     names = "poses sent", "taken by a tick", "at a wheel"
     shown = zip(names, measures.delays(view.series.run), COLOURS, strict=False)
     percentiles = [(name, delay.percentiles((50, 99)) / MS, colour) for name, delay, colour in shown if len(delay)]

@@ -125,7 +125,6 @@ def write(
 
 
 def view_of(recording: Recording, summary: Summary, run: Run | None = None) -> RunView:
-    """Return what there is to draw of a run."""
     run = run or Run(recording)
     return RunView(recording, series(run), Timeline(run, summary["stops"]))
 
@@ -167,7 +166,6 @@ def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
 
 
 def _stopped(summary: Summary) -> Iterator[str]:
-    """Yield who stopped on the way, and whom the operator stopped."""
     own = sum(not stop["by_operator"] for stop in summary["stops"])
     yield f"{own} stop{'s' * (own > 1)} of a robot by itself." if own else "No robot stopped by itself."
     yield from (f"The operator stopped {line}." for line in together(summary["stops"]))

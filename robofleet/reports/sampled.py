@@ -83,7 +83,6 @@ class Sampled(Run):
             self._kept = [kept.every(self.every) for kept in self._kept]
 
     def close(self) -> None:
-        """Put it together."""
         kept, self._kept = self._kept, []
         if self._count and (self._count - 1) % self.every:
             kept.append(self._newest)

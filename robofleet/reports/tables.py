@@ -120,7 +120,6 @@ def _caption(s: Summary) -> Iterator[str]:
 
 
 def _errors(s: Summary, config: Config) -> Iterator[_Row]:
-    """Yield the groups' own figures."""
     papers = f"about {CONTROL_ERROR_MM:g}"
     for name, group in s["groups"].items():
         if len(s["groups"]) > 1:
@@ -177,7 +176,6 @@ def _health(s: Summary) -> Iterator[_Row]:
 
 
 def _stops(stops: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Yield who stopped by itself, and whom the operator stopped."""
     own = [stop for stop in stops if not stop["by_operator"]]
     if own:
         yield f"stops of a robot by itself: {len(own)}"

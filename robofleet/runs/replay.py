@@ -52,7 +52,6 @@ class Difference(NamedTuple):
     now: float
 
     def __str__(self) -> str:
-        """Return it as a line."""
         return f"tick {self.tick}: {self.what}: {self.recorded!r} was recorded, now {self.now!r}"
 
 
@@ -65,7 +64,6 @@ class Hole:
     why: str
 
     def __str__(self) -> str:
-        """Return it as a line."""
         return f"ticks {self.first} to {self.last} were not compared: {self.why}"
 
 
@@ -161,7 +159,6 @@ class _Takings:
                     self._messages.setdefault((head.epoch, head.seq), payload)
 
     def of(self, name: Name) -> bytes | None:
-        """Return a message, None where it was not recorded."""
         return self._messages.get(name)
 
 

@@ -106,7 +106,6 @@ def processes(config: "Config") -> list[Process]:
 
 
 def started_by(starter: Starter, config: "Config") -> list[Process]:
-    """Return those that somebody starts."""
     return [process for process in processes(config) if _starter(process, config) == starter]
 
 

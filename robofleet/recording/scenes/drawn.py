@@ -46,14 +46,12 @@ class Drawn:
         self.channels = tuple(self._described())
 
     def update(self, full: str, payload: bytes, at_ns: int) -> DrawnMessages:
-        """Return what a message that came at ``at_ns`` of the caller's clock brings."""
         log_ns = at_ns + self._epoch_ns
         shown = self._scene.update(full, payload, at_ns)
         ticks = self._ticks.update(full, payload, log_ns)
         return [*((topic, log_ns, drawn) for topic, drawn in shown), *ticks] if shown else ticks
 
     def rest(self) -> DrawnMessages:
-        """Return what is left at the end."""
         return self._ticks.rest()
 
     def _described(self) -> Iterator[Channel]:

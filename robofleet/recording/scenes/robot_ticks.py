@@ -25,7 +25,6 @@ PACKAGE, MESSAGE = "robofleet", "RobotTick"
 
 
 def topic(robot: str) -> str:
-    """Return where a robot's ticks are told."""
     return f"/robots/{robot}/tick"
 
 
@@ -52,7 +51,6 @@ class RobotTicks:
     """Makes each robot's ticks of the bus's messages, which it is given in order."""
 
     def __init__(self, config: Config, groups: tuple[described.Group, ...], batch: int = BATCH) -> None:
-        """Take how many ticks are told at once."""
         self._batch = batch
         arena, robots = config.arena.name, config.members
         self._tick_key = key(arena, TICK)
@@ -88,7 +86,6 @@ class RobotTicks:
         return ()
 
     def rest(self) -> Sequence[tuple[str, int, bytes]]:
-        """Return what is left at the end."""
         return self._take(len(self._came)) if self._came else ()
 
     def _take(self, count: int) -> list[tuple[str, int, bytes]]:
