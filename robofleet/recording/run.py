@@ -343,6 +343,11 @@ class Run:
         self.known = known[: len(self.config.members)]  # (N,) whose truth was told
         self.truth = None if bodies is None or not self.known.any() else bodies[:, : len(self.known)]
 
+    @property
+    def robots(self) -> list[str]:
+        """The ids of the groups' robots (N,)."""
+        return [robot.id for robot in self.config.members]
+
     def own_statuses(self, robot: int) -> NDArray[np.bool_]:
         """Return which of a robot's statuses (S,) are of this part."""
         return np.asarray((self.status_places[robot] >= self.own.first) & (self.status_places[robot] < self.own.until))
@@ -432,6 +437,19 @@ class Run:
         psi = self.truth[..., 2]
         true = self.truth[..., :2] + ahead * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
         return np.where(self.known[:, None], true, estimates)
+
+    @cached_property
+    def since_start_s(self) -> Array:
+        """Instants of the ticks (K,) since the first of these, on the controller's grid [s]."""
+        return np.asarray((self.ticks["stamp_ns"] - (self.start_ns or 0)) / 1e9)
+
+    @cached_property
+    def pose_errors(self) -> tuple[Array, Array] | None:
+        """How far the filter is off: distances (K, N) [m] and turns (K, N) [rad]; None: no truth is known."""
+        if self.truth is None:
+            return None
+        off = np.hypot(self.items["x_m"] - self.truth[..., 0], self.items["y_m"] - self.truth[..., 1])
+        return off, np.angle(np.exp(1j * (self.items["psi_rad"] - self.truth[..., 2])))
 
     def after(self, start_s: float) -> NDArray[np.bool_]:
         return np.asarray(self.t >= start_s)

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 
 from robofleet.config.tree import Bounds, Config
 from robofleet.core.figures import FAINT, INK, QUIET, robot_colours
-from robofleet.recording.measures import Series, line
-from robofleet.recording.run import Array, Recording
+from robofleet.recording.measures import line
+from robofleet.recording.run import Array, Run
 from robofleet.reports.timeline import Timeline
 from robofleet.safety.supervisor import Phase
 
@@ -41,13 +42,16 @@ ALARM = "#b3261e"
 class RunView:
     """What there is to draw."""
 
-    recording: Recording
-    series: Series
-    timeline: Timeline
+    run: Run
+    summary: dict[str, Any]
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        return Timeline(self.run, self.summary["stops"])
 
     @property
     def config(self) -> Config:
-        return self.series.run.config
+        return self.run.config
 
     @property
     def bounds(self) -> Bounds:
@@ -55,16 +59,16 @@ class RunView:
 
     @property
     def colours(self) -> tuple[str, ...]:
-        return robot_colours(len(self.series.robots))
+        return robot_colours(len(self.run.robots))
 
     @property
     def span(self) -> tuple[float, float]:
         """From the run's first tick to its last [s]."""
-        return 0.0, float(self.series.t.max(initial=self.config.controller.tick_s))
+        return 0.0, float(self.run.since_start_s.max(initial=self.config.controller.tick_s))
 
     def counted(self, settle_s: float) -> NDArray[np.bool_]:
         """Which ticks count after a settling time; all, where none does."""
-        after = self.series.run.after(settle_s)
+        after = self.run.after(settle_s)
         return after if after.any() else np.ones_like(after)
 
 

@@ -18,7 +18,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, US
 from robofleet.recording import notes
 from robofleet.recording.causes import named
-from robofleet.recording.measures import compute, computed, delays, lateness, pose_errors
+from robofleet.recording.measures import compute, computed, delays, lateness
 from robofleet.recording.reduced import Counted, Distribution, Images, Mean, Reduced
 from robofleet.recording.run import Array, Recording, Run
 from robofleet.recording.state_words import busy_figures
@@ -186,9 +186,9 @@ def _obstacle_gap(run: Run) -> float:
 
 def _pose_errors(run: Run) -> tuple[Mean, Mean, float]:
     """The filter at the tick against the truth at the tick: squares [m^2], [rad^2], the largest [m]."""
-    if run.truth is None:
+    if run.pose_errors is None:
         return Mean(), Mean(), 0.0
-    off, turn = (errors[:, run.known] for errors in pose_errors(run, run.truth))
+    off, turn = (errors[:, run.known] for errors in run.pose_errors)
     off, turn = off[np.isfinite(off)], turn[np.isfinite(turn)]
     return _known(off**2), _known(turn**2), float(off.max(initial=0.0))
 

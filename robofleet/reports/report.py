@@ -4,7 +4,7 @@ import io
 import os
 import re
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,7 @@ from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.core.figures import STYLE
 from robofleet.core.files import replaced
-from robofleet.recording.columns import CSV, write_csv
-from robofleet.recording.measures import series
+from robofleet.recording.columns import CSV
 from robofleet.recording.run import Recording, Run
 from robofleet.reports import sensors
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
@@ -86,18 +85,12 @@ def _add_legend(figure: Figure, legend: Legend) -> None:
     )  # fmt: skip
 
 
-def write(
-    recording: Recording, summary: Summary, folder: Path, figures: Path | None = None, run: Run | None = None,
-    parts: Iterable[Run] | None = None,
-) -> Path:  # fmt: skip
-    """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be.
+def write(run: Run, summary: Summary, folder: Path, figures: Path | None = None) -> Path:
+    """Write the page into the run's folder, with what its sensors measured; returns the page's file.
 
-    ``figures``: a folder for every plot as a file of its own, which the page links. ``run``: the recording in columns,
-    where somebody has it; ``parts``: the same with every tick, part by part, where it has only some.
+    OSError if it cannot be. ``figures``: a folder for every plot as a file of its own, which the page links.
     """
-    view = view_of(recording, summary, run)
-    # The columns first: plots need memory, and keep some of it.
-    write_csv([view.series] if parts is None else map(series, parts), folder / CSV)
+    view, recording = RunView(run, summary), run.recording
     page = Page(summary["config"], _subtitle(summary))
     _verdict(page, recording, summary)
     if summary["ticks"]:
@@ -107,7 +100,7 @@ def write(
                 f"No truth is known of {', '.join(summary['estimated'])}: their places are the filter's estimates."
             )
         _bounds(page, summary)
-    if (every := view.series.run.every) > 1:
+    if (every := run.every) > 1:
         page.note(
             f"The run is long: curves, and the means of the groups' own figures, are of every {every}th tick. "
             "All other figures, and the largest values, are of every tick."
@@ -122,11 +115,6 @@ def write(
         sensors.write_csv(recording, folder / sensors.CSV)
     page.write(folder / PAGE)
     return folder / PAGE
-
-
-def view_of(recording: Recording, summary: Summary, run: Run | None = None) -> RunView:
-    run = run or Run(recording)
-    return RunView(recording, series(run), Timeline(run, summary["stops"]))
 
 
 def _subtitle(summary: Summary) -> str:
@@ -224,7 +212,7 @@ def _bounds(page: Page, summary: Summary) -> None:
 
 
 def _plots(page: Page, view: RunView, files: FigureFiles | None) -> None:
-    ran = len(view.series.t) > 0
+    ran = len(view.run.ticks) > 0
     for section, plots in (sections(view) if ran else HAPPENED).items():
         page.section(section)
         for plot in plots if ran else plots[:1]:

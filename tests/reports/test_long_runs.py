@@ -14,7 +14,6 @@ from robofleet.operator.run import in_lockstep
 from robofleet.recording import reading
 from robofleet.recording.columns import write_csv
 from robofleet.recording.log import RunLog
-from robofleet.recording.measures import series
 from robofleet.recording.run import SHOWN, Run
 from robofleet.reports import metrics, sampled
 from robofleet.reports.sampled import look, looks
@@ -57,8 +56,8 @@ def test_the_figures_of_a_run_in_parts_are_those_of_the_whole(
         assert figures[name] == (pytest.approx(value, abs=2e-4) if isinstance(value, float) else value), name
 
     entries = [[(e.who, e.what) for e in Timeline(run, []).entries] for run in (parts, whole)]
-    write_csv(map(series, looks(file, together=PART)), tmp_path / "parts.csv")
-    write_csv([series(whole)], tmp_path / "whole.csv")
+    write_csv(looks(file, together=PART), tmp_path / "parts.csv")
+    write_csv([whole], tmp_path / "whole.csv")
     columns = [np.genfromtxt(tmp_path / f"{name}.csv", delimiter=",", names=True) for name in ("parts", "whole")]
     for name in columns[1].dtype.names or ():
         np.testing.assert_allclose(columns[0][name], columns[1][name], atol=2e-6, err_msg=name)
@@ -95,7 +94,7 @@ def test_a_part_of_a_run_is_let_go_of_before_the_next_one_is_read(
 
     monkeypatch.setattr(sampled, "Run", Seen)
     look(RECORDINGS[0], together=PART)
-    write_csv(map(series, looks(RECORDINGS[0], together=PART)), tmp_path / "parts.csv")
+    write_csv(looks(RECORDINGS[0], together=PART), tmp_path / "parts.csv")
     assert len(seen) > 3
 
 

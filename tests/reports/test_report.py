@@ -13,7 +13,7 @@ from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.core.figures import robot_colours
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.run import Recording
+from robofleet.recording.run import Recording, Run
 from robofleet.reports import report
 from robofleet.reports.canvas import Plot
 from robofleet.safety.latches import GateStatus
@@ -32,7 +32,7 @@ def page(figures: Make, tmp_path: Path) -> Callable[..., str]:
     """Return what writes a recording's page and reads it."""
 
     def write(recording: Recording, **ended: str) -> str:
-        return report.write(recording, figures(recording) | ended, tmp_path).read_text()
+        return report.write(Run(recording), figures(recording) | ended, tmp_path).read_text()
 
     return write
 
@@ -181,7 +181,7 @@ def test_every_figure_is_a_file_for_a_paper_too_and_the_page_links_it(
     every = report.sections
     monkeypatch.setattr(report, "sections", lambda view: {"One": [of_title(every(view), "Control error")]})
     recording, folder = story(ticks=20).recording(), tmp_path / "my paper"
-    page = report.write(recording, figures(recording), tmp_path, folder).read_text()
+    page = report.write(Run(recording), figures(recording), tmp_path, folder).read_text()
     assert re.findall(r'href="([^"#]+)"', page) == ["my%20paper/control-error.svg", "my%20paper/control-error.pdf"]
     svg, pdf = (folder / "control-error.svg").read_text(), (folder / "control-error.pdf").read_bytes()
     for colour in robot_colours(4):
@@ -189,7 +189,7 @@ def test_every_figure_is_a_file_for_a_paper_too_and_the_page_links_it(
     assert "<!-- r4 -->" in svg, "the legend is in the file"
     assert pdf.startswith(b"%PDF")
     assert b"/Type3" not in pdf
-    report.write(recording, figures(recording), tmp_path, folder)
+    report.write(Run(recording), figures(recording), tmp_path, folder)
     assert ((folder / "control-error.svg").read_text(), (folder / "control-error.pdf").read_bytes()) == (svg, pdf)
 
 

@@ -14,7 +14,6 @@ from robofleet.bus.messages import TICK_RECORD
 from robofleet.config.tree import Config
 from robofleet.recording.columns import COLUMNS, own_name, own_names, own_table, table
 from robofleet.recording.gauge import Gauge
-from robofleet.recording.measures import series
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.scenes.scalars import Scalar, Scalars
 
@@ -90,7 +89,7 @@ class RobotTicks:
 
     def _take(self, count: int) -> list[tuple[str, int, bytes]]:
         run = Run(self._window, every_tick=True)
-        ticks, values = run.ticks[:count], table(series(run))[:count]
+        ticks, values = run.ticks[:count], table(run)[:count]
         common = {name: ticks[name][:, None] for name in ("tick", "run_tick")}
         by_robot: list[list[bytes]] = []
         for part, message, names in zip(run.parts, self._messages, self._own, strict=True):
