@@ -16,7 +16,7 @@ from robofleet.experiments.baselines import geometric
 from robofleet.experiments.baselines.choice import MissingLibraryError, build
 from robofleet.experiments.baselines.problem import Conditions, Problem, RollForward, drive
 from robofleet.experiments.curves import Reference
-from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.paper import SHIPPED
 from robofleet.vehicles.bicycle import FALCONE_2007
 
 SHIPPED_FILE = SHIPPED / "comparison.yaml"
@@ -102,7 +102,7 @@ def test_a_controller_that_drives_off_is_lost(problem):
     found = drive(problem, Left(), Conditions(FALCONE_2007), 60.0)
     assert "from the reference's point" in found.failure
     assert math.isnan(found.peak_lateral_cm) and math.isnan(found.peak_steering_rate_deg_s)
-    assert len(found.t) == len(found.states) == len(found.inputs) == len(found.durations)
+    assert len(found.t) == len(found.states) == len(found.inputs)
     assert np.abs(found.inputs[:, 1]).max() == problem.max_steering
 
 

@@ -9,7 +9,7 @@ import pytest
 from robofleet.config.files.parameters import load_parameters
 from robofleet.config.load import ConfigError
 from robofleet.experiments.memoryless import MemorylessParameters, error_of, nonlinearity, run
-from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.paper import SHIPPED
 
 SHIPPED_PARAMETERS = load_parameters(MemorylessParameters, SHIPPED / "memoryless.yaml")
 

@@ -15,7 +15,7 @@ from robofleet.config.load import ConfigError
 from robofleet.experiments import closed_curve, paper
 from robofleet.experiments.closed_curve import ClosedCurveParameters
 from robofleet.experiments.lane_change import LaneChangeParameters
-from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.paper import SHIPPED
 from robofleet.experiments.simulate import DivergedError
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from robofleet.config.files.parameters import load_parameters
 from robofleet.config.load import ConfigError
 from robofleet.control.flow import FlowSettings, Integrator
-from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.paper import SHIPPED
 from robofleet.experiments.stability import (
     DOUBLE_INTEGRATOR,
     StabilityParameters,
