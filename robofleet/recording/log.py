@@ -17,10 +17,10 @@ from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.valid_json import dumps
-from robofleet.recording.channels import keys
+from robofleet.recording.channels import Channel, keys, of_key
 from robofleet.recording.container import Container
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.scenes.drawn import Channel, Drawn, DrawnMessages, of_key
+from robofleet.recording.scenes.drawn import Drawn, DrawnMessages
 from robofleet.recording.scenes.robot_ticks import BATCH, LARGE_BATCH
 
 FILE = "run.mcap"

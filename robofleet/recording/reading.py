@@ -124,23 +124,12 @@ def about(run: Path, imports: Imports = nothing_imported) -> Recording:
     """
     file = file_of(run)
     with opened(file) as stream:
-        scan, made_by = scanned(stream), ""
-        recording: Recording | None = None
-        for item in scan.items():
-            if isinstance(item, Header):
-                made_by = check_maker(item, file)
-            elif isinstance(item, Attachment) and item.name == CONFIG:
-                recording = Recording(_config(item.data, made_by, file))
-            elif recording is not None and isinstance(item, Attachment) and item.name == GROUPS:
-                with suppress(KeyError, TypeError, ValueError):
-                    _note(recording, item)
-                break
-            elif recording is not None and isinstance(item, list):
-                break
-    if recording is None:
-        raise nothing(scan, file)
-    _know_groups(recording, file, imports)
-    return recording
+        content = _Content(scanned(stream), file)
+        next(content.messages(), None)
+    if content.recording is None:
+        raise nothing(content.scan, file)
+    _know_groups(content.recording, file, imports)
+    return content.recording
 
 
 def file_of(run: Path) -> Path:

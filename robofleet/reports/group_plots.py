@@ -12,7 +12,7 @@ from robofleet.core.figures import robot_colours
 from robofleet.recording.gauge import Curve
 from robofleet.recording.run import Array, GroupColumns
 from robofleet.reports.canvas import Legend, Plot, RunView, few, level, lines, logarithmic, settling, strips, zoomed
-from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
+from robofleet.reports.paper import papers_mean
 
 _WIDE_RATIO = 30.0  # to its median: a figure that is so much larger at times has a logarithmic axis
 _ESTIMATED = "estimated_"  # a figure that is so called is for the run itself: the report has the measure
@@ -63,8 +63,7 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
         settling(axes, settle_s)
         _lines(axes, view, part, curve, settle_s, bound)
         level(axes, bound, words)
-        if curve.key == FIGURE_KEY and is_papers(view.config):
-            level(axes, CONTROL_ERROR_MM, "the paper's mean, on hardware")
+        level(axes, papers_mean(view.config, curve.key), "the paper's mean, on hardware")
         return figure
     figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
     lines(whole, view.run.since_start_s, curve.values, view.span, colours(view, part, curve))

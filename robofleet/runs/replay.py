@@ -263,16 +263,16 @@ def _compare_ticks(config: Config, names: list[str], recorded: Rows, now: Rows, 
     for name in _HEAD:
         for k in np.flatnonzero(recorded[name] != now[name]):
             verdict.differences.append(Difference(int(now["tick"][k]), name, int(recorded[name][k]), int(now[name][k])))
-    old, new = _columns(recorded), _columns(now)
-    for k, row, column in np.argwhere(_different(old, new, verdict.tolerance)):
-        what = f"{config.members[row].id}: {RobotTick._fields[column]}"
-        values = float(old[k, row, column]), float(new[k, row, column])
-        verdict.differences.append(Difference(int(now["tick"][k]), what, *values))
-    old, new = np.ascontiguousarray(recorded["figures"]), np.ascontiguousarray(now["figures"])
-    unknown = np.isnan(old) & np.isnan(new)
-    for k, column in np.argwhere(_different(old, new, verdict.tolerance) & ~unknown):
-        values = float(old[k, column]), float(new[k, column])
-        verdict.differences.append(Difference(int(now["tick"][k]), names[column], *values))
+
+    def compare(old: Array, new: Array, named: Callable[..., str]) -> None:
+        for k, *column in np.argwhere(_different(old, new, verdict.tolerance)):
+            values = float(old[k, *column]), float(new[k, *column])
+            verdict.differences.append(Difference(int(now["tick"][k]), named(*column), *values))
+
+    fields = RobotTick._fields
+    compare(_columns(recorded), _columns(now), lambda row, column: f"{config.members[row].id}: {fields[column]}")
+    old, new = recorded["figures"], now["figures"]
+    compare(old, np.where(np.isnan(old) & np.isnan(new), old, new), names.__getitem__)
 
 
 def _compare_commands(

@@ -18,7 +18,8 @@ from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 from tests.bus.alone import ROBOT_STATUS
-from tests.recording.viewer import START_NS, TICK_NS, Viewer, heading, in_order, instant_ns
+from tests.recording.recorded import in_order
+from tests.recording.viewer import START_NS, TICK_NS, Viewer, heading, instant_ns
 
 Make = Callable[..., Any]
 INFO, WARNING, ERROR = 2, 3, 4  # Foxglove's

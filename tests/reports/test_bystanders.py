@@ -63,6 +63,8 @@ def test_it_is_counted_as_a_bystander_and_has_no_errors(run: Lockstep) -> None:
     s = figures(run.recording)
     assert (s["robots"], s["bystanders"]) == (["r1", "r2", "r3", "r4"], ["p1"])
     assert len(s["control_error_mm"]["per_robot_mean"]) == 4
+    assert s["tracker"]["false_ids"] == 0
+    assert s["tracker"]["measured_fraction"] <= 1.0
     assert Run(run.recording).robots == ["r1", "r2", "r3", "r4"]
     assert figures(without_truth(run.recording))["min_gap_mm"] is None
 

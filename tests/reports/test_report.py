@@ -17,7 +17,9 @@ from robofleet.recording.run import Recording, Run
 from robofleet.reports import report
 from robofleet.reports.canvas import Plot
 from robofleet.safety.latches import GateStatus
-from tests.recording_fixtures import PLATOON, Story
+from tests.recording.recorded import in_order
+from tests.recording_fixtures import Story
+from tests.shipped import PLATOON
 
 Make = Callable[..., Any]
 TITLES = [
@@ -217,11 +219,8 @@ def kept(tmp_path: Path) -> Callable[..., Path]:
         folder = tmp_path / name
         folder.mkdir()
         recording = run.recording()
-        placed = sorted(
-            (index, full, payload) for full in recording.messages for index, payload in recording.placed(full)
-        )
         with RunLog(folder / FILE, run.config) as log:
-            for index, full, payload in placed:
+            for index, (full, payload) in enumerate(in_order(recording)):
                 log.add(full, payload, index)
         return folder
 

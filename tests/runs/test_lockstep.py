@@ -5,6 +5,10 @@ from typing import Any
 
 import pytest
 
+from robofleet.bus.keys import COMMAND, STATUS
+from robofleet.recording.run import Recording
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 from tests.robots import stalls
 
 Summary = dict[str, Any]
@@ -136,12 +140,7 @@ def test_robots_that_are_never_seen_never_move(truth: RunOf) -> None:
     assert (s["ticks"], s["control_error_mm"], s["latency_ms"]) == (0, None, None)
 
 
-def test_a_run_that_nobody_sees_says_so_and_turns_no_wheel(
-    platoon_of: Callable[..., Any], bench_of: Callable[..., Any]
-) -> None:
-    from robofleet.bus.keys import COMMAND, STATUS
-    from robofleet.runs.lockstep import Lockstep
-
+def test_a_run_that_nobody_sees_turns_no_wheel(platoon_of: Callable[..., Any]) -> None:
     run = Lockstep(platoon_of("tracker.source=truth", "tracker.truth.dropout=1.0"))
     run.run()
     for robot in ROBOTS:
@@ -151,6 +150,20 @@ def test_a_run_that_nobody_sees_says_so_and_turns_no_wheel(
         assert not statuses["left_angle_rad"].any()
         assert not statuses["right_angle_rad"].any()
         assert not commands["left_rad_s"].any()
+
+
+def test_ctrl_c_leaves_a_summary_of_what_was_recorded_until_then(platoon_of: Callable[..., Any]) -> None:
+    seconds = iter(range(2))
+
+    def watch(_recording: Recording, _phase: str) -> None:
+        if next(seconds, None) is None:
+            raise KeyboardInterrupt
+
+    run = Lockstep(platoon_of("tracker.source=truth", "run.duration_s=60"))
+    outcome, cause = run.run(watch)
+    assert (outcome, cause) == ("stopped", "the operator interrupted")
+    figures = summary(run.recording, name="platoon", mode="lockstep", outcome=outcome, cause=cause)
+    assert 2.5 < figures["duration_s"] < 4.0
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from robofleet.runs.replay import replay
 from robofleet.safety.supervisor import Phase
 from tests.bus.alone import WHEEL_COMMAND, WheelCommand
 from tests.process_fixtures import LAYOUTS
+from tests.recording.recorded import in_order
 
 FAULTS = """[
 {kind: lost, topics: [poses, state], share: 0.1}, {kind: late, topics: [poses, state]},
@@ -252,7 +253,6 @@ def test_a_behaviour_that_has_other_figures_today_is_refused_in_one_line(
 def command(recording: Recording, folder: Path) -> Any:
     """Return what ``robofleet replay`` says of a recording that is kept in a file."""
     with RunLog(folder / "run.mcap", recording.config) as log:
-        placed = [(index, full, m) for full in recording.messages for index, m in recording.placed(full)]
-        for index, full, message in sorted(placed):
+        for index, (full, message) in enumerate(in_order(recording)):
             log.add(full, message, index)
     return CliRunner().invoke(app, ["replay", str(folder)])

@@ -12,6 +12,7 @@ from robofleet.behaviours import described
 from robofleet.bus.keys import STATUS, TICK, TRUTH, key
 from robofleet.bus.messages import TICK_RECORD
 from robofleet.config.tree import Config
+from robofleet.recording.channels import of_protobuf
 from robofleet.recording.columns import COLUMNS, own_name, own_names, own_table, table
 from robofleet.recording.gauge import Gauge
 from robofleet.recording.run import Recording, Run
@@ -63,7 +64,7 @@ class RobotTicks:
         self._messages = [_described(gauges, gauge) for gauge in gauges]
         self._own = [own_names([gauge]) for gauge in gauges]
         self.channels = [
-            (topic(robot), message)
+            of_protobuf(topic(robot), message.name, message.descriptor)
             for group, message in zip(groups, self._messages, strict=True)
             for robot in group.robots
         ]
@@ -99,7 +100,7 @@ class RobotTicks:
             n = len(part.said.robots)
             messages = message.messages((count, n), common | robot_values)
             by_robot += [messages[k::n] for k in range(n)]
-        places = [(topic, came) for came in self._came[:count] for topic, _ in self.channels]
+        places = [(topic, came) for came in self._came[:count] for topic, *_ in self.channels]
         self._forget(count)
         in_order = (robot_message for tick in zip(*by_robot, strict=True) for robot_message in tick)
         return [(*index, message) for index, message in zip(places, in_order, strict=True)]
