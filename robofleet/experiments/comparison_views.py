@@ -19,12 +19,7 @@ _SHOWN = ("flow-paper", "flow", "lqr", "osqp", "stanley")
 
 def tables(parameters: ComparisonParameters, found: Found, missing: Mapping[Key, str]) -> tuple[Table, ...]:
     """Return errors, cost, trouble and corner."""
-    return (
-        _errors(parameters, found, missing),
-        _cost(found),
-        _trouble(parameters, found),
-        _corner(parameters, found),
-    )
+    return (_errors(parameters, found, missing), _cost(found), _trouble(parameters, found), _corner(parameters, found))
 
 
 def figures(parameters: ComparisonParameters, found: Found) -> tuple[Figure, ...]:

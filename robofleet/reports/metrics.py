@@ -167,10 +167,7 @@ def _distances(whole: Reduced, config: Config) -> Figures:
     first, second = _pairs(config)
     radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
     gaps = distances - radii[first] - radii[second]
-    return {
-        "min_gap_mm": _rounded(gaps.min() * 1e3),
-        "min_centre_distance_mm": _rounded(distances.min() * 1e3),
-    }
+    return {"min_gap_mm": _rounded(gaps.min() * 1e3), "min_centre_distance_mm": _rounded(distances.min() * 1e3)}
 
 
 def _obstacle_gap(run: Run) -> float:

@@ -181,7 +181,7 @@ HAPPENED = {
             _robots,
             long=False,
         ),
-    ),
+    )
 }
 FLEET = {
     "Driving": (

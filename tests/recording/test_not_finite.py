@@ -125,8 +125,7 @@ def test_stamps_from_one_end_of_time_to_the_other_end_no_report(
 
 
 @pytest.mark.parametrize(
-    ("layout", "topic"),
-    [(TRUTH_LAYOUT, (TRUTH, "r2")), (ROBOT_STATUS, (STATUS, "r2")), (TRACKER_NEWS, (NEWS, CAMERA))],
+    ("layout", "topic"), [(TRUTH_LAYOUT, (TRUTH, "r2")), (ROBOT_STATUS, (STATUS, "r2")), (TRACKER_NEWS, (NEWS, CAMERA))]
 )
 @pytest.mark.parametrize("seed", range(4))
 def test_messages_of_any_bytes_end_no_report(

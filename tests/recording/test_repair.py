@@ -169,11 +169,7 @@ def test_the_command_ends_with_1_where_there_is_no_room(killed: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "says"),
-    [
-        (None, "no such recording"),
-        (b"", "not a recording"),
-        (b"not at all an mcap", "not a recording"),
-    ],
+    [(None, "no such recording"), (b"", "not a recording"), (b"not at all an mcap", "not a recording")],
 )
 def test_what_is_no_recording_is_refused_in_a_line(content: bytes | None, says: str, tmp_path: Path) -> None:
     if content is not None:

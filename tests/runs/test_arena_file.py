@@ -460,10 +460,7 @@ def test_what_a_stranger_writes_in_my_name_is_not_believed(users_folder: Path) -
         with forged.open("r+") as held:
             fcntl.fcntl(held, fcntl.F_OFD_SETLK, FLOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
             assert [(run.arena, run.uid) for run in found().runs] == [("platoon", NOBODY)]
-            with (
-                pytest.raises(PlaceError, match=rf"`rm {forged}`"),
-                claimed(config("arena.name=lab"), Path()),
-            ):
+            with pytest.raises(PlaceError, match=rf"`rm {forged}`"), claimed(config("arena.name=lab"), Path()):
                 pass
     assert forged.exists(), "nothing of others is removed"
 

@@ -65,11 +65,7 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
 
 
 @pytest.mark.parametrize(
-    "victim",
-    [
-        "driver-r1",
-        *(pytest.param(name, marks=pytest.mark.long) for name in LONG_VICTIMS),
-    ],
+    "victim", ["driver-r1", *(pytest.param(name, marks=pytest.mark.long) for name in LONG_VICTIMS)]
 )
 def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., RealRun], victim: str) -> None:
     run = real_run(*ALONE)

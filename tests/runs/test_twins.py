@@ -155,9 +155,7 @@ def of_a_create2(*more: str) -> list[str]:
 
 
 @pytest.mark.long
-def test_a_run_ends_by_the_cables_name_and_the_next_one_drives_after_a_reset(
-    real_run: Callable[..., RealRun],
-) -> None:
+def test_a_run_ends_by_the_cables_name_and_the_next_one_drives_after_a_reset(real_run: Callable[..., RealRun]) -> None:
     pulled = real_run(*of_a_create2("faults=[{kind: unplugged, robot: r1, at_s: 1.0, duration_s: 0.5}]"))
     assert pulled.ended() == 1
     (stop,) = pulled.summary["stops"]
