@@ -11,6 +11,7 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
+from robofleet.core.arrays import Array
 from robofleet.core.files import replaced
 from robofleet.recording.gauge import Gauge
 from robofleet.recording.measures import (
@@ -20,7 +21,7 @@ from robofleet.recording.measures import (
     pose_error_mm,
     status_at_ticks,
 )
-from robofleet.recording.run import Array, GroupColumns, Run
+from robofleet.recording.run import GroupColumns, Run
 
 CSV = "metrics.csv"
 

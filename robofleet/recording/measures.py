@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.recording.gauge import gauges
 from robofleet.recording.reduced import Delays, Distribution
-from robofleet.recording.run import Array, Run
+from robofleet.recording.run import Run
 
 
 def load_kernels(config: Config) -> None:

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
+
 _MOST_VALUES = 1 << 18  # different ones: more durations lie closer together than matters
 
 
@@ -59,9 +61,6 @@ def _merged(values: NDArray[np.int64], counts: NDArray[np.int64]) -> Distributio
     """Return a distribution of ascending values that may repeat."""
     first = np.flatnonzero(np.diff(values, prepend=values[:1] - 1))
     return Distribution(values[first], np.add.reduceat(counts, first) if len(first) else counts)
-
-
-Array = NDArray[np.float64]
 
 
 class Moment(NamedTuple):

@@ -21,13 +21,12 @@ from robofleet.bus.layouts import VERSION, Layout, ListLayout
 from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS, FleetPoses, RobotStatus, RunState
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.plugins import PluginError
 from robofleet.core.valid_json import dumps
 from robofleet.recording.gauge import Curve, Figures, Gauge, gauges, peaked
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.reduced import Reduced
-
-Array = NDArray[np.float64]
 
 SHOWN = 512  # messages of a key, for a live view
 _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing

@@ -12,9 +12,10 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from robofleet.config.tree import Bounds, Config
+from robofleet.core.arrays import Array
 from robofleet.core.figures import FAINT, INK, QUIET, robot_colours
 from robofleet.recording.measures import line
-from robofleet.recording.run import Array, Run
+from robofleet.recording.run import Run
 from robofleet.reports.timeline import Timeline
 from robofleet.safety.supervisor import Phase
 

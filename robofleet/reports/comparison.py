@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robofleet.behaviours.described import JUDGED_FIGURES
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, STYLE
 from robofleet.recording.gauge import Curve
 from robofleet.recording.measures import pose_error_mm
-from robofleet.recording.run import Array
 from robofleet.reports.bounds import JUDGED, Judged, part
 from robofleet.reports.canvas import RunView, lines, logarithmic, sheet
 from robofleet.reports.group_plots import wide

@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 
 from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.behaviours.interface import with_unit
+from robofleet.core.arrays import Array
 from robofleet.core.figures import robot_colours
 from robofleet.recording.gauge import Curve
-from robofleet.recording.run import Array, GroupColumns
+from robofleet.recording.run import GroupColumns
 from robofleet.reports.canvas import Legend, Plot, RunView, few, level, lines, logarithmic, settling, strips, zoomed
 from robofleet.reports.paper import papers_mean
 

@@ -15,12 +15,13 @@ from robofleet.bus.keys import BUSY, key
 from robofleet.bus.messages import FleetPoses
 from robofleet.config import obstacles
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, US
 from robofleet.recording import notes
 from robofleet.recording.causes import named
 from robofleet.recording.measures import compute, computed, delays, lateness
 from robofleet.recording.reduced import Counted, Distribution, Images, Mean, Reduced
-from robofleet.recording.run import Array, Recording, Run
+from robofleet.recording.run import Recording, Run
 from robofleet.recording.state_words import busy_figures
 from robofleet.reports.bounds import judged
 from robofleet.reports.stops import stops

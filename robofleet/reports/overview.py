@@ -9,9 +9,9 @@ from matplotlib.patheffects import withStroke
 from robofleet.behaviours.interface import Dots, Shape
 from robofleet.config import obstacles
 from robofleet.config.robots import Robot
+from robofleet.core.arrays import Array
 from robofleet.core.figures import INK, QUIET, robot_colours
 from robofleet.recording import notes
-from robofleet.recording.run import Array
 from robofleet.reports.canvas import ALARM, WIDTH, RunView, phase_colour, sheet
 from robofleet.reports.timeline import CONTROLLER, FAULTS, TRACKER, Entry
 

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from robofleet.config import slices
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, US
 from robofleet.core.figures import COLOURS, QUIET
 from robofleet.recording import measures
 from robofleet.recording.reduced import Distribution
-from robofleet.recording.run import Array
 from robofleet.reports.canvas import Plot, RunView, few, level, lines, phase_colour, settling, sheet, strips, zoomed
 from robofleet.reports.group_plots import NO_TRUTH, of_group
 from robofleet.reports.overview import happened, paths

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from robofleet.bus.keys import BUSY, NOTE, SENSORS, named
 from robofleet.bus.messages import RunState
+from robofleet.core.arrays import Array
 from robofleet.recording.reading import TOGETHER, Imports, nothing_imported, parts
 from robofleet.recording.reduced import joined
-from robofleet.recording.run import Array, Own, Run
+from robofleet.recording.run import Own, Run
 from robofleet.reports.metrics import reduced
 
 _MOST_TICK_BYTES = 24 << 20  # a quarter to half an hour of four robots

@@ -23,6 +23,7 @@ from robofleet.bus.messages import FLEET_POSES, RUN_STATE, SCRIPT_WISH, TICK_REC
 from robofleet.bus.setpoints import setpoint_topics
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S, SimulatedClock, TickGrid
 from robofleet.nodes.controller import Controller
 from robofleet.recording.provenance import Provenance
@@ -31,7 +32,6 @@ from robofleet.recording.run import Recording
 from robofleet.safety.supervisor import Event
 
 Rows = NDArray[Any]
-Array = NDArray[np.float64]
 Name = tuple[int, int]  # of a message: its sender's epoch, and its number
 NO_NAME = (0, 0)
 

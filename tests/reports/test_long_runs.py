@@ -2,6 +2,7 @@
 
 import tracemalloc
 import weakref
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,15 @@ from robofleet.recording import reading
 from robofleet.recording.columns import write_csv
 from robofleet.recording.log import RunLog
 from robofleet.recording.run import SHOWN, Run
-from robofleet.reports import metrics, sampled
+from robofleet.reports import after, metrics, report, sampled
 from robofleet.reports.sampled import look, looks
 from robofleet.reports.timeline import Timeline
 from robofleet.runs import lockstep
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.supervisor import Phase
 from tests.recording.recorded import in_order
 from tests.shipped import PLATOON
 
 RECORDINGS = sorted((Path(__file__).parents[1] / "recordings").glob("*.mcap"))
-PER_SECOND = 6_000  # bytes: 20 MB an hour; all messages of a second are 90,000
 PART = 60_000  # bytes: a second or two of four robots
 BYTES_OF_A_PART = 60_000  # that are kept of it at most, of 400,000 while it is looked at
 
@@ -121,27 +120,21 @@ def test_a_run_of_four_times_the_length_needs_no_more_memory(tmp_path: Path, mon
     assert peak(40) - peak(10) < 30 * BYTES_OF_A_PART
 
 
-@pytest.mark.long
-def test_a_run_that_is_kept_in_a_file_keeps_nothing_of_it_in_memory() -> None:
-    run = Lockstep(load_config(PLATOON, ["tracker.source=truth"]))
-    run.request(b"start")
-    assert run.advance(60.0, lambda: run.status.phase is Phase.RUNNING)
+@pytest.mark.parametrize("part", [PART, 1 << 30], ids=["long", "short"])
+def test_a_report_reads_its_file_once(part: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "_AROUND_NS", 3 * S // 2)
+    opened: list[Path] = []
 
-    def go_on(seconds: int) -> None:
-        for _ in range(seconds):
-            run.advance(1.0)
-            run.recording.keep_newest(32)
+    def parts(run: Path, *_: Any, **__: Any) -> Iterator[Any]:
+        opened.append(run)
+        return reading.parts(run, together=part)
 
-    tracemalloc.start()
-    try:
-        go_on(25)  # until what is kept of the last seconds is full
-        before, _ = tracemalloc.get_traced_memory()
-        go_on(10)
-        after, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-        run.close()
-    assert after - before < 10 * PER_SECOND
+    monkeypatch.setattr(sampled, "parts", parts)
+    monkeypatch.setattr(report, "sections", lambda view: {})
+    file = tmp_path / "run.mcap"
+    file.write_bytes(RECORDINGS[0].read_bytes())
+    after.report(file)
+    assert opened == [file]
 
 
 def test_a_run_in_lockstep_keeps_no_more_in_memory_than_a_live_view_shows(

@@ -98,7 +98,7 @@ CIRCLE = [
 ]
 REFUSED = [
     (["controller.tick_s=0.095"], "controller.tick_s", "a command is valid for 120 ms"),
-    ([*CIRCLE, "groups.0.settings.spacing_m=1.05"], "groups.0.settings.spacing_m", "no two points"),
+    ([*CIRCLE, "groups.0.settings.spacing_m=1.05"], "groups.0.settings.spacing_m", "a spacing of 0.985 fits"),
     ([*EULER, "controller.alpha=61"], "controller.alpha", "below 60.6"),
     ([*EULER, "controller.alpha=50", "controller.tick_s=0.04"], "controller.alpha", "is 2, must be less"),
     (["controller.point_ahead_m=0.126"], "controller.point_ahead_m", "must be at most 0.125 m"),

@@ -131,25 +131,20 @@ def test_a_fifth_of_the_poses_may_be_missing(truth: RunOf) -> None:
     assert s["spacing_m"]["max_deviation_mm"] <= 20.0
 
 
-def test_robots_that_are_never_seen_never_move(truth: RunOf) -> None:
-    s = truth("tracker.truth.dropout=1.0")
-    assert s["outcome"] == "fault"
-    for robot in ROBOTS:
-        assert robot in s["cause"]
-    assert "tracker does not see" in s["cause"]
-    assert (s["ticks"], s["control_error_mm"], s["latency_ms"]) == (0, None, None)
-
-
-def test_a_run_that_nobody_sees_turns_no_wheel(platoon_of: Callable[..., Any]) -> None:
+def test_robots_that_are_never_seen_are_named_and_turn_no_wheel(platoon_of: Callable[..., Any]) -> None:
     run = Lockstep(platoon_of("tracker.source=truth", "tracker.truth.dropout=1.0"))
-    run.run()
+    outcome, cause = run.run()
+    assert outcome == "fault"
+    assert cause is not None
+    assert all(word in cause for word in (*ROBOTS, "tracker does not see"))
+    s = summary(run.recording, name="platoon", mode="lockstep", outcome=outcome, cause=cause)
+    assert (s["ticks"], s["control_error_mm"], s["latency_ms"]) == (0, None, None)
     for robot in ROBOTS:
         statuses = run.recording.of_robot(STATUS, robot)
-        commands = run.recording.of_robot(COMMAND, robot)
         assert len(statuses) > 100
         assert not statuses["left_angle_rad"].any()
         assert not statuses["right_angle_rad"].any()
-        assert not commands["left_rad_s"].any()
+        assert not run.recording.of_robot(COMMAND, robot)["left_rad_s"].any()
 
 
 def test_ctrl_c_leaves_a_summary_of_what_was_recorded_until_then(platoon_of: Callable[..., Any]) -> None:
