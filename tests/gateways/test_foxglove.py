@@ -26,7 +26,7 @@ from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.retained import RetainedMessages
 from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, Address, completed
-from robofleet.recording.scenes.drawn import Channel
+from robofleet.recording.channels import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer
 from tests.gateways.overheard import EPOCH_NS, Overheard
 from tests.shipped import PLATOON

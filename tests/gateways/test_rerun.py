@@ -31,8 +31,8 @@ from robofleet.gateways.viewers.rerun.server import Server
 from robofleet.gateways.viewers.rerun.shapes import of_entity
 from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.viewer_address import DEFAULTS, RERUN, Address, completed
+from robofleet.recording.channels import Channel
 from robofleet.recording.run import Recording
-from robofleet.recording.scenes.drawn import Channel
 from robofleet.reports.layouts.rerun_blueprint import TIMELINE, blueprint
 from tests.gateways.overheard import EPOCH_NS, Overheard
 from tests.gateways.rerun_client import Rows, Saving, imported

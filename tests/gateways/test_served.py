@@ -17,7 +17,7 @@ from robofleet.core.clock import S
 from robofleet.gateways.place import ArenaAccess, Served, is_over
 from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.server import Opened
-from robofleet.recording.scenes.drawn import Channel
+from robofleet.recording.channels import Channel
 from robofleet.safety.supervisor import NOBODY, Phase
 from tests.endpoints import short_folder
 

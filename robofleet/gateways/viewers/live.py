@@ -20,8 +20,8 @@ from robofleet.gateways.place import ArenaAccess, Served, is_over
 from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.nodes.node import Lifeline
 from robofleet.operator.viewer_address import RERUN, Address
-from robofleet.recording.channels import keys
-from robofleet.recording.scenes.drawn import Channel, Drawn, of_key
+from robofleet.recording.channels import Channel, keys, of_key
+from robofleet.recording.scenes.drawn import Drawn
 
 _NICE = 5  # viewers wait for the run, never the other way round
 _JOIN_WITHIN_S = 60.0  # the router is the first process of a run

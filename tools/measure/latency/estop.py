@@ -37,8 +37,8 @@ from tests.bus.alone import ROBOT_STATUS
 from tests.endpoints import own_endpoint
 from tests.operator.asked_run import asked_run, until_asked
 from tests.runs.realrun import own_folders
-from tests.runs.unlaunched import started
 from tests.shipped import PLATOON
+from tools.measure.runs.unlaunched import started
 
 _CLOCK = WallClock()
 _DRIVES_NS = S  # between the start and the stop

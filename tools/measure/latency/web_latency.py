@@ -40,8 +40,8 @@ from tests.endpoints import own_endpoint
 from tests.nodes.longfleet import fleet_of
 from tests.operator.page.webstand import WebStand
 from tests.runs.realrun import own_folders
-from tests.runs.unlaunched import start_all
 from tests.shipped import PLATOON
+from tools.measure.runs.unlaunched import start_all
 
 CLOCK = WallClock()
 _ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole

@@ -27,9 +27,9 @@ from tests.bus.alone import ROBOT_STATUS
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.endpoints import own_endpoint
 from tests.runs.realrun import own_folders
-from tests.runs.unlaunched import started
 from tools.measure.robots.noisy_lines import SERIAL
 from tools.measure.runs.kills import wait
+from tools.measure.runs.unlaunched import started
 
 CLOCK = WallClock()
 _DRIVEN_S = 3.0

@@ -30,9 +30,9 @@ from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.page.hearing import Hearing
 from robofleet.operator.terminal.live import LiveView
 from robofleet.operator.terminal.terminal import Terminal
+from robofleet.recording.channels import Channel
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.run import Recording
-from robofleet.recording.scenes.drawn import Channel
 from robofleet.reports.after import report
 from robofleet.reports.metrics import summary
 from robofleet.reports.sampled import look

@@ -32,8 +32,8 @@ from robofleet.core.clock import MS, S, WallClock
 from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint
-from tests.runs import struck_runs
-from tests.runs.unlaunched import started, wait_ready
+from tools.measure.runs import struck_runs
+from tools.measure.runs.unlaunched import started, wait_ready
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 ROBOTS = ("r1", "r2")

@@ -27,8 +27,8 @@ from robofleet.gateways.asking import SERVICES, Ask
 from robofleet.gateways.viewers.retained import RetainedMessages
 from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.operator.viewer_address import Address
+from robofleet.recording.channels import Channel as Described
 from robofleet.recording.run import Recording
-from robofleet.recording.scenes.drawn import Channel as Described
 from robofleet.reports.layouts import foxglove as layouts
 
 LAYOUT = "foxglove.json"

@@ -14,7 +14,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.core.clock import S
-from robofleet.recording.scenes.drawn import Channel
+from robofleet.recording.channels import Channel
 from robofleet.recording.scenes.scalars import table
 from robofleet.reports.layouts.rerun_blueprint import TIMELINE
 

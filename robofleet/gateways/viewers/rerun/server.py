@@ -26,8 +26,8 @@ from robofleet.gateways.viewers.rerun.shapes import of_annotations, of_entity
 from robofleet.gateways.viewers.retained import RetainedMessages
 from robofleet.gateways.viewers.server import Opened, Run
 from robofleet.operator.viewer_address import Address
+from robofleet.recording.channels import PROTOBUF, Channel
 from robofleet.recording.run import Recording
-from robofleet.recording.scenes.drawn import PROTOBUF, Channel
 from robofleet.reports.layouts.rerun_blueprint import APPLICATION, TIMELINE, blueprint
 
 MEMORY = "256MB"  # for who comes late: with pictures some twenty minutes of four robots
