@@ -10,7 +10,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.gateways.place import Served
 from robofleet.gateways.viewers.live import Viewers
-from robofleet.gateways.viewers.server import Opened, Server
+from robofleet.gateways.viewers.server import Server
 from robofleet.recording.channels import keys
 from robofleet.recording.log import RunLog
 from robofleet.recording.scenes.drawn import Channel
@@ -51,9 +51,9 @@ class Overheard:
         """Give a server of viewers, and what tells it of this run."""
         servers: list[AnyServer] = []
 
-        def opened(channels: Sequence[Channel]) -> Opened:
+        def opened(channels: Sequence[Channel]) -> Server:
             servers.append(open_server(channels))
-            return Opened(servers[0], "")
+            return servers[0]
 
         with closing(Viewers(self.config, self, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
             yield viewers, servers[0]

@@ -28,7 +28,7 @@ from tests.shipped import PLATOON
 
 KEY = "the operator's key"
 TOLD_ONCE = {"/arena", "/fleet", "/tf_static", "/camera/calibration", "/log"}
-SERVER = partial(Server, "nobody", HERE, None)
+SERVER = partial(Server, "nobody", HERE)
 
 
 class TestFoxglove(ViewerContract):
@@ -36,7 +36,7 @@ class TestFoxglove(ViewerContract):
     drawn = frozenset({"/tf", "/camera/image", "/robots/r1/tick", "rf/platoon/tick"})
 
     def server(self, at: Address) -> Server:
-        return Server("nobody", at, None, [], [])
+        return Server("nobody", at, [], [])
 
 
 def by_topic(messages: Iterable[Message]) -> Messages:

@@ -23,7 +23,7 @@ from rerun.chunk import McapReader
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.gateways.viewers.rerun.shapes import of_annotations, of_entity
 from robofleet.gateways.viewers.retained import RetainedMessages
-from robofleet.gateways.viewers.server import Opened, Run
+from robofleet.gateways.viewers.server import Run
 from robofleet.operator.viewer_address import Address
 from robofleet.recording.run import Recording
 from robofleet.recording.scenes.drawn import PROTOBUF, Channel
@@ -53,6 +53,7 @@ class Server:
         own = at.settled()
         sink = rr.GrpcServerSink(_number(own), own.port, server_memory_limit=memory)
         self.url: str = sink.uri
+        self.address = f"rerun: rerun {self.url}"
         self._recording = rr.RecordingStream(APPLICATION)
         self._recording.set_log_time_enabled(False)  # a file has its messages' times only
         self._recording.set_sinks(sink)
@@ -149,10 +150,9 @@ class Server:
         self._log(path, log_ns, *shown)
 
 
-def opened(run: Run, at: Address, channels: Sequence[Channel]) -> Opened:
+def opened(run: Run, at: Address, channels: Sequence[Channel]) -> Server:
     """Open the server of a run; OSError where its address cannot be used."""
-    server = Server(run.config.arena.name, at, blueprint(Recording(run.config)), channels)
-    return Opened(server, f"rerun: rerun {server.url}")
+    return Server(run.config.arena.name, at, blueprint(Recording(run.config)), channels)
 
 
 def _below(topic: str, entity: str) -> str:
