@@ -28,15 +28,15 @@ from robofleet.core.refusal import RefusedError
 from robofleet.operator.hand import Hands, Stick
 from robofleet.operator.page.access import ROLES, Access, CookieAccess, TokenAccess, permits
 from robofleet.operator.page.certificate import PageKeys
+from robofleet.operator.page.connection_limiter import Complaints, Connection, ConnectionLimiter
 from robofleet.operator.page.controls import ESTOP, REQUESTS, Controls
 from robofleet.operator.page.ending import Ending
 from robofleet.operator.page.feed import Feed, Page
 from robofleet.operator.page.frames import answer
-from robofleet.operator.page.greeting import TlsHandshakes
 from robofleet.operator.page.guard import Guard, authorities
 from robofleet.operator.page.page_address import LOOPBACK, Addresses
-from robofleet.operator.page.places import Complaints, Connection, ConnectionLimiter
 from robofleet.operator.page.refused import TEMPLATES
+from robofleet.operator.page.tls_handshake import TlsHandshakes
 from robofleet.operator.page.verdict import REPORT
 
 _PAGE = Path(__file__).parent / "static"
@@ -87,9 +87,9 @@ async def serve(
     controls = Controls(bus, clock, config.units)
     complaints = Complaints(clock)
     guard = Guard(application(feed, controls, access), authorities(names, port, scheme), access, complaints)
-    places = ConnectionLimiter(complaints)
-    secured = None if keys is None else TlsHandshakes(keys.context, places)
-    server = uvicorn.Server(_settings(guard, secured or partial(Connection, places)))
+    limiter = ConnectionLimiter(complaints)
+    secured = None if keys is None else TlsHandshakes(keys.context, limiter)
+    server = uvicorn.Server(_settings(guard, secured or partial(Connection, limiter)))
     ending = Ending(folder, clock, served.over, patient=served.by_hand)
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
     try:

@@ -12,9 +12,9 @@ import httpx
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from robofleet.operator.page import ticket
+from robofleet.operator.page import one_time_token
 from robofleet.operator.page.certificate import PageKeys
-from robofleet.operator.page.places import MOST
+from robofleet.operator.page.connection_limiter import MOST
 from tests.operator.page.secureweb import HOST, Visitor, keys_in, trusting
 from tests.operator.page.webstand import WebStand, web_stand
 
@@ -103,15 +103,15 @@ def test_an_older_tls_is_refused(stand: WebStand, folder: Path, version: ssl.TLS
 
 
 @pytest.mark.parametrize(
-    "greeting", [b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n", b"\x00" * 100, b"\x16\x03\x01\x00\x05hello"]
+    "opening", [b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n", b"\x00" * 100, b"\x16\x03\x01\x00\x05hello"]
 )
 def test_what_is_not_tls_gets_a_closed_connection_and_disturbs_nobody(
-    stand: WebStand, comes: Comes, greeting: bytes, capfd: pytest.CaptureFixture[str]
+    stand: WebStand, comes: Comes, opening: bytes, capfd: pytest.CaptureFixture[str]
 ) -> None:
     visitor = comes(stand.addresses.viewer)
     capfd.readouterr()
     with visitor.page() as page, socket.create_connection(end_of(stand), timeout=GONE_WITHIN_S) as client:
-        client.sendall(greeting.replace(b"{host}", stand.authority.encode()))
+        client.sendall(opening.replace(b"{host}", stand.authority.encode()))
         assert client.recv(4096) == b""
         page.say(do="hold")
         assert page.next("answer")["ok"]
@@ -120,7 +120,7 @@ def test_what_is_not_tls_gets_a_closed_connection_and_disturbs_nobody(
     assert lines[0].startswith("refused (1 so far): a connection of 127.0.0.1: no TLS: ")
 
 
-def test_half_open_greetings_delay_nobody_and_are_closed_and_a_page_that_has_left_is_missed_by_nobody(
+def test_half_open_handshakes_delay_nobody_and_are_closed_and_a_page_that_has_left_is_missed_by_nobody(
     stand: WebStand, comes: Comes, caplog: pytest.LogCaptureFixture
 ) -> None:
     visitor = comes(stand.url)
@@ -132,7 +132,7 @@ def test_half_open_greetings_delay_nobody_and_are_closed_and_a_page_that_has_lef
             for _ in range(MOST + 50)
         ]
         for client in clients[::2]:
-            client.sendall(b"\x16\x03\x01\x02\x00\x01\x00")  # the first bytes of a greeting, and no more
+            client.sendall(b"\x16\x03\x01\x02\x00\x01\x00")  # the first bytes of a handshake, and no more
         for _ in range(3):
             fresh = comes()
             assert fresh.client.get("/page.js", timeout=ANSWERED_WITHIN_S).status_code == 200
@@ -162,7 +162,7 @@ def test_no_address_gives_a_session_away(stand: WebStand, comes: Comes) -> None:
     ((_, session),) = visitor.client.cookies.items()
     assert not any(session in address for address in stand.addresses)
     stranger = comes()
-    for query in (f"?token={session}", f"?ticket={session}", f"?token={stand.url.partition('ticket=')[2]}"):
+    for query in (f"?token={session}", f"?once={session}", f"?token={stand.url.partition('once=')[2]}"):
         assert is_worded(stranger.client.get(f"/{query}"), STRANGER)
     stranger.client.cookies.set(f"__Host-robofleet-{end_of(stand)[1]}", session[:-1], domain=HOST)
     assert is_worded(stranger.client.get("/"), STRANGER)
@@ -188,7 +188,7 @@ def test_the_address_for_a_browsers_command_line_is_for_this_user_only(
 ) -> None:
     for owner in (None, os.geteuid() + 1):  # from another computer; another user's
         with monkeypatch.context() as patched:
-            patched.setattr(ticket, "owner", lambda *_, owner=owner: owner)
+            patched.setattr(one_time_token, "owner", lambda *_, owner=owner: owner)
             assert is_worded(comes().enter(stand.once), USED)
     assert comes(stand.once).client.get("/").status_code == 200
 
