@@ -46,7 +46,6 @@ class Ending:
             print(line, file=sys.stderr)
 
     def write_junit(self, file: Path) -> None:
-        """Write the bounds for a CI."""
         try:
             junit.write(self._summary, self.lost, file)
         except OSError as error:

@@ -34,7 +34,6 @@ class Result(NamedTuple):
 
 
 def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> Result:
-    """Run on a simulated clock."""
     from robofleet.runs.lockstep import Lockstep  # noqa: PLC0415 - it loads all that its processes need
 
     began = _now()
@@ -72,7 +71,6 @@ def _now() -> str:
 
 
 def _first(raised: BaseException) -> str:
-    """Return the first complaint of a group."""
     while isinstance(raised, BaseExceptionGroup):
         raised = raised.exceptions[0]
     return str(raised)
@@ -82,7 +80,6 @@ def in_real_time(
     config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: PageWanted | None,
     viewers: Mapping[str, str] | None = None,
 ) -> Result:  # fmt: skip
-    """Run with real processes."""
     began = _now()
     with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
         run = Launcher(

@@ -69,7 +69,6 @@ class RunCommand(TyperCommand):
     """``run``, whose options --foxglove and --rerun may stand without a value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Add the values that were left out."""
         return super().parse_args(ctx, viewers.completed(args))
 
 
@@ -204,7 +203,6 @@ def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> Page
 
 
 def _refuse_viewers(shown: dict[str, str], tree: Config, *, lockstep: bool) -> None:
-    """Refuse viewers that could not see the run."""
     for viewer, at in shown.items():
         option = viewers.option(viewer)
         if lockstep:

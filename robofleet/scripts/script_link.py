@@ -98,10 +98,8 @@ def ended(status: RunStatus, config: Config) -> FleetError:
 
 
 def held(status: RunStatus, config: Config) -> FleetError:
-    """Return why the fleet stands."""
     return FleetError(f"the run is held: {status.describe(config.ids)}: `fleet.resume()` goes on")
 
 
 def refuse(answer: str, what: bytes) -> NoReturn:
-    """Raise what the supervisor answered."""
     raise FleetError(f"{what.decode()} was refused: {answer.removeprefix('refused: ')}")

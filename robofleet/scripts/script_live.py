@@ -93,12 +93,10 @@ class LiveLink:
 
     @property
     def status(self) -> RunStatus:
-        """Where the run is."""
         return self._newest(STATE) or RunStatus()
 
     @property
     def tick(self) -> bytes:
-        """The newest tick's record."""
         self._has_new_tick()
         return bytes(self._ticks[TICK])
 
@@ -113,12 +111,10 @@ class LiveLink:
         return tick
 
     def newest(self, topic: Topic, unit: str) -> bytes | None:
-        """Return the newest message of a unit."""
         payload: bytes | None = self._newest((topic, unit))
         return payload
 
     def ask(self, what: bytes) -> None:
-        """Ask the supervisor."""
         try:
             answer = asked(self._bus, self._clock, "supervisor", what, role=SCRIPT).decode(errors="replace")
         except TimeoutError as error:
@@ -202,7 +198,6 @@ class OwnRun:
         os.close(theirs)
 
     def check(self) -> None:
-        """Raise FleetError where it has ended."""
         if self.over:
             raise FleetError(self.why())
 
@@ -217,7 +212,6 @@ class OwnRun:
 
     @property
     def over(self) -> bool:
-        """Whether it has ended."""
         return self._process.poll() is not None
 
     def why(self) -> str:
@@ -269,7 +263,6 @@ class OwnRunLink(LiveLink):
         self._run.check()
 
     def begin(self) -> None:
-        """Wait until the robots may drive."""
         try:
             super().begin()
         except BaseException:
@@ -277,7 +270,6 @@ class OwnRunLink(LiveLink):
             raise
 
     def done(self, parting: bytes) -> dict[str, Any] | None:
-        """End the run."""
         with suppress(FleetError):
             self._part(parting, lambda: self._run.over or self.status.phase in _OVER, _OVER_WITHIN_S)
         return self._end()
@@ -288,7 +280,6 @@ class OwnRunLink(LiveLink):
         return self._end()
 
     def _end(self) -> dict[str, Any] | None:
-        """End the run, where it has not ended."""
         if self.status.phase not in _OVER:
             self._run.interrupt()
         summary = self._run.summary()

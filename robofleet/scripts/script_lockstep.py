@@ -72,12 +72,10 @@ class LockstepLink:
 
     @property
     def status(self) -> RunStatus:
-        """Where the run is."""
         return self.run.status
 
     @property
     def tick(self) -> bytes:
-        """The newest tick's record."""
         return self._ticks[-1]
 
     def next_tick(self) -> bytes:
@@ -93,7 +91,6 @@ class LockstepLink:
         return ticks[-1]
 
     def newest(self, topic: Topic, unit: str) -> bytes | None:
-        """Return the newest message of a unit."""
         payloads = self._messages.get(key(self.config.arena.name, topic, unit))
         return payloads[-1] if payloads else None
 
@@ -112,7 +109,6 @@ class LockstepLink:
         self.run.advance(2 * self.config.controller.tick_s)
 
     def done(self, parting: bytes) -> dict[str, Any]:
-        """End the run."""
         run = self.run
         if run.status.phase is Phase.RUNNING:
             self.wish(parting)
@@ -123,7 +119,6 @@ class LockstepLink:
         return self.end("stopped" if phase is Phase.HOLD else "fault", run.status.describe(self.config.ids))
 
     def failed(self, parting: bytes, why: str) -> dict[str, Any]:
-        """End the run."""
         phase = self.run.status.phase
         self.wish(parting)
         return self.end("fault" if phase in (Phase.FAULT, Phase.ESTOP) else "stopped", why)

@@ -71,7 +71,6 @@ class TokenAccess:
         return OPERATOR if fits else None
 
     def open(self, scope: Scope, shown: str) -> Response | None:
-        """Send a browser with the one-time token to the page."""
         if not self._once.take(shown, scope.get("client"), self._port):
             return None
         return RedirectResponse(f"/?token={self._token}", _SEE_OTHER)
@@ -104,7 +103,6 @@ class CookieAccess:
         return _opening(self._root, self._invited[-1])
 
     def role(self, scope: Scope) -> str | None:
-        """Return the role of the cookie."""
         return self._sessions.get(HTTPConnection(scope).cookies.get(self._name, ""))
 
     def open(self, scope: Scope, shown: str) -> Response | None:

@@ -30,7 +30,6 @@ class Complaints:
         self._logged_ns = -S
 
     def add(self, what: str) -> None:
-        """Count one, and say what it was."""
         self.count += 1
         now_ns = self._clock.now_ns()
         if now_ns - self._logged_ns >= S:
@@ -103,32 +102,26 @@ class Connection(H11Protocol):
 
     @property
     def host(self) -> str:
-        """Whose it is."""
         return self.client[0] if self.client else "?"
 
     @property
     def acts(self) -> bool:
-        """Whether it asks for something to be done, and is not answered yet."""
         return self._asks and self.scope["method"] == "POST"
 
     def is_idle(self) -> bool:
-        """Return whether it asks for nothing, and has said nothing that is not read yet."""
         return not self._asks and not unread(self.transport)
 
     def drop(self, why: str) -> None:
-        """Close it at once."""
         self._limiter.complaints.add(f"a connection of {self.host}: {why}")
         self._leave()
         self.transport.abort()
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Register it."""
         super().connection_made(transport)
         self._wait(ASKED_WITHIN_S)
         self._limiter.take(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Remove it."""
         self._leave()
         super().connection_lost(exc)
 
@@ -139,12 +132,10 @@ class Connection(H11Protocol):
         self.loop.call_later(ASKED_WITHIN_S, self._end_without_page)
 
     def on_response_complete(self) -> None:
-        """Wait for the next request."""
         self._wait(ASKED_WITHIN_S)
         super().on_response_complete()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what is not HTTP."""
         self._limiter.complaints.add(f"what {self.host} says is not HTTP")
         super().send_400_response(msg)
 

@@ -60,6 +60,5 @@ class Controls:
         return answer(what, reply.startswith("ok"), reply.removeprefix("refused: "))
 
     def close(self) -> None:
-        """End the threads; start no more requests."""
         for pool in (self._stopping, self._asking):
             pool.shutdown(wait=False, cancel_futures=True)

@@ -43,7 +43,6 @@ class Guard:
         self._socket = "wss" if access.scheme == "https" else "ws"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request, or one WebSocket."""
         headers = Headers(scope=scope)
         answer = self._app
         wrong = self._wrong(scope, headers)

@@ -24,7 +24,6 @@ class TlsHandshakes:
         self._open: WeakSet[asyncio.Transport] = WeakSet()
 
     def __call__(self, **of_uvicorn: Any) -> "TlsHandshake":
-        """Return the beginning of a connection."""
         return TlsHandshake(self._context, self._limiter, self._open, of_uvicorn)
 
     def close(self) -> None:
@@ -50,7 +49,6 @@ class TlsHandshake(asyncio.Protocol):
         self.host = "?"
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Register it, and begin."""
         assert isinstance(transport, asyncio.Transport)
         transport.pause_reading()  # until TLS reads
         self._transport = transport
@@ -60,15 +58,12 @@ class TlsHandshake(asyncio.Protocol):
         self._limiter.take(self)
 
     def data_received(self, data: bytes) -> None:
-        """Keep what TLS has brought already."""
         self._early += data
 
     def is_idle(self) -> bool:
-        """Return whether it has said nothing that is not read yet."""
         return not unread(self._transport)
 
     def drop(self, why: str) -> None:
-        """Close it at once."""
         self._limiter.complaints.add(f"a connection of {self.host}: {why}")
         self._limiter.leave(self)
         self._transport.abort()

@@ -52,12 +52,10 @@ def banner(state: RunState, words: StateWords, *, by_key: bool, way: Phase | Non
 
 
 def compiling_line(progress: Progress) -> Group:
-    """Return what is compiled, how far it is, and for how long still."""
     return Group(Text(progress.words(), "cyan"), ProgressBar(1.0, progress.share, width=50))
 
 
 def keys(terminal: Terminal, phase: str) -> Text:
-    """Return the keys, and what was answered to the last one."""
     text = Text()
     for line in [*terminal.addresses.values()]:  # a thread may add one
         text.append(f"\n{line}\n", "cyan")

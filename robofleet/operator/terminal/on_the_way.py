@@ -46,7 +46,6 @@ class OnTheWay:
         ]
 
     def robot_words(self, to_go_m: float) -> str:
-        """Return a robot's part of the way in words."""
         assert self.phase is not None
         return f"{to_go_m:.2f} m to {_WHERE[self.phase]}" if to_go_m else _THERE[self.phase]
 
