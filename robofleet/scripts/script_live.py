@@ -20,11 +20,11 @@ from robofleet.bus.keys import NOTE, SENSORS, STATE, STATUS, TICK, WISH, Topic
 from robofleet.bus.messages import RUN_STATE, TICK_RECORD
 from robofleet.bus.observer import Observer, Source
 from robofleet.bus.permissions import SCRIPT
-from robofleet.bus.requests import asked
 from robofleet.config import groups
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, WallClock
+from robofleet.operator.asking import ask_supervisor
 from robofleet.reports.after import SUMMARY
 from robofleet.runs.children import ended_by
 from robofleet.safety.supervisor import Phase, RunStatus
@@ -116,10 +116,10 @@ class LiveLink:
 
     def ask(self, what: bytes) -> None:
         try:
-            answer = asked(self._bus, self._clock, "supervisor", what, role=SCRIPT).decode(errors="replace")
+            done, answer = ask_supervisor(self._bus, self._clock, what.decode(), SCRIPT)
         except TimeoutError as error:
             raise FleetError(f"{what.decode()}: {error}") from error
-        if not answer.startswith("ok"):
+        if not done:
             refuse(answer, what)
 
     def done(self, parting: bytes) -> dict[str, Any] | None:

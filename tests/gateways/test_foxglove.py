@@ -19,12 +19,13 @@ from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.core import refusal
 from robofleet.core.refusal import RefusedError
-from robofleet.gateways.asking import SERVICES, Outcome
+from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.place import Served
 from robofleet.gateways.viewers.foxglove.server import Server, services, written
 from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.retained import RetainedMessages
 from robofleet.gateways.viewers.server import Opened
+from robofleet.operator.asking import Outcome
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, Address, completed
 from robofleet.recording.scenes.drawn import Channel
 from tests.gateways.foxglove_client import Message, Viewer, viewer

@@ -25,11 +25,12 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import Clock
 from robofleet.core.files import read_plain
 from robofleet.core.refusal import RefusedError
+from robofleet.operator.asking import ESTOP
 from robofleet.operator.hand import Hands, Stick
 from robofleet.operator.page.access import ROLES, Access, CookieAccess, TokenAccess, permits
 from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.connection_limiter import Complaints, Connection, ConnectionLimiter
-from robofleet.operator.page.controls import ESTOP, REQUESTS, Controls
+from robofleet.operator.page.controls import REQUESTS, Controls
 from robofleet.operator.page.ending import Ending
 from robofleet.operator.page.feed import Feed, Page
 from robofleet.operator.page.frames import answer
