@@ -34,6 +34,9 @@ class Link(Protocol):
     def tick(self) -> bytes:
         """The newest tick's record."""
 
+    def begin(self) -> None:
+        """Wait until the robots may drive; FleetError where the run ends before."""
+
     def next_tick(self) -> bytes:
         """Wait for the next tick, and return its record; FleetError where none comes any more."""
 

@@ -63,7 +63,7 @@ class LiveLink:
         try:
             self._ticks = Observer(self._bus, wake=self._wake)
             self._ticks.declare([TICK], self._own_tick)
-            self._observer = Observer(self._bus)
+            self._observer = Observer(self._bus)  # its messages need not wake anybody
             self._observer.declare([STATE], _status)
             units = [(STATUS, unit) for unit in config.units] + [(SENSORS, unit) for unit in config.sensing]
             self._observer.declare(units, bytes)
@@ -82,7 +82,6 @@ class LiveLink:
             raise
 
     def begin(self) -> None:
-        """Wait until the robots may drive; FleetError where the run ends before."""
         while self.status.phase is not Phase.RUNNING:
             self._check()
             if self.status.phase in (Phase.FAULT, Phase.ESTOP):
