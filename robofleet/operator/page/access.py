@@ -7,7 +7,6 @@ and for a viewer, and an operator's page makes more of them.
 
 import secrets
 from collections import deque
-from typing import Protocol
 
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -18,7 +17,7 @@ from robofleet.bus.requests import SAFE
 from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.one_time_token import OneTimeToken, Taker
 from robofleet.operator.page.page_address import Addresses
-from robofleet.operator.page.refused import LOGIN, ONCE, TEMPLATES, TOKEN, USED, Words
+from robofleet.operator.page.refused import LOGIN, ONCE, TEMPLATES, TOKEN, USED
 
 ROLES = OPERATOR, VIEWER
 OPEN = "/open"  # takes a one-time token
@@ -32,27 +31,11 @@ def permits(role: str, what: str) -> bool:
     return role == OPERATOR or (role == VIEWER and what.encode() in SAFE)
 
 
-class Access(Protocol):
-    """How the guard learns the role of a request."""
-
-    scheme: str
-    stranger: Words  # what somebody reads who opens a page without the right to
-    used: Words  # ... who opens an address whose token is taken
-
-    def addresses(self) -> Addresses:
-        """Return what the terminal shows."""
-
-    def role(self, scope: Scope) -> str | None:
-        """Return the role in which something is asked; None: a stranger asks."""
-
-    def open(self, scope: Scope, shown: str) -> Response | None:
-        """Return the answer to who shows a one-time token; None where it is not good."""
-
-
 class TokenAccess:
     """On this computer: who has the token is the operator."""
 
-    scheme, stranger, used = "http", TOKEN, ONCE
+    scheme = "http"
+    stranger, used = TOKEN, ONCE  # what a stranger reads, and who opens an address whose token is taken
 
     def __init__(self, root: str, port: int) -> None:
         self._root, self._port = root, port
@@ -63,7 +46,7 @@ class TokenAccess:
         return Addresses(f"{self._root}/?token={self._token}", _opening(self._root, self._once))
 
     def role(self, scope: Scope) -> str | None:
-        """Return the operator's role for the token: of a POST in its header, else in its address."""
+        """Return the operator's role for the token, of a POST in its header, else in its address; None: a stranger."""
         connection = HTTPConnection(scope)
         posted = scope["type"] == "http" and scope["method"] == "POST"
         tokens = connection.headers.getlist("x-token") if posted else connection.query_params.getlist("token")
@@ -71,6 +54,7 @@ class TokenAccess:
         return OPERATOR if fits else None
 
     def open(self, scope: Scope, shown: str) -> Response | None:
+        """Return the answer to who shows a one-time token: on to the page; None where it is not good."""
         if not self._once.take(shown, scope.get("client"), self._port):
             return None
         return RedirectResponse(f"/?token={self._token}", _SEE_OTHER)
@@ -79,7 +63,8 @@ class TokenAccess:
 class CookieAccess:
     """Beyond this computer: a one-time token gives a cookie, and the cookie is a role."""
 
-    scheme, stranger, used = "https", LOGIN, USED
+    scheme = "https"
+    stranger, used = LOGIN, USED  # as above
 
     def __init__(self, root: str, port: int, keys: PageKeys) -> None:
         self._root, self._port, self._keys = root, port, keys
@@ -116,6 +101,9 @@ class CookieAccess:
                 page.set_cookie(self._name, session, secure=True, httponly=True, samesite="strict")
                 return page
         return page if self.role(scope) is not None else None
+
+
+Access = TokenAccess | CookieAccess
 
 
 def new_secret() -> str:

@@ -9,6 +9,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+from weakref import WeakSet
 
 import segno
 import uvicorn
@@ -37,7 +38,7 @@ from robofleet.operator.page.frames import answer
 from robofleet.operator.page.guard import Guard, authorities
 from robofleet.operator.page.page_address import LOOPBACK, Addresses
 from robofleet.operator.page.refused import TEMPLATES
-from robofleet.operator.page.tls_handshake import TlsHandshakes
+from robofleet.operator.page.tls_handshake import TlsHandshake
 from robofleet.operator.page.verdict import REPORT
 
 _PAGE = Path(__file__).parent / "static"
@@ -89,8 +90,9 @@ async def serve(
     complaints = Complaints(clock)
     guard = Guard(application(feed, controls, access), authorities(names, port, scheme), access, complaints)
     limiter = ConnectionLimiter(complaints)
-    secured = None if keys is None else TlsHandshakes(keys.context, limiter)
-    server = uvicorn.Server(_settings(guard, secured or partial(Connection, limiter)))
+    secured = WeakSet[asyncio.Transport]()
+    protocol = partial(TlsHandshake, keys.context, limiter, secured) if keys else partial(Connection, limiter)
+    server = uvicorn.Server(_settings(guard, protocol))
     ending = Ending(folder, clock, served.over, patient=served.by_hand)
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
     try:
@@ -117,8 +119,8 @@ async def serve(
                 server.should_exit = True
                 await asyncio.shield(serving)
         server.should_exit = True
-        if secured is not None:
-            secured.close()
+        for transport in [*secured]:
+            transport.abort()  # without waiting for the other end's good-bye
         feeding.cancel()
         controls.close()
 

@@ -16,22 +16,6 @@ from robofleet.operator.page.connection_limiter import ASKED_WITHIN_S, Connectio
 _LEFT_WITHIN_S = 1.0  # of our last word: who does not say good-bye is left
 
 
-class TlsHandshakes:
-    """Makes the server's end of each connection, and closes what is left of them."""
-
-    def __init__(self, context: ssl.SSLContext, limiter: ConnectionLimiter) -> None:
-        self._context, self._limiter = context, limiter
-        self._open: WeakSet[asyncio.Transport] = WeakSet()
-
-    def __call__(self, **of_uvicorn: Any) -> "TlsHandshake":
-        return TlsHandshake(self._context, self._limiter, self._open, of_uvicorn)
-
-    def close(self) -> None:
-        """Wait for no other end's good-bye any more."""
-        for transport in list(self._open):
-            transport.abort()
-
-
 class TlsHandshake(asyncio.Protocol):
     """A connection until both ends have agreed on its keys; then it is a ``Connection``."""
 
@@ -42,8 +26,9 @@ class TlsHandshake(asyncio.Protocol):
         context: ssl.SSLContext,
         limiter: ConnectionLimiter,
         opened: WeakSet[asyncio.Transport],
-        of_uvicorn: dict[str, Any],
+        **of_uvicorn: Any,
     ) -> None:
+        """``opened``: where its transport is kept, for who closes those that are left."""
         self._context, self._limiter, self._open, self._of_uvicorn = context, limiter, opened, of_uvicorn
         self._early = b""  # a request that came with the last word of the handshake
         self.host = "?"
