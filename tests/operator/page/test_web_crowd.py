@@ -4,24 +4,17 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
 
 import httpx
 import pytest
 
 from robofleet.core.clock import MS
 from robofleet.operator.page.connection_limiter import MOST
-from tests.operator.page.webstand import CLOCK, WebStand, web_stand
+from tests.operator.page.webstand import CLOCK, WebStand
 from tests.runs.realrun import wait
 
 ANSWERED_WITHIN_S = 5.0  # the page's own patience; an emergency stop that nobody acknowledges takes two
 GONE_WITHIN_S = 20.0
-
-
-@pytest.fixture
-def stand(tmp_path: Path) -> Iterator[WebStand]:
-    with web_stand(tmp_path, "tracker.source=truth") as stand:
-        yield stand
 
 
 def connected(stand: WebStand) -> socket.socket:

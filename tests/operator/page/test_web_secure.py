@@ -20,7 +20,6 @@ from tests.operator.page.webstand import WebStand, web_stand
 
 ANSWERED_WITHIN_S = 5.0
 GONE_WITHIN_S = 20.0
-MOVING = "arm", "start", "resume", "stop", "reset"
 USED = "This address has opened its page already"
 STRANGER = "This browser is not logged in"
 COOKIE = r"__Host-robofleet-(\d+)=([0-9a-f]{32}); HttpOnly; Path=/; SameSite=strict; Secure"
@@ -168,13 +167,10 @@ def test_no_address_gives_a_session_away(stand: WebStand, comes: Comes) -> None:
     assert is_worded(stranger.client.get("/"), STRANGER)
 
 
-@pytest.mark.parametrize("path", ["/", "/index.html", "/report"])
-def test_without_a_cookie_there_is_no_page(stand: WebStand, comes: Comes, path: str) -> None:
-    assert is_worded(comes().client.get(path), STRANGER)
-
-
-def test_a_stranger_can_ask_for_nothing(stand: WebStand, comes: Comes) -> None:
+def test_without_a_cookie_there_is_no_page_and_a_stranger_can_ask_for_nothing(stand: WebStand, comes: Comes) -> None:
     stranger = comes()
+    for path in ("/", "/index.html", "/report"):
+        assert is_worded(stranger.client.get(path), STRANGER)
     assert is_bare(stranger.post("/estop"))
     assert is_bare(stranger.post("/invite/operator"))
     with pytest.raises(InvalidStatus) as refused, stranger.page():
@@ -213,20 +209,17 @@ def test_another_name_is_refused(stand: WebStand, comes: Comes) -> None:
     assert visitor.client.get("/", headers={"host": f"localhost:{end_of(stand)[1]}"}).status_code == 403
 
 
-@pytest.mark.parametrize("what", MOVING)
-def test_a_viewer_moves_nothing(stand: WebStand, comes: Comes, what: str) -> None:
-    with comes(stand.addresses.viewer).page() as page:
-        page.say(do=what)
-        answer = page.next("answer")
-    assert (answer["to"], answer["ok"]) == (what, False)
-    assert answer["text"].startswith("refused (403): a viewer may hold the run and press the emergency stop")
-    assert stand.requests == []
-
-
-def test_a_viewer_sees_holds_and_stops(stand: WebStand, comes: Comes) -> None:
+def test_a_viewer_sees_holds_stops_moves_nothing_and_invites_nobody(stand: WebStand, comes: Comes) -> None:
     visitor = comes(stand.addresses.viewer)
+    assert is_bare(visitor.post("/invite/viewer"))
     with visitor.page() as page:
         assert page.heard_one()["type"] == "hello"
+        for what in ("arm", "start", "resume", "stop", "reset"):
+            page.say(do=what)
+            answer = page.next("answer")
+            assert (answer["to"], answer["ok"]) == (what, False)
+            assert answer["text"].startswith("refused (403): a viewer may hold the run and press the emergency stop")
+        assert stand.requests == []
         page.say(do="hold")
         assert page.next("answer")["ok"]
         page.say(do="estop")
@@ -244,10 +237,6 @@ def test_viewers_leave_places_for_operators(stand: WebStand, comes: Comes) -> No
         with pytest.raises(InvalidStatus), viewer.page():
             pass
         assert opened.enter_context(operator.page()).heard_one()["type"] == "hello"
-
-
-def test_a_viewer_invites_nobody(stand: WebStand, comes: Comes) -> None:
-    assert is_bare(comes(stand.addresses.viewer).post("/invite/viewer"))
 
 
 def test_an_operator_does_everything_and_invites_others(stand: WebStand, comes: Comes) -> None:
