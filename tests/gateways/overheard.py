@@ -11,9 +11,8 @@ from robofleet.core.clock import S
 from robofleet.gateways.place import Served
 from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.server import Server
-from robofleet.recording.channels import keys
+from robofleet.recording.channels import Channel, keys
 from robofleet.recording.log import RunLog
-from robofleet.recording.channels import Channel
 from robofleet.runs.lockstep import Lockstep
 
 EPOCH_NS = 1_790_000_000 * 10**9

@@ -17,9 +17,10 @@ from mcap.reader import make_reader
 
 from robofleet.config.load import load_config
 from robofleet.core.refusal import RefusedError
-from robofleet.gateways.asking import SERVICES, Outcome
+from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.viewers.foxglove.server import Server, services, written
 from robofleet.gateways.viewers.retained import RetainedMessages
+from robofleet.operator.asking import Outcome
 from robofleet.operator.viewer_address import FOXGLOVE, Address
 from tests.gateways.foxglove_client import Message, Viewer, viewer
 from tests.gateways.overheard import Overheard

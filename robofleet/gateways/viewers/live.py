@@ -51,7 +51,7 @@ def serve(
             raise SystemExit
 
     bus = joined(config.arena.name, access.endpoint, VIEWER, clock, within_s, look, access.credentials)
-    run = Run(config, access, folder, Asking(bus, clock, config, access.role))
+    run = Run(config, access, folder, Asking(bus, clock, config.units, access.role))
 
     def opened(channels: Sequence[Channel]) -> Server:
         try:
