@@ -47,8 +47,6 @@ _PART_BYTES = 1 << 20  # of a recording, looked at together
 
 
 class Stream:
-    """All messages, oldest first."""
-
     dropped = 0
 
     def __init__(self, bus: Any, clock: Clock) -> None:
