@@ -15,7 +15,7 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.config.mocap import MocapSettings
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
-from robofleet.simulation.sources import World
+from robofleet.simulation.arena import World
 from robofleet.tracking.offset import tag_from_centre
 
 
