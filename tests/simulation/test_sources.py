@@ -13,9 +13,10 @@ from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.nodes.pose_sources import TruthPoses
 from robofleet.simulation.sources import SimulatedCamera
-from robofleet.tracking.sources import PoseContext, ScheduledCamera
+from robofleet.tracking.sources import ScheduledCamera
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.bus.alone import Truth
+from tests.contexts import context
 from tests.shipped import PLATOON
 
 TICK_NS = 33 * MS
@@ -39,16 +40,10 @@ class Floor:
         self.rng = np.random.default_rng(1)
 
     def source(self) -> TruthPoses:
-        return TruthPoses(self._context())
+        return TruthPoses(context(self.config, self.clock, bus=self.bus, ticks=self.ticks, rng=self.rng))
 
     def camera(self) -> SimulatedCamera:
-        return SimulatedCamera(self._context())
-
-    def _context(self) -> PoseContext:
-        return PoseContext(
-            config=self.config, clock=self.clock, bus=self.bus, ticks=self.ticks, rng=self.rng, extra_delay_ns=0,
-            wake=lambda _: None, real_time=False, around=lambda feed: feed,
-        )  # fmt: skip
+        return SimulatedCamera(context(self.config, self.clock, bus=self.bus, ticks=self.ticks, rng=self.rng))
 
     def where(self, row: int, instant_ns: int) -> tuple[float, float, float]:
         start = self.config.robots[row].start
