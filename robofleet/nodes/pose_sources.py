@@ -18,13 +18,13 @@ from robofleet.tracking.events import Notice
 from robofleet.tracking.sight import FleetSight
 from robofleet.tracking.sources import (
     CameraContext,
-    CameraPoller,
-    CameraReader,
     Feed,
     Lost,
     Observation,
+    Poller,
     PoseContext,
     PoseSource,
+    Reader,
     ReopenedCamera,
     ScheduledCamera,
 )
@@ -38,7 +38,7 @@ def camera_feed(context: CameraContext, wake: Wake) -> Feed:
     open_camera = partial(load("robofleet.cameras", camera.source), context)
     first = open_camera()
     device = ReopenedCamera(first, open_camera, camera.model.camera)
-    return CameraPoller(device) if isinstance(first, ScheduledCamera) else CameraReader(device, wake)
+    return Poller(device) if isinstance(first, ScheduledCamera) else Reader(device, wake)
 
 
 def pose_source(context: PoseContext) -> PoseSource:
