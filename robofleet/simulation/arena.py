@@ -96,7 +96,6 @@ def take(  # type: ignore[no-untyped-def]
 
 @kernel
 def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
-    """See ``World.reported_at``."""
     poses, capacity = np.full((len(stamps), 3), np.nan), stamps.shape[1]
     for n in range(len(stamps)):
         if count[n] > 0 and instant_ns - stamps[n, (count[n] - 1) % capacity] <= _BEYOND_NS:
@@ -108,7 +107,6 @@ def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: i
 def moving(
     stamps: Instants, samples: Array, count: Instants, instants_ns: Instants, half_ns: int
 ) -> tuple[Array, Array]:
-    """See ``World.moving``."""
     poses, velocities = np.empty((len(stamps), 3)), np.empty((len(stamps), 3))
     per_s = 0.5e9 / half_ns
     for n in range(len(stamps)):

@@ -77,7 +77,6 @@ class SimulatedCamera:
 
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:
-        """Return what cannot work with this configuration."""
         if config.camera.adjusts_exposure:
             yield from nothing_left(config, _LIMITS)
 
@@ -93,7 +92,6 @@ class SimulatedCamera:
         return None if exposure_ns is None else exposure_ns + self._after_ns()
 
     def read(self) -> Frame:
-        """Wait for the next image, and render it."""
         while (ready_ns := self.ready_ns()) is None:
             self._ticks.update()
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)

@@ -95,7 +95,6 @@ class CaptureDevice:
         self.ready_ns = getattr(capture, "ready_ns", None)  # only a simulated system knows it
 
     def read(self) -> CaptureFrame | None:
-        """Return the next frame, waiting for it."""
         self._capture.waitForNextFrame()
         arrival_ns = self._clock.now_ns()
         bodies = {}

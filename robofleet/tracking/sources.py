@@ -187,7 +187,6 @@ class ExposureChange:
         self._requested = exposure
 
     def take(self) -> Exposure | None:
-        """Return what was asked for since the last call."""
         change, self._requested = self._requested, None
         return change
 
@@ -419,7 +418,6 @@ class Poller(Generic[Image_co]):
         self._ended = False
 
     def next_ns(self) -> int | None:
-        """Return when there will be something to take; None while that is not known."""
         if self._ended:
             return None
         camera = self.device.camera
@@ -427,7 +425,6 @@ class Poller(Generic[Image_co]):
         return self._again_ns if ready_ns is None else ready_ns()
 
     def take(self, now_ns: int) -> Image_co | Lost | None:
-        """Return the image that is there, or why there is none."""
         due_ns = self.next_ns()
         if due_ns is None or due_ns > now_ns:
             return None
@@ -438,5 +435,4 @@ class Poller(Generic[Image_co]):
         return taken
 
     def close(self) -> None:
-        """Let go of the camera."""
         self.device.close()
