@@ -42,6 +42,7 @@ from tests.operator.page.webstand import WebStand
 from tests.runs.realrun import own_folders
 from tests.shipped import PLATOON
 from tools.measure.program import program
+from tools.measure.runs.unlaunched import start_all
 
 CLOCK = WallClock()
 _ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole
