@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
-
-Array = NDArray[np.float64]
 
 _SURVEY_INPUTS = slice(1, 2)  # among the inputs of a camera's pose: after the camera's own file, before the images
 _SAMPLES_A_SIDE = 60  # of the arena
@@ -60,14 +59,11 @@ def _of_floor(config: Config) -> Array:
     return np.stack([*map(np.ravel, np.meshgrid(x, y))], axis=1)
 
 
-def _sees(camera: CameraSettings, points: Array) -> NDArray[np.bool_]:
-    return CameraGeometry.from_model(camera.model).sees(points, (camera.width, camera.height))
-
-
 def _surveys(config: Config, camera: CameraSettings) -> set[str]:
     """Return the hash of the survey that a camera was placed by; ``floor tags`` where it sees some of
     ``tracker.floor_tags``."""
     arena, tags = camera.model.arena, config.tracker.floor_tags
     surveys = set() if arena is None else set(list(arena.inputs.values())[_SURVEY_INPUTS])
     at = np.array([(tag.x_m, tag.y_m, tag.height_m) for tag in tags])
-    return surveys | ({"floor tags"} if tags and _sees(camera, at).any() else set())
+    geometry, size = CameraGeometry.from_model(camera.model), (camera.width, camera.height)
+    return surveys | ({"floor tags"} if tags and geometry.sees(at, size).any() else set())

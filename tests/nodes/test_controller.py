@@ -1,4 +1,4 @@
-"""The controller's step alone: its grid, what it believes, and what it says."""
+"""The controller's step alone: its grid, what it believes and what it must not believe, and what it says."""
 
 from collections.abc import Callable
 from typing import Any
@@ -51,7 +51,7 @@ class Stand:
         now_ns = self.bench.now_ns
         self.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, echo_tick, since_ns, 0, 0, tuple(seen)), CAMERA)
 
-    def state(self, phase: Phase) -> None:
+    def state(self, phase: int) -> None:
         self.bench.say(STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY, 0.0, 0, (RobotState(1, 1, 0),) * 4))
 
     def status(self, robot: str, nonce: int, session: int | None = None) -> None:
@@ -222,6 +222,27 @@ def test_every_robot_of_an_image_has_its_own_mid_exposure(stand: Stand) -> None:
         assert (first.measured, other.measured) == (float(k > 0), float(k > 0))  # the first echoes no tick
     unseen_s = stand.node._estimate.predict(stand.bench.now_ns).unseen_s
     assert unseen_s[1] - unseen_s[0] == pytest.approx(8e-3)
+
+
+@pytest.mark.parametrize("phase", [99, Phase.POSITIONING, Phase.PARKING])
+def test_a_state_that_this_run_cannot_be_in_is_dropped(stand: Stand, phase: int) -> None:
+    """Nobody has a place to park, and all begin where they stand."""
+    stand.state(phase)
+    stand.seen(3)
+    assert stand.newest.phase == Phase.IDLE
+
+
+@pytest.mark.parametrize("since_ns", [10 * S, 2**63 - 1, -(2**63)])
+def test_an_image_of_the_future_or_of_no_time_is_used_for_nobody_and_does_not_blind_the_filter(
+    stand: Stand, since_ns: int
+) -> None:
+    stand.next_tick(3)
+    for since, used in ((since_ns, False), (15 * MS, True)):
+        stand.poses(stand.tick, since)
+        stand.next_tick()
+        assert {robot.lost for robot in stand.newest.robots} == {float(not used)}
+    for robot, seen in zip(stand.robots, stand.newest.robots, strict=True):
+        assert (seen.x_m, seen.y_m) == pytest.approx((robot.start.x_m, robot.start.y_m))
 
 
 @pytest.mark.parametrize("after_ns", [2 * TICK_NS, 10**9])
