@@ -46,6 +46,7 @@ def states(run: Lockstep) -> list[Any]:
     return [RUN_STATE.decode(payload) for payload in run.recording.messages[key("platoon", STATE)]]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_faulty_robot_is_named_and_nobody_runs(truth: Make, fault: str) -> None:
     s = truth(fault)
@@ -64,6 +65,7 @@ def test_only_the_robots_of_the_rounds_up_to_the_faulty_one_ever_turned_a_wheel(
     assert turned == {"r1": False, "r2": True, "r3": False, "r4": True}
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("change", "within_s"),
     [("run.seed=7", 4.0), ("camera.trigger=free", 4.0), ("tracker.truth.dropout=0.3", 5.5)],
@@ -81,6 +83,7 @@ def test_a_healthy_fleet_is_armed_in_time_round_by_round(change: str, within_s: 
     assert 0.033 * sum(tick.phase == Phase.ARMED for tick in ticks) <= within_s
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("change", ["max_wheel_speed_rad_s=4.0", "max_speed_m_s=0.06"])
 def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
     run = armed(f"robots.0.vehicle.{change}")

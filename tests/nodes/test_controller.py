@@ -245,27 +245,19 @@ def test_an_image_of_the_future_or_of_no_time_is_used_for_nobody_and_does_not_bl
         assert (seen.x_m, seen.y_m) == pytest.approx((robot.start.x_m, robot.start.y_m))
 
 
-@pytest.mark.parametrize("after_ns", [2 * TICK_NS, 10**9])
-def test_a_mid_exposure_that_is_to_come_is_not_used(stand: Stand, after_ns: int) -> None:
-    """It would leave the filter blind for this robot until then."""
+@pytest.mark.parametrize(("after_ns", "coasted_ns"), [(2 * TICK_NS, 0), (10**9, 0), (0, 33 * MS)])
+def test_a_mid_exposure_that_is_to_come_and_a_coasted_pose_are_no_measurement(
+    stand: Stand, after_ns: int, coasted_ns: int
+) -> None:
+    """One to come would leave the filter blind for this robot until then."""
     stand.seen(3)
     now_ns = stand.bench.now_ns
-    pose = TagPose(stand.robots[0].tag, after_ns, 0, 0.1, 0.2, 0.3)
+    pose = TagPose(stand.robots[0].tag, after_ns, coasted_ns, 0.1, 0.2, 0.3)
     stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
     stand.next_tick()
     assert stand.newest.robots[0].measured == 0
     stand.seen(1)
     assert stand.newest.robots[0].measured == 1
-
-
-def test_a_coasted_pose_is_no_measurement(stand: Stand) -> None:
-    stand.seen(3)
-    now_ns = stand.bench.now_ns
-    robot = stand.robots[0]
-    pose = TagPose(robot.tag, 0, 33 * MS, robot.start.x_m, robot.start.y_m, robot.start.psi)
-    stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
-    stand.next_tick()
-    assert stand.newest.robots[0].measured == 0
 
 
 def test_who_is_refused_a_robot_says_nothing_and_begins_anew_with_a_record_that_took_nothing(stand: Stand) -> None:

@@ -3,10 +3,9 @@
 import io
 import json
 import os
-import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -325,28 +324,17 @@ def test_proving_makes_room_and_changes_nothing(folder: Path) -> None:
     assert {file.name: file.stat().st_size for file in folder.iterdir()} == {"r1.json": 8192, "r2.json": 8192}
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Return a state folder on a disk of its own, of 256 kB."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", disk], check=False, capture_output=True
-    )
-    if mounted.returncode:
-        pytest.skip("only root may mount a disk that fills up")
-    monkeypatch.setenv("XDG_STATE_HOME", str(disk))
-    yield disk
-    subprocess.run(["umount", "-l", disk], check=True)
-
-
 def fill(disk: Path) -> None:
     with suppress(OSError), (disk / "filler").open("wb", buffering=0) as stream:
         while stream.write(bytes(4096)):
             pass
 
 
-def test_a_disk_that_is_really_full_takes_a_latch(small_disk: Path) -> None:
+def test_a_disk_that_is_really_full_takes_a_latch(
+    disk_of: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small_disk = disk_of("256k")
+    monkeypatch.setenv("XDG_STATE_HOME", str(small_disk))
     state_store = FileStateStore("lab")
     state_store.prove(("r1",))
     fill(small_disk)
