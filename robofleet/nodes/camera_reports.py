@@ -230,7 +230,6 @@ KERNELS = (_take_image,)
 
 
 def compile_kernels(robots: NDArray[Any]) -> None:
-    """Compile, or load from the cache."""
     none = np.zeros(0, np.int64)
     poses = np.ndarray((0,), FLEET_POSES.item_dtype, b"0")
     _take_image(robots, poses, np.full(1, _UNKNOWN_ROW), none, none, none, 0, np.uint64(0), 0, none, 0)

@@ -25,7 +25,6 @@ def barrier(config: Config) -> Barrier:
 
 
 def bystanders(config: Config) -> Bystanders:
-    """Return what knows where the robots stand that nobody drives."""
     radii = np.array([robot.vehicle.body_radius_m for robot in config.bystanders])
     return Bystanders(radii, config.controller.barrier.age_s)
 

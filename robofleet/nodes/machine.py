@@ -131,7 +131,6 @@ class Silence:
         self.heard(now_ns)
 
     def of(self, pid: int) -> None:
-        """Learn whose silence it is."""
         self._account = _opened(f"/proc/{pid}/schedstat")
 
     def heard(self, at_ns: int) -> None:

@@ -70,7 +70,6 @@ class Pictures:
             self._newest_ns = exposure_ns
 
     def publish(self) -> None:
-        """Say the picture that waits."""
         shot, self._shot = self._shot, None
         if shot is not None:
             self._seq += 1

@@ -36,7 +36,8 @@ def complaints(config: Config) -> Iterator[Complaint]:
     cameras = config.camera_keys
     if len(cameras) < 2 or any(camera.model.T_world_camera is None for _, camera in cameras):
         return
-    floor = _of_floor(config)
+    x, y = (np.linspace(-side / 2, side / 2, _SAMPLES_A_SIDE) for side in config.arena.size_m)
+    floor = np.stack([*map(np.ravel, np.meshgrid(x, y))], axis=1)
     seen = [FloorView(config, camera).sees(floor) for _, camera in cameras]
     surveys = [_surveys(config, camera) for _, camera in cameras]
     tied, more = set[int](), {0}
@@ -51,12 +52,6 @@ def complaints(config: Config) -> Iterator[Complaint]:
                 f"{camera.name} overlaps with none of the other cameras and shares no survey with them: place all "
                 "of them by one survey, with robofleet calibrate arena",
             )
-
-
-def _of_floor(config: Config) -> Array:
-    """Return points (N, 2) all over the arena."""
-    x, y = (np.linspace(-side / 2, side / 2, _SAMPLES_A_SIDE) for side in config.arena.size_m)
-    return np.stack([*map(np.ravel, np.meshgrid(x, y))], axis=1)
 
 
 def _surveys(config: Config, camera: CameraSettings) -> set[str]:
