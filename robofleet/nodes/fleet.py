@@ -11,31 +11,23 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 
 
 def fleet_filter(config: Config) -> FleetFilter:
-    """Return the Kalman filter of the members' poses."""
     f = config.controller.filter
+    efficiency_sigma = f.efficiency_sigma if config.controller.disturbance == "estimated" else 0.0
     noise = FilterNoise(
-        f.position_noise_m,
-        f.heading_noise_rad,
-        f.position_drift_m,
-        f.heading_drift_rad,
-        f.gate_sigma,
-        f.efficiency_sigma if config.controller.disturbance == "estimated" else 0.0,
-        f.efficiency_time_s,
-    )
+        f.position_noise_m, f.heading_noise_rad, f.position_drift_m, f.heading_drift_rad, f.gate_sigma,
+        efficiency_sigma, f.efficiency_time_s,
+    )  # fmt: skip
     return FleetFilter(drives(config), tuple(slices.delay_ns(config, robot) for robot in config.members), noise)
 
 
 def barrier(config: Config) -> Barrier:
-    """Return the barrier of the members among all bodies."""
     return Barrier(keepout(config), tuple(body(config, robot) for robot in config.bodies))
 
 
 def bystanders(config: Config) -> Bystanders:
-    """Return what knows where the robots stand that nobody drives."""
     radii = np.array([robot.vehicle.body_radius_m for robot in config.bystanders])
     return Bystanders(radii, config.controller.barrier.age_s)
 
 
 def drives(config: Config) -> tuple[DifferentialDrive, ...]:
-    """Return what is believed of each member's drive."""
     return tuple(slices.drive(robot) for robot in config.members)

@@ -37,12 +37,10 @@ class MocapPoses:
 
     @staticmethod
     def works_in_lockstep(config: Config) -> bool:
-        """Return whether it needs no other time than the clock's."""
         return config.tracker.mocap.system == "simulated"
 
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:
-        """Return what cannot work with this configuration."""
         if not config.seen:
             yield "tracker.source", "there is no robot that it could measure, all are simulated: take truth"
 
@@ -68,11 +66,9 @@ class MocapPoses:
             yield "tracker.mocap.others", f"the body of no robot: {names}: name the robot's body, or list it here"
 
     def next_ns(self) -> int | None:
-        """Return when the next frame will be there; None: it wakes the process."""
         return self._feed.next_ns()
 
     def observe(self, now_ns: int) -> Observation | None:
-        """Return what the newest frame tells, or None."""
         frame = self._feed.take(now_ns)
         if isinstance(frame, Lost):
             if not self._failed:
@@ -87,9 +83,7 @@ class MocapPoses:
         return Observation(instant_ns, poses + self._virtual.at(instant_ns), strange)
 
     def news(self) -> tuple[Notice, ...]:
-        """Return which bodies were lost and found since the last call."""
         return self._bodies.news()
 
     def close(self) -> None:
-        """Take no more frames."""
         self._feed.close()

@@ -80,12 +80,10 @@ class CameraPoses:
         self._exposure = exposure_controller(config, feed.device.exposure_limits()) if camera.adjusts_exposure else None
 
     def next_ns(self) -> int | None:
-        """Return when the next observation will be ready; None: a message or an image will wake the process."""
         times = [at_ns for at_ns in (self._feed.next_ns(), self._watch.deadline_ns) if at_ns is not None]
         return min(times, default=None)
 
     def observe(self, now_ns: int) -> Observation | None:
-        """Return the observation that is ready, or None."""
         taken = self._feed.take(now_ns)
         tick = self._ticks.newest
         if taken is None:
@@ -113,13 +111,11 @@ class CameraPoses:
         return Observation(exposed_ns, poses, sight.refused, taken.image)
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         seen = tuple(self._seen)
         self._seen.clear()
         return self._watch.news() + seen
 
     def close(self) -> None:
-        """Let go of the device."""
         self._feed.close()
 
     def _report(self, why: str) -> None:
@@ -141,7 +137,6 @@ class TruthPoses:
 
     @staticmethod
     def works_in_lockstep(_config: Config) -> bool:
-        """Return that it needs no other time than the clock's."""
         return True
 
     def next_ns(self) -> int | None:
@@ -159,7 +154,6 @@ class TruthPoses:
         return Observation(exposure_ns, self._poses.at(exposure_ns), 0)
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         return ()
 
     def close(self) -> None:

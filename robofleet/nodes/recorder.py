@@ -33,7 +33,6 @@ class Recorder:
         self._say_ns = 0
 
     def step(self, now_ns: int) -> int:
-        """Keep what came since the step before."""
         self._keep()
         self._log.flush(now_ns)
         failed = self._log.failed is not None

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robofleet.bus.keys import CAMERA, POSES
-from robofleet.bus.messages import FleetPoses, TagPose
+from robofleet.bus.keys import CAMERA
+from robofleet.bus.messages import TagPose
 from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.nodes.stand import ROBOTS, Stand
@@ -35,9 +35,7 @@ def test_a_tag_that_the_tracker_predicts_is_not_seen(stand: Stand) -> None:
     stand.silent.add("tracker")
 
     def see(seq: int, coasted_ns: int, age_ns: int) -> list[int]:
-        poses = tuple(TagPose(stand.tags[r], 0, coasted_ns * (r == "r2"), *stand.places[r]) for r in ROBOTS)
-        at_ns = stand.bench.now_ns - age_ns
-        stand.bench.say(POSES, FleetPoses(4, seq, stand.build, at_ns, 0, 0, 0, 0, 0, poses), CAMERA)
+        stand.tell_image(coasted_ns=coasted_ns, seq=seq, exposure_ns=stand.bench.now_ns - age_ns)
         stand.run(40 * MS)
         return [robot.permitted for robot in stand.state.robots]
 
@@ -51,10 +49,10 @@ def test_a_tag_is_late_when_three_images_that_came_lack_it(stand: Stand) -> None
     """Images that the network lost say nothing of a tag."""
     stand.running()
     stand.silent.add("tracker")
+    stand.hidden.add("r2")
 
     def see(seq: int) -> int:
-        poses = tuple(TagPose(stand.tags[r], 0, 0, *stand.places[r]) for r in ROBOTS if r != "r2")
-        stand.bench.say(POSES, FleetPoses(4, seq, stand.build, stand.bench.now_ns, 0, 0, 0, 0, 0, poses), CAMERA)
+        stand.tell_image(seq=seq)
         stand.run(40 * MS)
         return int(stand.state.robots[1].permitted)
 
@@ -67,9 +65,8 @@ def test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost
     stand.hidden.add("r2")
     stand.run(200 * MS)
     stand.silent.add("tracker")
-    poses = tuple(TagPose(stand.tags[r], 0, 0, *stand.places[r]) for r in ROBOTS if r != "r2")
     for seq in (1, 2):
-        stand.bench.say(POSES, FleetPoses(9, seq, stand.build, 33 * MS * seq, 0, 0, 0, 0, 0, poses), CAMERA)
+        stand.tell_image(epoch=9, seq=seq, exposure_ns=33 * MS * seq)
     stand.run(40 * MS)
     assert stand.cause == (Phase.HOLD, Event.TRACKER_RESTARTED, NOBODY)
     assert [robot.cause for robot in stand.state.robots] == [0, Event.TAG_LATE, 0, 0]
@@ -113,10 +110,9 @@ def test_a_tag_that_is_only_predicted_gives_no_place(stand: Stand) -> None:
     stand.running()
     outside = TagPose(stand.tags["r1"], 0, 33 * MS, 9.0, 0.0, 0.0)
     stranger = TagPose(999, 0, 0, 9.0, 0.0, 0.0)
-    seen = tuple(TagPose(stand.tags[r], 0, 0, *stand.places[r]) for r in ROBOTS[1:])
     stand.bench.run(stand.node, 10 * MS)
-    image = FleetPoses(4, 10**6, stand.build, stand.bench.now_ns, 0, 0, 0, 0, 0, (outside, stranger, *seen))
-    stand.bench.say(POSES, image, CAMERA)
+    stand.hidden.add("r1")
+    stand.tell_image(outside, stranger, seq=10**6)
     stand.bench.run(stand.node, 50 * MS)
     assert stand.state.phase == Phase.RUNNING
 
@@ -125,8 +121,16 @@ def test_images_from_both_ends_of_time_end_nobody(stand: Stand) -> None:
     """Each of another tracker, so that what was unseen is carried over from one clock to the other."""
     stand.running()
     for epoch, exposure_ns in enumerate((2**63 - 1, -(2**63), 2**63 - 1, -(2**63)), start=50):
-        image = FleetPoses(epoch, 1, stand.build, exposure_ns, exposure_ns, stand.tick, exposure_ns, 0, 0, ())
-        stand.bench.say(POSES, image, CAMERA)
+        stand.hidden.update(ROBOTS)
+        stand.tell_image(
+            epoch=epoch,
+            seq=1,
+            exposure_ns=exposure_ns,
+            sent_ns=exposure_ns,
+            echo_tick=stand.tick,
+            since_tick_ns=exposure_ns,
+        )
+        stand.hidden.clear()
         stand.run(40 * MS)
     assert stand.state.phase == Phase.HOLD
     assert stand.state.cause == Event.TRACKER_RESTARTED

@@ -95,16 +95,18 @@ def malformed_news(stand: Stand) -> None:
     stand.bench.bus.publisher(NEWS, CAMERA)(news)
 
 
-def tick(number: int, build: int | None = None, phase: int = 0, robots: int = 4, **robot: float) -> Step:
-    """Let the controller tell of a tick: so many after the newest."""
-
+def tick(robot: dict[str, float], **changes: int) -> Step:
     def step(stand: Stand) -> None:
-        head = (stand.epoch, build or stand.build, stand.tick + number, -1, stand.bench.now_ns, *[0] * 6, phase)
-        record = RobotTick(*[0.0] * len(RobotTick._fields))._replace(**robot)
-        stand.bench.say(TICK, TickRecord(*head, 0, 0, 0, 0, (record,) * robots, ()))
+        stand.tell_tick(robot, **changes)
         stand.node.step(stand.bench.now_ns)
 
     return step
+
+
+def fleet_of_another_size(stand: Stand) -> None:
+    record = TickRecord(3, 1, 10**6, -1, 0, *[0] * 6, 200, 0, 0, 0, 0, (RobotTick(*[0.0] * 15),) * 9, ())
+    stand.bench.say(TICK, record)
+    stand.node.step(stand.bench.now_ns)
 
 
 def other_controller(stand: Stand) -> None:
@@ -265,13 +267,13 @@ ROWS = {
     "a wheel that stalls again": Row(running, [
         says("r2", **STALLED), run(1100), says("r2", left_angle_rad=1.0), run(100), ask("resume"),
         says("r2", **STALLED), run(1100)], HOLD, Event.WHEEL_STALLED, 1),
-    "a fleet of another size": Row(running, [tick(10**6, build=1, phase=200, robots=9)], FAULT, Event.OTHER_BUILD),
+    "a fleet of another size": Row(running, [fleet_of_another_size], FAULT, Event.OTHER_BUILD),
     "another version's numbers": Row(running, [says("r1", boot_id=4711, gate=77), run(100)], FAULT,
                                      Event.DRIVER_RESTARTED, 0),
     "a driver's clock begins anew": Row(running, [clock_anew, run(100)], FAULT, Event.DRIVER_RESTARTED, 0),
     # what was overtaken says nothing
     "an old status": Row(running, [overtaken_status], RUNNING, Event.PROVED),
-    "an old tick": Row(running, [tick(-1, blocked=1.0)], RUNNING, Event.PROVED),
+    "an old tick": Row(running, [tick({"blocked": 1.0}, tick=1)], RUNNING, Event.PROVED),
     # the tracker's news
     **{event.name: Row(running, [news(event), run(40)], *to) for event, to in NEWS_ENDS.items()},
     **{f"{event.name} of r2": Row(running, [news(event, "r2"), run(40)], *to, 1)
