@@ -14,7 +14,6 @@ from robofleet.tracking.cameras.light import Light, TagLight
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import News, Notice
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
-from robofleet.tracking.tags.covariance import covariance
 from robofleet.tracking.tags.targets import floor_tags_in_view, floor_targets, robot_targets
 from robofleet.tracking.tags.tracker import TagSighting, TagTracker
 
@@ -89,8 +88,8 @@ class FleetSight:
         spread = drift.covariance(np.array([[seen.x, seen.y, self._heights[seen.tag]] for seen in robots]))
         rows = spread[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]] + [seen.covariance for seen in robots]
         return [
-            seen if seen.coasted_ns else seen._replace(covariance=covariance(row))
-            for seen, row in zip(robots, rows, strict=True)
+            seen if seen.coasted_ns else seen._replace(covariance=tuple(row))
+            for seen, row in zip(robots, rows.tolist(), strict=True)
         ]
 
     def _place(self, drift: DriftMonitor, lying: Sequence[TagSighting], exposure_ns: int) -> None:

@@ -1,22 +1,18 @@
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry, Lens
 from robofleet.tracking.projection import project
+from tests.shipped import OVERHEAD
 
-ROOT = Path(__file__).parents[2]
 ARENA_M = (3.2, 2.0)
 TAG_HEIGHT_M = 0.08
 
-MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
-GEOMETRY = CameraGeometry.from_model(MODEL)
+GEOMETRY = CameraGeometry.from_model(OVERHEAD)
 
 
 @given(st.floats(-1.7, 1.7), st.floats(-1.1, 1.1), st.floats(0.0, 0.5))
@@ -72,7 +68,7 @@ def test_overhead_camera_sees_the_arena_and_a_tags_margin() -> None:
     x, y = np.meshgrid(*sides)
     pixels = GEOMETRY.project(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, TAG_HEIGHT_M)]))
     assert pixels.min() >= 4.0  # OpenCV wants corners 3 px inside
-    assert np.all(pixels <= np.array([MODEL.width, MODEL.height]) - 1 - 4.0)
+    assert np.all(pixels <= np.array([OVERHEAD.width, OVERHEAD.height]) - 1 - 4.0)
 
 
 def test_overhead_camera_is_tilted_and_upright() -> None:

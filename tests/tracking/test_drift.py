@@ -6,24 +6,20 @@ The true camera projects a landmark's centre and two points of it; the geometry 
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
-from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import pose_covariance, sensitivity
 from robofleet.tracking.drift import DriftMonitor, Landmark
 from robofleet.tracking.events import NO_TAG, Notice, TrackerEvent
 from robofleet.tracking.tags.tracker import TagSighting
+from tests.shipped import OVERHEAD
 
-ROOT = Path(__file__).parents[2]
-MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
-CALIBRATED = CameraGeometry.from_model(MODEL)
+CALIBRATED = CameraGeometry.from_model(OVERHEAD)
 
 CORNERS = [(-1.5, -0.9), (1.5, -0.9), (1.5, 0.9), (-1.5, 0.9)]
 EDGES = [(0.0, 0.9), (0.0, -0.9), (1.5, 0.0), (-1.5, 0.0)]

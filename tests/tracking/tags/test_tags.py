@@ -1,27 +1,23 @@
 import math
 from functools import cache
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
-from robofleet.config.calibrated import CameraModel
 from robofleet.simulation.camera import SceneRenderer, Shutter
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.detection import Findings, Region, Sweep, TagDetector
 from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import Target
+from tests.shipped import OVERHEAD
 
-ROOT = Path(__file__).parents[3]
 APRILTAGS = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
 SIDE_M, HEIGHT_M = 0.07, 0.08
 IDS = (1, 2, 3, 40)
 
-MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
-GEOMETRY = CameraGeometry.from_model(MODEL)
+GEOMETRY = CameraGeometry.from_model(OVERHEAD)
 
 
 @cache
@@ -32,7 +28,7 @@ def detector(ids: tuple[int, ...] = IDS, side: float = SIDE_M) -> TagDetector:
 
 def scene(ids: tuple[int, ...] = IDS, seed: int = 1) -> SceneRenderer:
     targets = [Target(tag, SIDE_M, HEIGHT_M, 0.2) for tag in ids]
-    size = (MODEL.width, MODEL.height)
+    size = (OVERHEAD.width, OVERHEAD.height)
     return SceneRenderer(GEOMETRY, size, targets, 3.0, np.random.default_rng(seed), shutter=Shutter(0.004))
 
 
@@ -175,7 +171,7 @@ def test_a_tile_is_searched_again_when_it_changes_and_now_and_then(
     searched: list[int] = []
     squares = detector().squares
     monkeypatch.setattr(detector(), "squares", lambda *what: (searched.append(1), squares(*what))[1])
-    sweep, known = Sweep(detector(), [Region(0, 0, MODEL.width, MODEL.height)]), np.full(4, np.nan, complex)
+    sweep, known = Sweep(detector(), [Region(0, 0, OVERHEAD.width, OVERHEAD.height)]), np.full(4, np.nan, complex)
     image = still([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
     two = still([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), *2 * [(np.nan, np.nan, np.nan)]])
     for poses, expected in ((image, {0}), (two, {0, 1}), (image, {0})):

@@ -2,14 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
-from robofleet.config.calibrated import CameraModel
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import TrackerEvent
@@ -17,11 +14,10 @@ from robofleet.tracking.tags.deep import DeepSearch
 from robofleet.tracking.tags.detection import Findings
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import Sightings, TagSighting, TagTracker
+from tests.shipped import OVERHEAD
 
-ROOT = Path(__file__).parents[3]
-MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
-GEOMETRY = CameraGeometry.from_model(MODEL)
-SIZE = (MODEL.width, MODEL.height)
+GEOMETRY = CameraGeometry.from_model(OVERHEAD)
+SIZE = (OVERHEAD.width, OVERHEAD.height)
 SIDE_M, HEIGHT_M, MAX_SPEED = 0.07, 0.08, 0.2
 IDS = (1, 2, 3)
 PERIOD_NS = 33_000_000
@@ -196,7 +192,7 @@ def test_a_flash_that_hides_everything_is_survived(renderer: SceneRenderer) -> N
     watched = Watched()
     watched.at(renderer, STANDING, 3)
     for _ in range(5):
-        blind = watched.look(np.full((MODEL.height, MODEL.width), 255, np.uint8))
+        blind = watched.look(np.full((OVERHEAD.height, OVERHEAD.width), 255, np.uint8))
         assert [pose.coasted_ns > 0 for pose in blind.poses] == [True] * 3
     (after,) = watched.at(renderer, STANDING)
     assert measured(after).keys() == set(IDS)
