@@ -30,7 +30,7 @@ def images(path: Path) -> Iterator[Named]:
     """Return the images of a file, a folder or a video; CalibrationError at what cannot be read."""
     try:
         yield from files.images(path)
-    except files.ImageFileError as error:
+    except CameraError as error:
         raise CalibrationError(str(error)) from error
 
 

@@ -16,11 +16,11 @@ subtracted, if the survey's tolerance explains it. Landmarks that a camera canno
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.config.calibrated import FloorTag
 from robofleet.core.arrays import Array, Flags
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import corrected, pose_covariance, sensitivity
@@ -58,18 +58,8 @@ _BOUND = 0.02  # of the camera's height: largest correction on the floor, 50 mm 
 _ONE, _NOTHING = np.eye(6), np.zeros((6, 6))
 
 
-class Landmark(NamedTuple):
-    """A surveyed tag that lies still."""
-
-    tag: int
-    x: float  # [m; world]
-    y: float
-    psi: float  # of the print's right [rad; CCW +]
-    height: float  # [m]
-
-
 class DriftMonitor:
-    """Compares where landmarks are seen with where they lie.
+    """Compares where landmarks, surveyed tags that lie still, are seen with where they lie.
 
     ``geometry``: where the camera hangs; by it the next image's landmarks are to be placed. ``trusted``: poses may be
     used. Not while a knock of more than 4 mm goes on, not when landmarks disagree for a second, and not when the camera
@@ -80,13 +70,14 @@ class DriftMonitor:
     arena's corners place a robot to better than a tenth of a millimetre, relative to the calibration.
     """
 
-    def __init__(self, geometry: CameraGeometry, landmarks: Sequence[Landmark]) -> None:
+    def __init__(self, geometry: CameraGeometry, landmarks: Sequence[FloorTag]) -> None:
         self.trusted, self.floor_seen = True, False
         n = len(landmarks)
-        table = np.array(landmarks, dtype=np.float64).reshape(n, 5)
+        places = [(mark.x_m, mark.y_m, math.radians(mark.heading_deg), mark.height_m) for mark in landmarks]
+        table = np.array(places, np.float64).reshape(n, 4)
         self._rows = {landmark.tag: row for row, landmark in enumerate(landmarks)}
         self._tags = [landmark.tag for landmark in landmarks]
-        self._survey, self._points = table[:, 1:4].copy(), table[:, [1, 2, 4]].copy()
+        self._survey, self._points = table[:, :3].copy(), table[:, [0, 1, 3]].copy()
         self._calibrated = self.geometry = geometry
         self._sensitivity = sensitivity(geometry, self._points)
         self._state = np.zeros(6)  # what remains, since ``geometry``

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.simulation.camera import SceneRenderer, Shutter
+from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
 from tests.shipped import OVERHEAD
@@ -42,7 +42,7 @@ def still() -> SceneRenderer:
 
 @pytest.fixture(scope="module")
 def renderer() -> SceneRenderer:
-    return scene(shutter=Shutter(EXPOSURE))
+    return scene(exposure_s=EXPOSURE)
 
 
 def rays(u: Array, v: Array) -> Array:
@@ -141,7 +141,7 @@ def test_prints_are_in_their_places_to_five_micrometres(renderer: SceneRenderer)
 
 
 def test_noise_is_white_and_of_the_given_size(renderer: SceneRenderer) -> None:
-    noisy = scene(noise=3.0, shutter=Shutter(EXPOSURE))
+    noisy = scene(noise=3.0, exposure_s=EXPOSURE)
     a, b = (noisy.render(NOBODY).astype(float).copy() for _ in range(2))
     assert (a - b).std() / math.sqrt(2) == pytest.approx(3.0, abs=0.05)
     assert (a - renderer.render(NOBODY)).mean() == pytest.approx(0.0, abs=0.02)
@@ -185,7 +185,7 @@ def centroid(image: NDArray[np.uint8], empty: NDArray[np.uint8]) -> Array:
 @pytest.mark.slow
 def test_rows_of_a_rolling_shutter_see_a_robot_where_it_is_then() -> None:
     line_time, speed = 2e-5, 0.5
-    rolling = scene(shutter=Shutter(0.0, line_time))
+    rolling = scene(line_time_s=line_time)
     empty = rolling.render(NOBODY).copy()
     image = rolling.render(np.zeros((1, 3)), np.array([[speed, 0.0, 0.0]])).astype(float)
     row = rolling.rows(np.zeros((1, 3)))[0]

@@ -189,7 +189,6 @@ def test_exposure_and_gain_are_adjusted_between_two_images(lab: Lab) -> None:
         camera = lab.open(*overrides)
         if overrides[0].endswith("tick"):
             trigger = camera._trigger
-            assert trigger is not None
             trigger.wait = lambda _running: True  # type: ignore[method-assign]
         assert camera.read().exposure == Exposure(0.004, 0.0)
         limits = camera.exposure_limits()

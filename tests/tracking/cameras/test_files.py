@@ -190,7 +190,6 @@ def recorded(request: pytest.FixtureRequest, tmp_path: Path) -> Config:
 
 def test_a_recording_is_shown_at_its_pace_on_this_hosts_clock(recorded: Config) -> None:
     assert list(FileCamera.refusals(recorded)) == []
-    assert recorded.camera.files is not None
     clock = SimulatedClock()
     clock.advance_to(5 * S)
     camera = camera_of(recorded, clock, 2 * MS)
