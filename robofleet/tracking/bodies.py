@@ -48,11 +48,8 @@ def planar(body: Body, settings: MocapSettings) -> tuple[float, float, float] | 
     origin, unit = settings.origin, settings.unit_m
     c, s = math.cos(origin.psi), math.sin(origin.psi)
     psi = math.remainder(math.atan2(forward[1], forward[0]) + origin.psi, math.tau)
-    return (
-        origin.x_m + unit * (c * here[0] - s * here[1]),
-        origin.y_m + unit * (s * here[0] + c * here[1]),
-        psi,
-    )
+    turned = c * here[0] - s * here[1], s * here[0] + c * here[1]
+    return origin.x_m + unit * turned[0], origin.y_m + unit * turned[1], psi
 
 
 class _Seen:

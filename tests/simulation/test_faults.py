@@ -151,8 +151,7 @@ def test_swapped_tags_are_where_the_other_robot_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "event"),
-    [("camera_frozen", TrackerEvent.CAMERA_FROZEN), ("camera_stalled", TrackerEvent.CAMERA_STALLED)],
+    ("kind", "event"), [("camera_frozen", TrackerEvent.CAMERA_FROZEN), ("camera_stalled", TrackerEvent.CAMERA_STALLED)]
 )
 def test_a_camera_that_gives_nothing_new_is_named_and_comes_back(kind: str, event: TrackerEvent) -> None:
     drive = Drive(f"{{kind: {kind}, {WHEN}}}")

@@ -100,11 +100,6 @@ def test_patience_grows_until_there_is_an_image_not_until_a_camera_can_be_opened
     assert pauses == [0.2, 0.4, 0.8, 1.6, 2.0, 2.0, 0.2]
 
 
-@pytest.mark.parametrize("calibrated", ["", "scripted 1"])
-def test_any_camera_will_do_without_a_name_else_the_calibrated_one(calibrated: str) -> None:
-    assert of(Scripted(script(1)), calibrated=calibrated).read() == Frame(IMAGE, 1)
-
-
 def test_a_camera_that_was_not_calibrated_is_not_read_until_it_is_the_right_one() -> None:
     strange, right = Scripted(script(1)), Scripted(script(2))
     strange.identity = "scripted 2"
@@ -156,19 +151,6 @@ def test_a_reader_loses_neither_the_last_image_nor_why_it_was_the_last() -> None
         thread.join(5)
         assert not thread.is_alive(), "there is nothing left to read"
     reader.close()
-
-
-def test_a_reader_opens_again_for_as_long_as_it_takes() -> None:
-    woken = SimpleQueue()
-    second = Scripted(script(2))
-    reader = Reader(of(Scripted(script(1, OSError("gone"))), OSError("not yet"), second), woken.put)
-    wait(woken, 4)
-    taken = [reader.take(0) for _ in range(4)]
-    assert taken == [
-        Frame(IMAGE, 1), Lost(E.CAMERA_UNPLUGGED, "gone"), Lost(E.CAMERA_UNPLUGGED, "not yet"), Frame(IMAGE, 2),
-    ]  # fmt: skip
-    reader.close()
-    assert second.closed == 1
 
 
 def test_closing_a_reader_ends_its_thread_even_while_it_waits() -> None:
@@ -226,12 +208,3 @@ def test_a_poller_opens_again_with_the_same_patience() -> None:
     assert poller.take(now_ns) is None, "opened: its image is not there yet"
     assert poller.next_ns() == 5 * S
     assert poller.take(5 * S) == Frame(IMAGE, 7)
-
-
-def test_a_poller_ends_with_its_file() -> None:
-    poller = Poller(of(Scheduled(script(1, EOFError("all shown")))))
-    assert poller.take(S) == Frame(IMAGE, 1)
-    assert poller.take(S) == Lost(E.CAMERA_ENDED, "all shown")
-    assert poller.next_ns() is None
-    assert poller.take(10 * S) is None
-    poller.close()

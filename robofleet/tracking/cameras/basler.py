@@ -28,11 +28,11 @@ from robofleet.tracking.sources import (
 
 _NO_PYPYLON = "pypylon is not installed: pip install 'robofleet[basler]'"
 _TIMES, _GAINS = ("ExposureTime", "ExposureTimeAbs"), ("Gain", "GainRaw")  # of new and of old models
-_GAIN_DB = 24.0  # that the range of GainRaw is taken for
-_TIMEOUT_MS = 500  # of one wait for an image: then it is asked whether the camera is still there
+_GAIN_RAW_DB = 24.0  # its range is taken for this
+_IMAGE_WAIT_MS = 500  # then it is asked whether the camera is still there
 _WINDOW_IMAGES = 64  # the least delayed one of them counts
 _POLL_NS = 1 * MS
-_TOO_LATE_NS = 2 * MS  # after a trigger's instant it is left out
+_LATEST_TRIGGER_NS = 2 * MS  # after its instant; later it is left out
 
 
 class BaslerCamera:
@@ -81,7 +81,7 @@ class BaslerCamera:
             self._take_over()
             if self._trigger is not None and self._trigger.wait(self._camera.IsGrabbing):
                 self._camera.TriggerSoftware.Execute()
-            with self._camera.RetrieveResult(_TIMEOUT_MS, self._pylon.TimeoutHandling_Return) as result:
+            with self._camera.RetrieveResult(_IMAGE_WAIT_MS, self._pylon.TimeoutHandling_Return) as result:
                 arrival_ns = self._clock.now_ns()
                 if result.IsValid() and result.GrabSucceeded():
                     return self._frame(result, arrival_ns)
@@ -91,7 +91,7 @@ class BaslerCamera:
     def exposure_limits(self) -> ExposureLimits:
         """Return what the camera can be set to; GainRaw's decibels are assumed."""
         times, gains = self._nodes.find(*_TIMES), self._nodes.find(*_GAINS)
-        gain_db = 1.0 if gains.Node.Name == _GAINS[0] else _GAIN_DB / max(gains.Max - gains.Min, 1)
+        gain_db = 1.0 if gains.Node.Name == _GAINS[0] else _GAIN_RAW_DB / max(gains.Max - gains.Min, 1)
         return ExposureLimits(
             Exposure(times.Min * 1e-6, gains.Min), Exposure(times.Max * 1e-6, gains.Max),
             Exposure(_step(times) * 1e-6, _step(gains)), gain_db,
@@ -203,7 +203,7 @@ class SoftwareTrigger:
             if tick != self._triggered:
                 self._triggered = tick
                 at_ns = self._ticks.instant(tick) + self._before_ns - start_to_middle_ns(self._camera, self.exposure_s)
-                if self._clock.now_ns() <= at_ns + _TOO_LATE_NS:
+                if self._clock.now_ns() <= at_ns + _LATEST_TRIGGER_NS:
                     self._clock.sleep_until(at_ns)
                     return True
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)

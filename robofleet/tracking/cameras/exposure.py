@@ -174,8 +174,7 @@ def bounded(config: Config, camera: ExposureLimits) -> ExposureLimits:
     bound, (low, high) = longest_exposure(config), _gains(config, camera)
     longest_s = _floor(min(bound.time_s, camera.longest.time_s), camera.step.time_s)
     return camera._replace(
-        shortest=Exposure(camera.shortest.time_s, low),
-        longest=Exposure(max(longest_s, camera.shortest.time_s), high),
+        shortest=Exposure(camera.shortest.time_s, low), longest=Exposure(max(longest_s, camera.shortest.time_s), high)
     )
 
 

@@ -17,9 +17,9 @@ from robofleet.tracking.events import News, Notice, TrackerEvent
 
 _STALLED_PERIODS = 5
 _STALLED_NS = 250 * MS  # at least: a robot is lost without poses for half a second
-_FIRST_NS = 3 * S  # within which a camera that was just opened gives its first image
+_FIRST_IMAGE_NS = 3 * S  # within which a camera that was just opened gives it
 _FROZEN_REPEATS = 3  # one may be a driver that hands a buffer out twice
-_STAMP_AHEAD_NS = 100 * MS  # of now, at most
+_MOST_AHEAD_NS = 100 * MS  # a stamp, of now
 _JUMPED_IMAGES = 3  # in a row, that agree on a jump of the clock
 _DELAY_IMAGES = 64  # the least delay of them is what one needs to come
 _SAMPLED_ROWS = 64  # one of so many is compared: a few microseconds
@@ -43,7 +43,7 @@ class CameraWatch:
         self._images = 0
         self._good_ns = now_ns  # when the newest good image came
         # When ``wait`` will have something to say [ns]; None: not before an image comes.
-        self.deadline_ns: int | None = now_ns + _FIRST_NS
+        self.deadline_ns: int | None = now_ns + _FIRST_IMAGE_NS
         self._waiting_since_ns = now_ns
         self._lost = False
         self._reported: set[TrackerEvent] = set()  # since all was well
@@ -95,7 +95,7 @@ class CameraWatch:
         """Return whether a stamp can be right, as it is or because the camera's clock jumped, and take it."""
         stamp_ns = exposure_ns - self._ahead_ns
         early = self.exposed_ns is not None and stamp_ns <= self.exposed_ns
-        if early or stamp_ns > now_ns + _STAMP_AHEAD_NS:
+        if early or stamp_ns > now_ns + _MOST_AHEAD_NS:
             if not self._jumped(now_ns - exposure_ns):
                 return False
             stamp_ns = exposure_ns - self._ahead_ns

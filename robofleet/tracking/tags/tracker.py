@@ -67,11 +67,7 @@ class TagTracker:
     """Acquires tags, follows them, predicts those that are hidden."""
 
     def __init__(
-        self,
-        geometry: CameraGeometry,
-        image_size: tuple[int, int],
-        targets: Sequence[Target],
-        line_time: float = 0.0,
+        self, geometry: CameraGeometry, image_size: tuple[int, int], targets: Sequence[Target], line_time: float = 0.0
     ) -> None:
         """Take the image's (width, height) and a rolling shutter's time from row to row [s]."""
         n = len(targets)

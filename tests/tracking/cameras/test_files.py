@@ -216,16 +216,6 @@ class TestContract(CameraContract):
         return camera_of(recorded, WallClock())
 
 
-def test_reading_waits_for_the_image(recorded: Config) -> None:
-    clock = WallClock()
-    camera = camera_of(recorded, clock)
-    started_ns = clock.now_ns()
-    frames = [camera.read() for _ in range(4)]
-    assert [number(frame.image) for frame in frames] == [0, 1, 2, 3]
-    assert clock.now_ns() - started_ns >= STAMPS_NS[3] - STAMPS_NS[0]
-    assert all(frame.exposure_ns < clock.now_ns() for frame in frames)
-
-
 def test_images_that_nobody_is_in_time_for_are_dropped(recorded: Config) -> None:
     clock = SimulatedClock()
     camera = camera_of(recorded, clock)

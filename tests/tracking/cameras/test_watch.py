@@ -52,12 +52,6 @@ class Sight:
         return [happening.event for happening in self.watch.news()]
 
 
-def test_good_images_are_no_news() -> None:
-    sight = Sight()
-    assert all(sight.look() for _ in range(100))
-    assert sight.events() == []
-
-
 def test_the_same_picture_again_is_never_believed_and_soon_has_a_name() -> None:
     sight = Sight()
     sight.look()

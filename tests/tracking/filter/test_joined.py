@@ -30,7 +30,7 @@ def image(camera: int, instant_ns: int, *poses: np.ndarray) -> Seen:
 def drive(arrivals: list[list[Seen]]) -> tuple[np.ndarray, list[list[int]]]:
     """Let a filter take the images that arrived at each tick; returns its prediction and what became of them."""
     filter_ = fleet()
-    joined, used = Joined(filter_), []
+    joined, used = Joined(filter_, lambda _seen, _expected: True), []
     for k, images in enumerate(arrivals):
         used.append(joined.observe(images).tolist() if images else [])
         filter_.command(S + k * TICK, WHEELS)
@@ -46,7 +46,7 @@ def pose(k: int, robot: int, error: float = 0.0) -> np.ndarray:
 def test_two_images_of_one_instant_are_both_used() -> None:
     """Neither is thrown away: the estimate lies between what two cameras say."""
     filter_ = fleet()
-    joined = Joined(filter_)
+    joined = Joined(filter_, lambda _seen, _expected: True)
     at = [np.array([0.0, 0.5 * robot, 0.3]) for robot in range(3)]
     joined.observe([image(0, S, *at)])
     other = [position + np.array([0.0004, 0.0, 0.0]) for position in at]
