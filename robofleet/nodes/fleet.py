@@ -6,17 +6,15 @@ from robofleet.config import slices
 from robofleet.config.barrier import body, keepout
 from robofleet.config.tree import Config
 from robofleet.safety.barrier import Barrier
-from robofleet.tracking.filter.estimator import Bystanders, FilterNoise, FleetFilter
+from robofleet.tracking.filter.estimator import Bystanders, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 
 def fleet_filter(config: Config) -> FleetFilter:
-    f = config.controller.filter
-    efficiency_sigma = f.efficiency_sigma if config.controller.disturbance == "estimated" else 0.0
-    noise = FilterNoise(
-        f.position_noise_m, f.heading_noise_rad, f.position_drift_m, f.heading_drift_rad, f.gate_sigma,
-        efficiency_sigma, f.efficiency_time_s,
-    )  # fmt: skip
+    """Return the Kalman filter of the members' poses."""
+    noise = config.controller.filter
+    if config.controller.disturbance != "estimated":
+        noise = noise.model_copy(update={"efficiency_sigma": 0.0})
     return FleetFilter(drives(config), tuple(slices.delay_ns(config, robot) for robot in config.members), noise)
 
 

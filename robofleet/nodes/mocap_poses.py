@@ -10,9 +10,18 @@ from robofleet.core.clock import S
 from robofleet.simulation.capture import SimulatedCapture
 from robofleet.simulation.sources import VirtualPoses
 from robofleet.tracking.bodies import FleetBodies
-from robofleet.tracking.capture import CaptureDevice, bodies_there, open_capture
+from robofleet.tracking.capture import CaptureFrame, bodies_there, open_capture
 from robofleet.tracking.events import Notice
-from robofleet.tracking.sources import CameraError, Lost, Observation, Poller, PoseContext, Reader, ReopenedCamera
+from robofleet.tracking.sources import (
+    CameraError,
+    Lost,
+    Observation,
+    Poller,
+    PoseContext,
+    Readable,
+    Reader,
+    ReopenedCamera,
+)
 
 
 class MocapPoses:
@@ -26,12 +35,13 @@ class MocapPoses:
         self._latency_ns = round(settings.latency_s * S)
         self._bodies = FleetBodies(config)
         self._virtual = VirtualPoses(config, config.virtual, context.bus, context.rng)
+        first: Readable[CaptureFrame]
         if settings.system == "simulated":
-            simulated = SimulatedCapture(config, context.bus, context.clock, context.rng)
-            opened = partial(CaptureDevice, simulated, context.clock)
+            first = SimulatedCapture(config, context.bus, context.clock, context.rng)
+            device = ReopenedCamera(first, lambda: first, calibrated="")
         else:
-            opened = partial(open_capture, settings, context.clock)
-        device = ReopenedCamera(opened(), opened, calibrated="")
+            first = open_capture(settings, context.clock)
+            device = ReopenedCamera(first, partial(open_capture, settings, context.clock), calibrated="")
         self._feed = Reader(device, context.wake) if context.real_time else Poller(device)
         self._failed = False
 

@@ -106,7 +106,7 @@ class CameraPoses:
             if exposure is not None:
                 self._feed.device.adjust(exposure)
             self._seen += self._exposure.news()
-        poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi, *r.covariance) for r in sight.robots)
+        poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi, *r.covariance) for r in sight.poses)
         poses += self._virtual.at(exposed_ns)
         return Observation(exposed_ns, poses, sight.refused, taken.image)
 

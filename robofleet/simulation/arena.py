@@ -17,8 +17,8 @@ from robofleet.vehicles import differential_drive
 
 _HISTORY = 32  # true samples a robot, 10 ms apart
 NOBODY = -1  # as a row: a robot of which nothing is kept
-_BEYOND = 1e9  # any arena [m], any heading [rad]: such a truth is none
-_BEYOND_NS = 100_000_000  # after the newest sample a robot is taken to have gone on; then its driver is gone
+_FAR = 1e9  # [m, rad] beyond any arena and heading: such a truth is none
+_GOES_ON_NS = 100_000_000  # after its newest sample a robot is taken to go on; then its driver is gone
 
 _arc = kernel(differential_drive.arc)
 
@@ -83,7 +83,9 @@ def take(  # type: ignore[no-untyped-def]
     capacity = stamps.shape[1]
     for truth in truths:
         n = rows[truth.place] if truth.place < len(rows) else NOBODY
-        if n == NOBODY or not (abs(truth.x_m) < _BEYOND and abs(truth.y_m) < _BEYOND and abs(truth.psi_rad) < _BEYOND):
+        if n == NOBODY or not (
+            abs(truth.x_m) < _FAR and abs(truth.y_m) < _FAR and abs(truth.psi_rad) < _FAR
+        ):
             continue
         if count[n] and stamp_ns <= stamps[n, (count[n] - 1) % capacity]:
             continue
@@ -98,7 +100,7 @@ def take(  # type: ignore[no-untyped-def]
 def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
     poses, capacity = np.full((len(stamps), 3), np.nan), stamps.shape[1]
     for n in range(len(stamps)):
-        if count[n] > 0 and instant_ns - stamps[n, (count[n] - 1) % capacity] <= _BEYOND_NS:
+        if count[n] > 0 and instant_ns - stamps[n, (count[n] - 1) % capacity] <= _GOES_ON_NS:
             poses[n, 0], poses[n, 1], poses[n, 2] = _pose_at(stamps[n], samples[n], count[n], instant_ns)
     return poses
 
@@ -134,7 +136,7 @@ def _pose_at(stamps: Instants, samples: Array, count: int, stamp_ns: int) -> tup
     x, y, psi, v, omega = samples[at, 0], samples[at, 1], samples[at, 2], samples[at, 3], samples[at, 4]
     if stamps[at] > stamp_ns:
         return x, y, psi
-    elapsed_s = min(stamp_ns - stamps[at], _BEYOND_NS) * 1e-9
+    elapsed_s = min(stamp_ns - stamps[at], _GOES_ON_NS) * 1e-9
     there_x, there_y, there_psi = _arc(x, y, psi, v, omega, elapsed_s)
     if k + 1 == count:
         return there_x, there_y, there_psi

@@ -57,9 +57,6 @@ class Bodies:
                 self._draw(row, 0)
                 self._draw(row, 1)
 
-    def __len__(self) -> int:
-        return len(self.bodies)
-
     def prepare(self) -> int:
         """Make ready for kernels that let time pass up to the present, and return that instant [ns]."""
         now_ns = self._now_ns()

@@ -35,16 +35,6 @@ class Print(NamedTuple):
     psi: float  # of the print's right [rad; CCW +]
 
 
-class Shutter(NamedTuple):
-    """When pixels see."""
-
-    exposure: float = 0.0  # of each row [s]
-    line_time: float = 0.0  # from a row's to the next one's [s]
-
-
-_AT_ONCE = Shutter()
-
-
 class SceneRenderer:
     """Draws what a calibrated camera sees of N robots. Same arguments and generator state, same images."""
 
@@ -56,7 +46,8 @@ class SceneRenderer:
         noise_gray: float,
         rng: np.random.Generator,
         *,
-        shutter: Shutter = _AT_ONCE,
+        exposure_s: float = 0.0,
+        line_time_s: float = 0.0,
         prints: Sequence[Print] = (),
         offsets: Array | None = None,
         light: float = 1.0,
@@ -64,10 +55,12 @@ class SceneRenderer:
     ) -> None:
         """Take the image's (width, height), the tags on the N robots, all of one side, and those that lie still.
 
-        offsets (N, 3): forward, left [m], turn [rad] of the tags on their robots. light: as ``expose`` takes it.
-        obstacles (K, 2) each: outlines on the floor [m].
+        exposure_s: of each row. line_time_s: from a row's to the next one's. offsets (N, 3): forward, left [m], turn
+        [rad] of the tags on their robots. light: as ``expose`` takes it. obstacles (K, 2) each: outlines on the floor
+        [m].
         """
-        self._size, self._robots, self._prints, self._shutter = image_size, tuple(robots), tuple(prints), tuple(shutter)
+        self._size, self._robots, self._prints = image_size, tuple(robots), tuple(prints)
+        self._shutter = exposure_s, line_time_s
         self._offsets = np.zeros((len(robots), 3)) if offsets is None else offsets
         self._whole, self._rng = robots[0].whole, rng
         self._height = max(target.height for target in robots)

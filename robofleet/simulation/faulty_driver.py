@@ -7,13 +7,7 @@ from typing import Protocol
 
 from robofleet.simulation.bodies import Bodies, Sensors
 from robofleet.simulation.faults import Schedule, struck
-from robofleet.vehicles.interface import (
-    WIRED_STOP,
-    Driver,
-    DriverContext,
-    DriverReading,
-    SimulatedDriver,
-)
+from robofleet.vehicles.interface import WIRED_STOP, Driver, DriverContext, DriverReading, SimulatedDriver
 
 _LOW_CHARGE = 0.05
 

@@ -51,7 +51,7 @@ class Trigger:
 
 
 _POLL_NS = S // 1000
-_LIMITS = ExposureLimits(Exposure(1e-5, 0.0), Exposure(1.0, 24.0), Exposure(1e-5, 0.1), 1.0)
+_EXPOSURE_LIMITS = ExposureLimits(Exposure(1e-5, 0.0), Exposure(1.0, 24.0), Exposure(1e-5, 0.1), 1.0)
 
 
 class SimulatedCamera:
@@ -78,7 +78,7 @@ class SimulatedCamera:
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:
         if config.camera.adjusts_exposure:
-            yield from nothing_left(config, _LIMITS)
+            yield from nothing_left(config, _EXPOSURE_LIMITS)
 
     def ready_ns(self) -> int | None:
         """Return when the next image will be read out; None while its trigger has not come.
@@ -107,7 +107,7 @@ class SimulatedCamera:
 
     def exposure_limits(self) -> ExposureLimits:
         """Return what it can be set to. Its gain is in decibels."""
-        return _LIMITS
+        return _EXPOSURE_LIMITS
 
     def adjust(self, exposure: Exposure) -> None:
         """Expose so from the image after the next one, which may have begun. Mid-exposures stay where they are."""

@@ -8,10 +8,9 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from robofleet.config.mocap import MocapSettings
 from robofleet.core.clock import Clock
@@ -33,17 +32,6 @@ while frames < 20 and time.monotonic() < end_s:
     frames += bool(bodies)
 print(json.dumps(sorted(names)))
 """
-
-
-class Capture(Protocol):
-    """A motion-capture system, as the library has it; the simulated one has the same."""
-
-    def waitForNextFrame(self) -> None:
-        """Wait for the next frame."""
-
-    @property
-    def rigidBodies(self) -> Mapping[str, Any]:
-        """The bodies that are tracked in the newest frame: ``position`` (3,), ``rotation`` with x, y, z, w."""
 
 
 class CaptureFrame(NamedTuple):
@@ -84,15 +72,14 @@ def _options(settings: MocapSettings) -> dict[str, str]:
 
 
 class CaptureDevice:
-    """A system that is read as a camera is. Who takes the frames has to notice one that is silent.
+    """The library's system, read as a camera is. Who takes the frames has to notice one that is silent.
 
     What a ``polled`` one gives again bit by bit, or without a body, is no frame: nothing came.
     """
 
-    def __init__(self, capture: Capture, clock: Clock, *, polled: bool = False) -> None:
+    def __init__(self, capture: Any, clock: Clock, *, polled: bool = False) -> None:
         self._capture, self._clock, self._polled = capture, clock, polled
         self._last: dict[str, Body] = {}
-        self.ready_ns = getattr(capture, "ready_ns", None)  # only a simulated system knows it
 
     def read(self) -> CaptureFrame | None:
         self._capture.waitForNextFrame()
@@ -113,5 +100,5 @@ class CaptureDevice:
 def open_capture(settings: MocapSettings, clock: Clock) -> CaptureDevice:
     """Open a system that answers; CameraError where none does."""
     bodies_there(settings)
-    capture: Capture = import_module(LIBRARY).connect(settings.system, _options(settings))
+    capture = import_module(LIBRARY).connect(settings.system, _options(settings))
     return CaptureDevice(capture, clock, polled=settings.system in _POLLED)

@@ -226,13 +226,9 @@ def unmeasured(config: Config) -> Iterator[Complaint]:
     """Refuse a real camera with a lens that nobody measured: the shipped one's numbers are of no camera at all."""
     model = config.camera.model
     if model.intrinsics is None and not model.camera:
-        yield (
-            "camera.source",
-            (
-                "nobody has measured this camera's lens: `robofleet calibrate intrinsics` writes a file for "
-                "camera.model; if it was measured by other means, write the device's name as `camera` into that file"
-            ),
-        )
+        why = "nobody has measured this camera's lens: `robofleet calibrate intrinsics` writes a file for camera.model"
+        other = "if it was measured by other means, write the device's name as `camera` into that file"
+        yield "camera.source", f"{why}; {other}"
 
 
 class Readable(Protocol[Image_co]):

@@ -53,7 +53,6 @@ class Stage:
     def next(self) -> tuple[Frame, int]:
         """Return the next image, and when it came [ns]."""
         ready_ns = self.camera.ready_ns()
-        assert ready_ns is not None
         while self.clock.now_ns() < ready_ns:
             now_ns = min(self.clock.now_ns() + 10 * MS, ready_ns)
             self.clock.advance_to(now_ns)
@@ -79,22 +78,12 @@ class Stage:
 
 
 class TestContract(CameraContract):
-    shape = (720, 1280)
+    shape = (240, 320)
 
     @pytest.fixture
     def camera(self) -> SimulatedCamera:
-        return SimulatedCamera(context(load_config(PLATOON, ["camera.trigger=free"]), WallClock()))
-
-
-def test_untroubled_it_shows_robots_where_they_are_at_mid_exposure() -> None:
-    stage = Stage()
-    frames = stage.run(6)
-    assert np.diff([frame.exposure_ns for frame in frames]).tolist() == [PERIOD_NS] * 5
-    for frame in frames[1:]:
-        for row in range(4):
-            distance, turn = stage.error(frame, row)
-            assert distance < 2e-4
-            assert turn < 3e-3
+        size = [f"camera.{part}{key}={n}" for part in ("", "model.") for key, n in (("width", 320), ("height", 240))]
+        return SimulatedCamera(context(load_config(PLATOON, ["camera.trigger=free", *size]), WallClock()))
 
 
 def test_a_long_exposure_smears_a_robot_around_where_it_is_at_its_middle() -> None:
@@ -149,7 +138,6 @@ def test_a_stalled_camera_sends_nothing_and_then_goes_on_in_its_own_rhythm() -> 
 def test_a_camera_that_stalls_for_good_and_from_the_first_image() -> None:
     stage = Stage("camera.simulated.outages=[{kind: stalled, at_s: 0, duration_s: 1.0e+8}]")
     ready_ns = stage.camera.ready_ns()
-    assert ready_ns is not None
     assert ready_ns > 0.99e8 * S
 
 

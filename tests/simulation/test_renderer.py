@@ -2,23 +2,19 @@
 
 import math
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
-from robofleet.config.calibrated import CameraModel
-from robofleet.simulation.camera import SceneRenderer, Shutter
+from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
+from tests.shipped import OVERHEAD
 
-ROOT = Path(__file__).parents[2]
-MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
-GEOMETRY = CameraGeometry.from_model(MODEL)
+GEOMETRY, SIZE = CameraGeometry.from_model(OVERHEAD), (OVERHEAD.width, OVERHEAD.height)
 SIDE, HEIGHT = 0.07, 0.08
 TAG = 17
 BLACK, WHITE, BODY = 30.0, 215.0, 70.0
@@ -34,13 +30,9 @@ EXPOSURE = 0.004
 NOBODY = np.full((1, 3), np.nan)
 
 
-def scene(ids: tuple[int, ...] = (TAG,), noise: float = 0.0, seed: int = 1, **what: Any) -> SceneRenderer:
+def scene(ids: tuple[int, ...] = (TAG,), noise: float = 0.0, **what: Any) -> SceneRenderer:
     targets = [Target(tag, SIDE, HEIGHT, 0.2) for tag in ids]
-    return SceneRenderer(GEOMETRY, (MODEL.width, MODEL.height), targets, noise, np.random.default_rng(seed), **what)
-
-
-def make(noise: float = 0.0, seed: int = 1) -> SceneRenderer:
-    return scene(noise=noise, seed=seed, shutter=Shutter(EXPOSURE))
+    return SceneRenderer(GEOMETRY, SIZE, targets, noise, np.random.default_rng(1), **what)
 
 
 @cache
@@ -48,20 +40,17 @@ def still() -> SceneRenderer:
     return scene()
 
 
-@cache
-def brief() -> SceneRenderer:
-    return make()
-
-
 @pytest.fixture(scope="module")
 def renderer() -> SceneRenderer:
-    return brief()
+    return scene(exposure_s=EXPOSURE)
 
 
 def rays(u: Array, v: Array) -> Array:
     """Directions (..., 3) [world] of pixels: Newton's method on the distortion, without OpenCV."""
-    k1, k2, p1, p2, k3 = MODEL.distortion
-    target = np.stack([(u - MODEL.centre_px[0]) / MODEL.focal_px[0], (v - MODEL.centre_px[1]) / MODEL.focal_px[1]])
+    k1, k2, p1, p2, k3 = OVERHEAD.distortion
+    target = np.stack(
+        [(u - OVERHEAD.centre_px[0]) / OVERHEAD.focal_px[0], (v - OVERHEAD.centre_px[1]) / OVERHEAD.focal_px[1]]
+    )
     a, b = target
     for _ in range(30):
         r2 = a * a + b * b
@@ -151,11 +140,11 @@ def test_prints_are_in_their_places_to_five_micrometres(renderer: SceneRenderer)
     assert np.abs(np.mean(shifts, axis=0)).max() * metres_a_pixel < 5e-6
 
 
-def test_noise_is_white_and_of_the_given_size() -> None:
-    noisy = make(3.0)
+def test_noise_is_white_and_of_the_given_size(renderer: SceneRenderer) -> None:
+    noisy = scene(noise=3.0, exposure_s=EXPOSURE)
     a, b = (noisy.render(NOBODY).astype(float).copy() for _ in range(2))
     assert (a - b).std() / math.sqrt(2) == pytest.approx(3.0, abs=0.05)
-    assert (a - brief().render(NOBODY)).mean() == pytest.approx(0.0, abs=0.02)
+    assert (a - renderer.render(NOBODY)).mean() == pytest.approx(0.0, abs=0.02)
     poses = np.array([[0.0, 0.0, 0.0]])
     u, v = np.rint(GEOMETRY.project(np.array([[0.0, 0.0, HEIGHT]]))[0]).astype(int)
     patch = np.s_[v - 10 : v + 11, u - 10 : u + 11]
@@ -196,7 +185,7 @@ def centroid(image: NDArray[np.uint8], empty: NDArray[np.uint8]) -> Array:
 @pytest.mark.slow
 def test_rows_of_a_rolling_shutter_see_a_robot_where_it_is_then() -> None:
     line_time, speed = 2e-5, 0.5
-    rolling = scene(shutter=Shutter(0.0, line_time))
+    rolling = scene(line_time_s=line_time)
     empty = rolling.render(NOBODY).copy()
     image = rolling.render(np.zeros((1, 3)), np.array([[speed, 0.0, 0.0]])).astype(float)
     row = rolling.rows(np.zeros((1, 3)))[0]

@@ -132,7 +132,6 @@ def test_a_lens_that_sees_the_horizon() -> None:
         assert np.ptp(changed, axis=0).max() < 2.0 * np.ptp(outline, axis=0).max()
 
 
-@pytest.mark.slow
 def test_a_knock_turns_shifts_and_zooms_the_camera() -> None:
     knock = "at_s: 2, rotation_deg: [0.3, -0.2, 0.4], shift_m: [0.004, 0, 0.002], focal_ratio: 1.01"
     config = load(f"camera.simulated.knocks=[{{{knock}}}]")
@@ -140,7 +139,6 @@ def test_a_knock_turns_shifts_and_zooms_the_camera() -> None:
     assert play.camera(0.0) is None
     assert play.camera(1.99) is None
     new = play.camera(2.0)
-    assert new is not None
     assert play.camera(2.1) is None, "it stays there"
     # The same, from the definition: a ray of the camera, turned about the camera's axes, then into the world.
     turn = old.T_world_camera[:3, :3] @ cv2.Rodrigues(np.radians([0.3, -0.2, 0.4]))[0]
@@ -148,13 +146,6 @@ def test_a_knock_turns_shifts_and_zooms_the_camera() -> None:
     assert np.abs(new.position - old.position - [0.004, 0.0, 0.002]).max() < 1e-12
     assert new.K[0, 0] == pytest.approx(1.01 * old.K[0, 0])
     assert np.array_equal(new.K[:2, 2], old.K[:2, 2])
-    renderer, target = drawn(config), Target(2, SIDE, HEIGHT, 0.2)
-    assert_near(look(old, renderer.render(PLACES), target), PLACES[1])
-    renderer.moved(new)
-    image = renderer.render(PLACES)
-    assert_near(look(new, image, target), PLACES[1])
-    (mistaken,) = look(old, image, target)
-    assert math.dist(mistaken[:2], PLACES[1][:2]) > 0.008
 
 
 def test_a_slow_knock_comes_in_small_steps_and_ends_where_it_should() -> None:
@@ -169,21 +160,6 @@ def test_a_slow_knock_comes_in_small_steps_and_ends_where_it_should() -> None:
             assert abs(angles[-1] - (t - 1.0) / 10.0) < 0.06
     assert np.diff(angles).max() < 0.06
     assert angles[-1] == pytest.approx(1.0)
-
-
-def test_covers_swaps_and_outages_come_and_go() -> None:
-    play = ScenePlay(
-        load(
-            "camera.simulated.covers=[{robot: r2, duration_s: 3}]",
-            "camera.simulated.swaps=[{robots: [r1, r2], at_s: 2}]",
-            "camera.simulated.outages=[{kind: frozen, at_s: 1, duration_s: 2},"
-            " {kind: stalled, at_s: 5, duration_s: 4}]",
-        )
-    )
-    looks = {t: play.looks(t).tolist() for t in (0.0, 2.0, 2.99, 3.0)}
-    assert looks == {0.0: [0, 4, 2, 3], 2.0: [1, 4, 2, 3], 2.99: [1, 4, 2, 3], 3.0: [1, 0, 2, 3]}
-    assert [t for t in (0.9, 1.0, 2.9, 3.0) if play.frozen(t)] == [1.0, 2.9]
-    assert [play.stalled_for(t) for t in (4.9, 5.0, 8.0, 9.0)] == [0.0, 4.0, 1.0, 0.0]
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,6 @@ class Floor:
     def read(self, source: TruthPoses | SimulatedCamera) -> Any:
         """Return the next observation or image, when it is there."""
         ready_ns = source.ready_ns() if isinstance(source, SimulatedCamera) else source.next_ns()
-        assert ready_ns is not None
         self.drive_to(ready_ns)
         return source.read() if isinstance(source, SimulatedCamera) else source.observe(self.clock.now_ns())
 

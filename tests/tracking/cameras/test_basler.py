@@ -100,11 +100,7 @@ def test_the_image_that_comes_next_is_the_newest(lab: Lab) -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "says"),
-    [
-        ("camera.basler.gain=500", "camera.basler.gain"),
-        ("camera.rate_hz=10000", "camera.rate_hz"),
-    ],
+    ("override", "says"), [("camera.basler.gain=500", "camera.basler.gain"), ("camera.rate_hz=10000", "camera.rate_hz")]
 )
 def test_a_setting_that_is_not_taken_over_is_named_and_the_camera_let_go_of(lab: Lab, override: str, says: str) -> None:
     with pytest.raises(CameraError, match=says):
@@ -189,7 +185,6 @@ def test_exposure_and_gain_are_adjusted_between_two_images(lab: Lab) -> None:
         camera = lab.open(*overrides)
         if overrides[0].endswith("tick"):
             trigger = camera._trigger
-            assert trigger is not None
             trigger.wait = lambda _running: True  # type: ignore[method-assign]
         assert camera.read().exposure == Exposure(0.004, 0.0)
         limits = camera.exposure_limits()

@@ -190,7 +190,6 @@ def recorded(request: pytest.FixtureRequest, tmp_path: Path) -> Config:
 
 def test_a_recording_is_shown_at_its_pace_on_this_hosts_clock(recorded: Config) -> None:
     assert list(FileCamera.refusals(recorded)) == []
-    assert recorded.camera.files is not None
     clock = SimulatedClock()
     clock.advance_to(5 * S)
     camera = camera_of(recorded, clock, 2 * MS)
@@ -215,16 +214,6 @@ class TestContract(CameraContract):
     @pytest.fixture
     def camera(self, recorded: Config) -> FileCamera:
         return camera_of(recorded, WallClock())
-
-
-def test_reading_waits_for_the_image(recorded: Config) -> None:
-    clock = WallClock()
-    camera = camera_of(recorded, clock)
-    started_ns = clock.now_ns()
-    frames = [camera.read() for _ in range(4)]
-    assert [number(frame.image) for frame in frames] == [0, 1, 2, 3]
-    assert clock.now_ns() - started_ns >= STAMPS_NS[3] - STAMPS_NS[0]
-    assert all(frame.exposure_ns < clock.now_ns() for frame in frames)
 
 
 def test_images_that_nobody_is_in_time_for_are_dropped(recorded: Config) -> None:
