@@ -37,6 +37,10 @@ BOARD_RIM = 5.0
 HAIR, LABEL_PT = 0.15, 6.0
 
 
+Point = tuple[float, float]
+Segments = Sequence[Sequence[float]]  # x, y, x, y each
+
+
 class Page:
     """A sheet of paper; millimetres from its lower left corner, y up."""
 
@@ -50,13 +54,7 @@ class Page:
         placed = Affine2D().scale(scale).translate(x, y).transform_path(outline)
         self._add(PathPatch(placed, facecolor="black", linewidth=0, transform=self._to_paper, snap=False, gid=name))
 
-    def lines(
-        self,
-        segments: Sequence[Sequence[float]],
-        origin: tuple[float, float] = (0.0, 0.0),
-        quarters: int = 0,
-        name: str | None = None,
-    ) -> None:
+    def lines(self, segments: Segments, origin: Point = (0.0, 0.0), quarters: int = 0, name: str | None = None) -> None:
         """Draw hairlines from x, y to x, y, turned about the origin by quarters counter-clockwise."""
         path = Outline(np.reshape(segments, (-1, 2)), [Outline.MOVETO, Outline.LINETO] * len(segments))
         placed = Affine2D().rotate_deg(90 * quarters).translate(*origin).transform_path(path)

@@ -47,7 +47,7 @@ def _paths(needs: Needs, requested: Sequence[str]) -> list[str]:
         elif needs.config is not None:
             paths += [port.path for port in needs.ports()]
         else:
-            paths += [device.path for device in devices() if device.vendor_id is not None]
+            paths += [device.path for device in devices() if device.usb is not None]
     return list({realpath(path): path for path in reversed(paths)}.values())[::-1]
 
 

@@ -4,6 +4,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +27,7 @@ from robofleet.studies.sweep import report as sweep_report
 from robofleet.studies.sweep.journal import Journal
 from robofleet.studies.sweep.load import Study, load
 from robofleet.studies.sweep.table import Ran
-from robofleet.studies.sweep.unit import Job, play
+from robofleet.studies.sweep.unit import play
 
 Watch = Callable[[Ran], None]  # called after every run
 
@@ -37,8 +38,7 @@ def run(study: Study, engine: Engine, journal: Journal, watch: Watch) -> list[Ra
     failures: dict[int, str] = {}
     if left:
         compile_kernels(left[0].config)  # once, on disk, before every worker wants the same
-    jobs = [Job(study.config.stem, run.config) for run in left]
-    with closing(engine.each(play, jobs)) as results:
+    with closing(engine.each(partial(play, study.config.stem), [run.config for run in left])) as results:
         for index, played, failure in results:
             plan = left[index]
             if played is None:

@@ -17,6 +17,7 @@ from robofleet.calibration.robots import latency as latencies
 from robofleet.calibration.robots import offsets as tag_offsets
 from robofleet.calibration.robots import results as robot_files
 from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.results import Rows
 from robofleet.calibration.store import CalibrationError, save
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
@@ -131,13 +132,7 @@ def _each(driven: Sequence[RobotDrive], find: Callable[[RobotDrive], Found]) -> 
     return found
 
 
-def _keep(
-    config: Path,
-    tree: Config,
-    calibrations: Sequence[RobotCalibration],
-    table: tuple[tuple[str, ...], list[tuple[str, ...]]],
-    folder: Path,
-) -> None:
+def _keep(config: Path, tree: Config, calibrations: Sequence[RobotCalibration], table: Rows, folder: Path) -> None:
     head, rows = table
     shown = Table(*head)
     for row in rows:

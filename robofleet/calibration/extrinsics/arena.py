@@ -11,7 +11,7 @@ import numpy as np
 
 from robofleet.calibration.extrinsics.consensus import Agreement, agree, chance
 from robofleet.calibration.extrinsics.fiducials import Look, Marks, TagFinder, look
-from robofleet.calibration.extrinsics.page import write_page
+from robofleet.calibration.extrinsics.page import Found, write_page
 from robofleet.calibration.extrinsics.placing import PARAMETERS, Lens, Placement, on_plane, rotation_vector
 from robofleet.calibration.extrinsics.region import floor_points, predicted
 from robofleet.calibration.extrinsics.survey import LEAST, Survey, load_survey
@@ -26,24 +26,6 @@ from robofleet.tracking.camera import CameraGeometry
 _USABLE_MM = 3.0  # predicted error on the floor; the paper's robots keep to about 5 mm
 _UNLIKELY = 1e-3  # chance of residuals, below which the marks contradict what was stated of the survey
 _WIDTH_RATIO = (0.8, 1.25)  # of a tag as seen, over the surveyed side
-
-
-class Found(NamedTuple):
-    """A camera's place that can be used."""
-
-    camera: Path
-    model: CameraModel  # with it
-    agreement: Agreement
-    marks: Marks
-    points: Array  # (G, 3) of the floor that matters [m; world]
-    sigma_mm: Array
-    notes: tuple[str, ...]  # marks that were left out, and what else to know
-    kept: Path | None = None  # where the calibration before went
-
-    @property
-    def figures(self) -> dict[str, float | None]:
-        assert self.model.arena is not None
-        return self.model.arena.figures
 
 
 class Wanted(NamedTuple):
@@ -136,9 +118,8 @@ def _judged(
 
 
 def _written(found: Found, report: Path) -> Found:
-    camera, model, agreement, marks, points, sigma_mm, notes, _ = found
-    write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, points, sigma_mm, notes)
-    return found._replace(kept=save(camera, model))
+    write_page(report, found)
+    return found._replace(kept=save(found.camera, found.model))
 
 
 def lens_of(file: Path, model: CameraModel) -> Lens:

@@ -7,7 +7,8 @@ do not look like their tag are dropped.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 from typing import NamedTuple
 
 import cv2
@@ -58,12 +59,8 @@ class Marks:
         return len(self.names)
 
     def chosen(self, which: NDArray[np.bool_]) -> "Marks":
-        names = tuple(name for name, keep in zip(self.names, which, strict=True) if keep)
-        points, headings, sides, pixels, ahead, sigma_px = (
-            array[which] for array in (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)
-        )
-        by_lens = self.by_lens if isinstance(self.by_lens, float) else self.by_lens[which]
-        return Marks(names, points, headings, sides, pixels, ahead, sigma_px, by_lens)
+        arrays = {name: values[which] for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        return replace(self, names=tuple(compress(self.names, which)), **arrays)
 
 
 class Look(NamedTuple):

@@ -1,9 +1,8 @@
 """The page about a camera's pose: its uncertainty over the floor, and each mark's error."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -24,30 +23,38 @@ _PLOT_WIDTH = 7.0  # [inch]
 _ARROW_SHARE = 0.12  # of the longest arrow, over the floor's width
 
 
-def write_page(
-    file: Path,
-    title: str,
-    model: CameraModel,
-    agreement: Agreement,
-    marks: Marks,
-    points: Array,
-    sigma_mm: Array,
-    notes: Sequence[str],
-) -> None:
-    """Write the page; ``sigma_mm`` (ROWS * COLUMNS,) at points of the floor, NaN out of sight."""
-    assert model.arena is not None and model.T_world_camera is not None
-    figures = model.arena.figures
-    report = Report(title)
+class Found(NamedTuple):
+    """A camera's place that can be used."""
+
+    camera: Path
+    model: CameraModel  # with it
+    agreement: Agreement
+    marks: Marks
+    points: Array  # (ROWS * COLUMNS, 3) of the floor that matters [m; world]
+    sigma_mm: Array  # (G,) at these; NaN: out of sight
+    notes: tuple[str, ...]  # marks that were left out, and what else to know
+    kept: Path | None = None  # where the calibration before went
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        assert self.model.arena is not None
+        return self.model.arena.figures
+
+
+def write_page(file: Path, found: Found) -> None:
+    """Write the page about a camera's place."""
+    model, agreement, marks, points, figures = found.model, found.agreement, found.marks, found.points, found.figures
+    report = Report(f"Where {found.camera.stem} hangs")
     report.verdict(
         f"Expected error on the arena: {figures['predicted_rms_mm']:.2f} mm rms, {figures['predicted_max_mm']:.2f} mm "
         f"at most, from {figures['marks_used']:.0f} marks.",
         good=True,
     )
-    if notes:
-        report.verdict("\n".join(notes), good=False)
+    if found.notes:
+        report.verdict("\n".join(found.notes), good=False)
     with mpl.rc_context(STYLE):
         report.section("Expected error", "One standard deviation, both coordinates together, where robots wear tags.")
-        report.figure(_heat_map(points, sigma_mm, marks, agreement), "White: out of the camera's sight.")
+        report.figure(_heat_map(points, found.sigma_mm, marks, agreement), "White: out of the camera's sight.")
         report.section("Marks", "Each mark is compared with a pose that was fitted to all the others.")
         report.figure(_arrows(points, marks, agreement), "From where a mark was surveyed to where it is seen.")
     _table(report, marks, agreement)
@@ -56,6 +63,7 @@ def write_page(
     report.section("Figures")
     report.figures(figures)
     report.section("Measured in")
+    assert model.arena is not None
     report.table(("input", "hash"), list(model.arena.inputs.items()))
     report.write(file)
 

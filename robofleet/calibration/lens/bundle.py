@@ -143,15 +143,7 @@ def _prior(start: Lens, focal: float) -> Prior:
     width, height = start.size
     corner = float(np.hypot(width, height)) / 2 / focal
     shares = [share * corner**-power for power, share in _SHARES[start.kind]]
-    sigma = [
-        _PRIOR_FOCAL * focal,
-        _PRIOR_FOCAL * focal,
-        _PRIOR_CENTRE * width,
-        _PRIOR_CENTRE * height,
-        *shares,
-        _PRIOR_TILT,
-        _PRIOR_TILT,
-    ]
+    sigma = [*[_PRIOR_FOCAL * focal] * 2, _PRIOR_CENTRE * width, _PRIOR_CENTRE * height, *shares, *[_PRIOR_TILT] * 2]
     return Prior(start.values, np.array(sigma[: len(start.values)]) ** -2.0)
 
 

@@ -19,6 +19,8 @@ from robofleet.core.figures import COLOURS, QUIET, STYLE
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
+Rows = tuple[tuple[str, ...], list[tuple[str, ...]]]  # a table: its head, and its rows
+
 _SHOWN_TURNS_S = 4.0
 
 
@@ -84,7 +86,7 @@ def with_latency(before: RobotCalibration, found: Latency, recording: bytes) -> 
     )
 
 
-def offsets_table(found: Sequence[Offsets]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def offsets_table(found: Sequence[Offsets]) -> Rows:
     head = ("robot", "tag forward mm", "tag left mm", "tag heading deg", "wheel radius mm", "wheel base mm", "by")
     scales, digits = (1e3, 1e3, 1.0, 1e3, 1e3), (3, 3, 3, 4, 2)
     rows = []
@@ -95,7 +97,7 @@ def offsets_table(found: Sequence[Offsets]) -> tuple[tuple[str, ...], list[tuple
     return head, rows
 
 
-def latency_table(found: Sequence[Latency]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def latency_table(found: Sequence[Latency]) -> Rows:
     rows = []
     for robot_latency in found:
         numbers = zip((robot_latency.delay_s, robot_latency.motor_lag_s), robot_latency.sigma, strict=True)

@@ -21,6 +21,7 @@ from robofleet.tracking.camera import CameraGeometry
 from .conftest import BOARD, TrueCamera
 
 CEILING = Ceiling(2.5, 0.08)
+WAYS = dict(zip(Lean, [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)], strict=True))  # left and upper edge: away, or near
 
 
 def measured(camera: TrueCamera, views: Sequence[BoardView], coefficients: int = 5) -> Measured:
@@ -187,13 +188,7 @@ def test_the_view_that_is_asked_for_helps_most(true_camera: TrueCamera) -> None:
 def as_asked(camera: TrueCamera, wanted, rng: np.random.Generator, spread: float = 1.0):
     """Return the pose of a board that an operator shows as the tool asked."""
     angle = 30 + spread * rng.normal(0, 4)
-    left, upper = {
-        Lean.LEFT: (angle, 0),
-        Lean.RIGHT: (-angle, 0),
-        Lean.UPPER: (0, angle),
-        Lean.LOWER: (0, -angle),
-        Lean.FLAT: (0, 0),
-    }[wanted.lean]
+    left, upper = (way * angle for way in WAYS[wanted.lean])
     (w, h), (du, dv) = camera.size, spread * rng.normal(0, 15, 2)
     u, v = (wanted.column + 0.5) * w / COLUMNS + du, (wanted.row + 0.5) * h / ROWS + dv
     return camera.pose(u, v, wanted.distance_m, left, upper, spread * rng.uniform(-8, 8))
@@ -215,14 +210,7 @@ def test_doing_as_asked_leads_to_a_lens_that_is_accepted(true_camera: TrueCamera
 def test_a_lean_names_the_edge_that_is_away(lean: Lean, true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(11)
     for spin in (0, 70, 180, -100):  # of the print: the edges are the image's, not the board's
-        degrees = {
-            Lean.LEFT: (25, 5),
-            Lean.RIGHT: (-25, 5),
-            Lean.UPPER: (5, 25),
-            Lean.LOWER: (5, -25),
-            Lean.FLAT: (4, 3),
-        }
-        pose = true_camera.pose(420, 310, 0.9, *degrees[lean], spin)
+        pose = true_camera.pose(420, 310, 0.9, *(25 * way or 5 for way in WAYS[lean]), spin)
         assert tilt(pose)[0] is lean
         if lean is Lean.FLAT:
             continue

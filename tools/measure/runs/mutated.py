@@ -151,8 +151,8 @@ def kinds(folder: Path) -> Iterator[Kind]:
     yield Kind(keys / f"{_NAME}.json", lambda: credentials.credentials(_ARENA, _NAME))
     yield Kind(keys / credentials.REGISTER, lambda: Authority(_ARENA, keys).entries())
     joined = keys / credentials.JOINED
-    own = {"arena": _ARENA, "name": _NAME, "kind": "operator", "router": ["tls/192.168.1.5:7447"]}
-    joined.write_text(json.dumps(own))
+    operator = {"arena": _ARENA, "name": _NAME, "kind": "operator", "router": ["tls/192.168.1.5:7447"]}
+    joined.write_text(json.dumps(operator))
     yield Kind(joined, credentials.joined)
 
 
