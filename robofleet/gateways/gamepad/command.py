@@ -56,10 +56,8 @@ def drive(
             epoch = epoch or (state.epoch if state else 0)
             if state is not None and state.epoch != epoch:
                 return
-            if state is not None and state.phase == Phase.HOLD:
-                hand.drive_out(out, stick, ticks.newest)
-            else:
-                hand.drive(stick, ticks.newest)
+            held = state is not None and state.phase == Phase.HOLD
+            hand.drive(stick, ticks.newest, out if held else None)
             if ticks.newest != newest:
                 newest, heard_ns = ticks.newest, now_ns
             elif now_ns - heard_ns > _CONTROLLER_SILENT_NS and over():
