@@ -21,7 +21,7 @@ from robofleet.operator.hand import driven
 from robofleet.operator.page.hearing import Hearing, Shown
 from robofleet.operator.page.words import phase_name, what_next
 from robofleet.operator.terminal import live_figures
-from robofleet.operator.terminal.on_the_way import OnTheWay
+from robofleet.operator.terminal.on_the_way import WAYS, OnTheWay
 from robofleet.recording.causes import named, own_state
 from robofleet.recording.state_words import state_words
 from robofleet.safety.distances import apart
@@ -71,6 +71,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         ],
         "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
         "places": {named(Phase, phase): _places(places) for phase, places in OnTheWay(config).places.items()},
+        "ways": {named(Phase, phase): {"goal": way.goal, "there": way.there} for phase, way in WAYS.items()},
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
         "camera": {"width": camera.width, "height": camera.height} if seen else None,
