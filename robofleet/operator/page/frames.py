@@ -42,8 +42,6 @@ _FIGURE_DIGITS = 6
 
 def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
     """Return what does not change in a run."""
-    camera = config.camera
-    seen = config.tracker.source == "camera"
     bounds = config.run.bounds.model_dump(exclude_none=True)
     return {
         "type": "hello",
@@ -74,10 +72,9 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         "ways": {named(Phase, phase): {"goal": way.goal, "there": way.there} for phase, way in WAYS.items()},
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
-        "camera": {"width": camera.width, "height": camera.height} if seen else None,
         "cameras": [
             {"name": view.camera.name, "width": view.camera.width, "height": view.camera.height}
-            for view in (config.views if seen else ())
+            for view in (config.views if config.tracker.source == "camera" else ())
         ],
         "config": str(folder / "config.yaml"),
         "folder": str(folder),
