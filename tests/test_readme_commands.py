@@ -175,7 +175,7 @@ def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         return
     command = group.commands[name].loaded
     if rest and hasattr(command, "commands"):
-        command, rest = command.commands[rest[0]], rest[1:]
+        (command, *_), rest = [command.commands[part] for part in rest[0].split("|")], rest[1:]
     if name in {"schema", "init", "check"} and rest and "lab.yaml" not in "".join(rest):
         assert CliRunner().invoke(cli.app, arguments).exit_code == 0
     elif "--lockstep" in rest and "tracker.source=truth" in rest:  # images take long
