@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from robofleet.bus.private_folder import PlaceError, private_folder, temporary_folder, users_folders
 from robofleet.core.clock import utc_now
-from robofleet.core.errors import RobofleetError
+from robofleet.core.errors import BadInputError
 from robofleet.core.patterns import ENDPOINT_PATTERN, NAME_PATTERN, PRIVATE
 
 if TYPE_CHECKING:  # who looks for a run needs no configuration, and is in a hurry
@@ -68,7 +68,7 @@ class ArenaFile(NamedTuple):
             return f"user {self.uid}"
 
 
-class ArenaBusyError(RobofleetError):
+class ArenaBusyError(BadInputError):
     """Raised where an arena has a run already. The message says whose, and how to end it."""
 
 

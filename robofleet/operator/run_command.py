@@ -4,8 +4,7 @@ import math
 import re
 import shlex
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,9 +12,8 @@ import typer
 from rich.console import Console
 from typer.core import TyperCommand
 
-from robofleet.bus.arena_file import ArenaBusyError, claimed
+from robofleet.bus.arena_file import claimed
 from robofleet.bus.endpoint import check_router, settled
-from robofleet.bus.private_folder import PlaceError
 from robofleet.config.files.yamlfile import printable
 from robofleet.config.load import Typed
 from robofleet.config.tree import Config
@@ -145,8 +143,10 @@ def run(
             if tree.run.attended and not sys.stdin.isatty():
                 raise RefusedError("run.attended: stdin is not a terminal: start the run in one, or set it to false")
             _refuse_forgetful(tree)
-            tree = _settled(tree)
-            held.enter_context(_claimed(tree, folder))
+            network(tree)  # refuses keys that are missing, before anything starts
+            tree = settled(tree, listen=True)
+            held.enter_context(claimed(tree, folder))
+            check_router(tree)
         new_folder(folder)
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
         result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
@@ -219,27 +219,6 @@ def _refuse_forgetful(tree: Config) -> None:
             FileStateStore(tree.arena.name).try_place(here)
         except OSError as error:
             raise unkept(error) from error
-
-
-@contextmanager
-def _claimed(tree: Config, folder: Path) -> Iterator[None]:
-    """Let the run be reached by others, and refuse a second one on the same arena."""
-    with ExitStack() as held:
-        try:
-            held.enter_context(claimed(tree, folder))
-            check_router(tree)
-        except (ArenaBusyError, PlaceError) as error:
-            raise RefusedError(str(error)) from error
-        yield
-
-
-def _settled(tree: Config) -> Config:
-    """Choose where the processes meet; what is in use is refused."""
-    network(tree)  # refuses keys that are missing, before anything starts
-    try:
-        return settled(tree, listen=True)
-    except PlaceError as error:
-        raise RefusedError(str(error)) from error
 
 
 def _result(tree: Config, name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> Result:

@@ -197,8 +197,12 @@ class OwnRun:
         os.close(theirs)
 
     def check(self) -> None:
+        """Raise FleetError with what it said last, where it has ended."""
         if self.over:
-            raise FleetError(self.why())
+            self._stderr.seek(0)
+            lines = self._stderr.read().decode(errors="replace").strip().splitlines()[-5:]
+            code = self._process.returncode
+            raise FleetError("\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"]))
 
     def joinable(self, arena: str) -> ArenaFile:
         """Wait until its processes can be reached, and return where; FleetError where it ends before."""
@@ -212,13 +216,6 @@ class OwnRun:
     @property
     def over(self) -> bool:
         return self._process.poll() is not None
-
-    def why(self) -> str:
-        """Return what it said last."""
-        self._stderr.seek(0)
-        lines = self._stderr.read().decode(errors="replace").strip().splitlines()[-5:]
-        code = self._process.returncode
-        return "\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"])
 
     def interrupt(self) -> None:
         """End it as Ctrl-C does: a controlled stop."""

@@ -93,10 +93,7 @@ class Held:
             return
         if self.stick.held:
             self.held_s = self.now_s
-        if self.out is None:
-            self.hand.drive(self.stick, tick)
-        else:
-            assert self.hand.drive_out(self.out, self.stick, tick)
+        assert self.hand.drive(self.stick, tick, self.out)
 
     def _judge(self, phase: int) -> None:
         """Note what breaks the rules of a held run, and of every phase in which nothing may move."""

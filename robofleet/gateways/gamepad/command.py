@@ -53,10 +53,8 @@ def drive(
             if served.is_over(now_ns):
                 return
             state: RunState | None = observer[STATE]
-            if state is not None and state.phase == Phase.HOLD:
-                hand.drive_out(out, stick, ticks.newest)
-            else:
-                hand.drive(stick, ticks.newest)
+            held = state is not None and state.phase == Phase.HOLD
+            hand.drive(stick, ticks.newest, out if held else None)
     finally:
         hand.let_go()
 

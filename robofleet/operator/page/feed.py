@@ -84,7 +84,7 @@ class Feed:
 
     def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, progress: Callable[[], str]) -> None:
         """``progress`` says what the launcher does, for as long as the supervisor has not spoken."""
-        self.config, self.bus, self._clock, self._progress = config, bus, clock, progress
+        self.config, self.bus, self.now_ns, self._progress = config, bus, clock.now_ns, progress
         self.folder = folder
         self.ended: Frame | None = None  # how the run did, once it has
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
@@ -121,7 +121,7 @@ class Feed:
     def tick(self) -> str:
         """Return the newest tick, made once for all pages."""
         if self._tick[0] != self.seq:
-            now_ns = self._clock.now_ns()
+            now_ns = self.now_ns()
             frame = frames.tick(self.hearing, self.config, self._groups, self.seq, now_ns, self._progress())
             self._tick = self.seq, dumps(frame, compact=True)
         return self._tick[1]
@@ -143,14 +143,11 @@ class Feed:
         self.marked += sum(marks[group].take(note.mark) for group, note in self.hearing.notes if note.mark is not None)
 
     def beat(self) -> str:
-        return dumps(frames.beat(self.hearing, self._clock.now_ns()))
+        return dumps(frames.beat(self.hearing, self.now_ns()))
 
     @property
     def phase(self) -> str:
         return phase_name(self.hearing.state)
-
-    def now_ns(self) -> int:
-        return self._clock.now_ns()
 
     @cached_property
     def _outlines(self) -> dict[str, TagOutlines]:
@@ -162,7 +159,7 @@ class Feed:
             self._loop.call_soon_threadsafe(self._woken.set)
 
     def _look(self) -> None:
-        now_ns, before = self._clock.now_ns(), self.hearing.record
+        now_ns, before = self.now_ns(), self.hearing.record
         new = self.hearing.hear()
         if not new and now_ns - self._looked_ns < _IDLE_POLL_NS:
             return
