@@ -122,7 +122,7 @@ class Server:
             numbers[topic] = writer.register_channel(topic, channel.encoding, schema)
         for topic, log_ns, data in messages:
             writer.add_message(numbers[topic], log_ns, data, log_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
     def _log(self, path: str, log_ns: int, *archetypes: rr.AsComponents) -> None:
         """Show archetypes of an entity at a time."""
