@@ -84,7 +84,6 @@ class Served:
         self._epoch, self._newest = 0, 0  # of supervisors; 0: none was heard
 
     def take(self, epoch: int, now_ns: int) -> None:
-        """Take the epoch of a supervisor that has spoken."""
         self._newest = epoch
         self._epoch, self._heard_ns = self._epoch or self._newest, now_ns
 

@@ -1,5 +1,6 @@
 """A driver and its robot's firmware at two ends of a pseudo-terminal, in one thread, on the test's clock."""
 
+import math
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -10,9 +11,11 @@ from unittest.mock import patch
 import numpy as np
 
 from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.drivers.arduino_bridge import ArduinoBridge
 from robofleet.drivers.create2 import Create2
 from robofleet.drivers.gternal import GTernal
 from robofleet.simulation.firmware import Hardware
+from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.simulation.firmwares.create2 import Create2Firmware
 from robofleet.simulation.firmwares.gternal import GTernalFirmware
 from robofleet.simulation.serial_line import SerialLine
@@ -22,6 +25,7 @@ from robofleet.vehicles.interface import DriverContext, DriverReading, Imperfect
 from robofleet.vehicles.plant import Plant
 from tests.robots import CREATE2, CREATE2_IDEAL, GTERNAL, IDEAL
 
+COUNTS_PER_TURN, FRAME_S = 2000, 0.033  # of the Arduino's robot; 1000 / 30, in whole milliseconds
 MM_S = 1e-3 / CREATE2.wheel_radius  # of a Create 2's wheel [rad/s]
 Line = Callable[[bytes], bytes]
 
@@ -32,7 +36,8 @@ class LineBench:
     Attributes:
         received: What the robot has received, a piece each time that it listened.
         to_robot: Changes what is on its way to the robot.
-        to_driver: Changes what is on its way to the driver; also what the robot says in each loop, if that is nothing.
+        to_driver: Changes what is on its way to the driver.
+        babble: What the robot says in each loop, beside what its firmware does.
     """
 
     def __init__(
@@ -47,6 +52,7 @@ class LineBench:
         self.firmware = firmware(self.hardware)
         self.to_robot: Line = bytes
         self.to_driver: Line = bytes
+        self.babble = b""
         self.received: list[bytes] = []
         self.heard_ns = 0  # when it received something last
         self.driver: Any = None
@@ -95,13 +101,13 @@ class LineBench:
         if data:
             self.received.append(data)
             self.heard_ns = self.now_ns
-            if answer := self.firmware.receive(self.to_robot(data), self.now_ns):
-                self.say(answer)
+            self.say(self.firmware.receive(self.to_robot(data), self.now_ns))
         return bool(data)
 
     def say(self, data: bytes) -> None:
         """Let something come to the driver."""
-        self.line.write(self.to_driver(data))
+        if data:
+            self.line.write(self.to_driver(data))
 
     def let_pass(self, seconds: float) -> None:
         """Let time pass for the robot, which hears nothing."""
@@ -113,6 +119,7 @@ class LineBench:
             if self.now_ns == self._loop_ns:
                 self._loop_ns += self._period_ns
                 self.say(self.firmware.loop(self.now_ns))
+                self.line.write(self.babble)
 
     def skip(self, seconds: float) -> None:
         """Let time pass in which nothing happens."""
@@ -144,3 +151,11 @@ def create2() -> LineBench:
 
 def gternal() -> LineBench:
     return LineBench(GTernal, GTernalFirmware, GTERNAL, IDEAL, 10 * MS)
+
+
+def arduino() -> LineBench:
+    """Return a bench whose wheels turn as they are told, at once; the speed loop looks every millisecond."""
+    bench = LineBench(ArduinoBridge, ArduinoBridgeFirmware, GTERNAL, IDEAL, MS)
+    bench.hardware.radians_per_count = math.tau / COUNTS_PER_TURN
+    bench.hardware.loop_period = FRAME_S
+    return bench

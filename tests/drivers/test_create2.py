@@ -211,10 +211,10 @@ def test_after_a_hang_it_comes_back_into_its_mode_and_does_nothing_old() -> None
 @pytest.mark.parametrize("answer", [b"", b"57600\r\n", bytes((19, 44)) * 30])
 def test_what_is_no_create_2_is_named_and_its_port_is_free_again(answer: bytes) -> None:
     with create2() as bench:
-        bench.to_driver = lambda data: answer
+        bench.to_driver, bench.babble = lambda _: b"", answer
         with pytest.raises(DriverError, match=rf"{bench.port}: the device that answers is not a Create 2"):
             bench.open()
-        bench.to_driver = lambda data: data
+        bench.to_driver, bench.babble = bytes, b""
         bench.open()
 
 

@@ -125,7 +125,7 @@ def test_its_own_questions_keep_no_robot_going(bench: LineBench) -> None:
 def test_a_robot_that_answers_or_understands_no_more_is_lost_after_half_a_second(
     answer: bytes, bench: LineBench
 ) -> None:
-    bench.to_robot, bench.to_driver = lambda _: b"", lambda _: answer
+    bench.to_robot, bench.babble = lambda _: b"", answer
     tell(bench, AHEAD)
     bench.pass_time(0.48)
     with pytest.raises(DriverError, match="does not answer"):
@@ -149,7 +149,7 @@ def test_closed_it_stands_even_if_a_line_is_lost(bench: LineBench) -> None:
     [(b"", "nothing answers"), (b"Invalid Command\r\n", "the device that answers is not a GTernal")],
 )
 def test_what_is_no_gternal_is_named_and_not_told_to_move(unmet: LineBench, says: bytes, message: str) -> None:
-    unmet.to_robot, unmet.to_driver = lambda _: b"", lambda _: says
+    unmet.to_robot, unmet.babble = lambda _: b"", says
     with pytest.raises(DriverError, match=message):
         unmet.open()
     assert unmet.received
@@ -157,7 +157,7 @@ def test_what_is_no_gternal_is_named_and_not_told_to_move(unmet: LineBench, says
 
 
 def test_one_that_talks_all_the_time_and_obeys_nothing_is_named(unmet: LineBench) -> None:
-    unmet.to_robot, unmet.to_driver = lambda _: b"", lambda _: b'{"status":[1],"body":[{}]}'
+    unmet.to_robot, unmet.babble = lambda _: b"", b'{"status":[1],"body":[{}]}'
     with pytest.raises(DriverError, match="does not stop"):
         unmet.open()
 

@@ -50,7 +50,6 @@ class Held:
         self._broken = False  # the report that is being read
 
     def take(self, events: Iterable[tuple[int, int, int]]) -> Stick:
-        """Take events, in order."""
         for kind, code, value in events:
             if kind == EV_SYN:
                 self._broken = code == SYN_DROPPED or (self._broken and code != SYN_REPORT)
@@ -77,11 +76,9 @@ class EventPad:
         self._held = Held({axis: axes[axis] for axis in (ABS_X, ABS_Y)})
 
     def fileno(self) -> int:
-        """Return the descriptor."""
         return int(self._device.fd)
 
     def read(self) -> Stick:
-        """Take what happened."""
         events: list[Any] = []
         with suppress(BlockingIOError):  # nothing happened
             events = list(self._device.read())

@@ -129,7 +129,6 @@ def _configuration(arena: str | None, overrides: list[str], copy: Path | None) -
 
 
 def _rviz(config: "Config", namespace: str) -> str:
-    """Return what RViz shows of a run."""
     from robofleet.gateways.ros2 import rviz  # noqa: PLC0415
 
     _check_names(config)

@@ -87,7 +87,6 @@ class Gateway:
             part.step(now_ns, updated)
 
     def _publish_fixed_frames(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
-        """Publish the frames that do not move."""
         self._fixed = Transforms(graph, topics.FIXED)
         stamp = graph.stamp(graph.clock.now_ns())
         found = [frame for robot in config.robots for frame in places(robot, names[robot.id], graph.frames, stamp)]

@@ -57,7 +57,6 @@ class Robots:
         return exposure_ns + self._behind_ns[camera]
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
-        """Publish what is new."""
         for name, unit in self._units.items():
             if (source := (STATUS, name)) in updated:
                 unit.say(self._observer.arrival_ns(source), now_ns, *self._observer[source])

@@ -44,7 +44,6 @@ class Run:
         self._published_ns = 0
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
-        """Publish what is new."""
         if STATE in updated:
             state = self._observer[STATE]
             self._served.take(state.epoch, now_ns)

@@ -39,7 +39,6 @@ class Sensing:
         }
 
     def step(self, _now_ns: int, updated: set[Source]) -> None:
-        """Publish what is new."""
         for unit, robots in self._units.items():
             if (source := (SENSORS, unit)) in updated:
                 stamp = self._graph.stamp(self._observer.arrival_ns(source))

@@ -23,7 +23,6 @@ class Quality(NamedTuple):
     depth: int
 
     def __str__(self) -> str:
-        """Return it in words."""
         words = ["reliable" if self.reliable else "best effort", "transient local" if self.latched else "volatile"]
         return f"{', '.join(words)}, {self.depth}"
 

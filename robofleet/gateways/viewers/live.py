@@ -99,7 +99,6 @@ class Viewers:
         self._state = key_of(config.arena.name, STATE)
 
     def step(self, now_ns: int) -> None:
-        """Pass on new messages."""
         for at_ns, full_of_sender, payload in self._stream.drain():
             full, _ = split(full_of_sender)
             if full == self._state and (epoch := RUN_STATE.head_of(payload, "epoch")):
@@ -118,5 +117,4 @@ class Viewers:
         self._server.step(now_ns + self._epoch_ns)
 
     def close(self) -> None:
-        """Close every viewer's connection."""
         self._server.close()
