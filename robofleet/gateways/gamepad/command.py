@@ -18,7 +18,7 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra
-from robofleet.gateways.gamepad.pads import Pad
+from robofleet.gateways.gamepad.pads import EventPad
 from robofleet.gateways.place import Served, answering, is_over, joined_otherwise, run_of
 from robofleet.operator.commands import ArenaName
 from robofleet.operator.hand import Hand
@@ -31,7 +31,7 @@ _REPEAT_NS = 20 * MS  # of a command that stays as it is
 
 
 def drive(
-    pad: Pad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool], out: str = ""
+    pad: EventPad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool], out: str = ""
 ) -> None:  # fmt: skip
     """Drive a group until the run is over; OSError where the gamepad is gone. Then, too, the robots stand.
 

@@ -1,10 +1,10 @@
-"""Gamepads by Linux's event devices, through the library ``evdev``; what reads them asks for a ``Pad``."""
+"""Gamepads by Linux's event devices, through the library ``evdev``."""
 
 import os
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from robofleet.core.errors import RobofleetError
 from robofleet.operator.hand import Stick
@@ -21,18 +21,6 @@ _JOIN = "run `sudo usermod -aG input $USER`, then log in again"
 
 class PadError(RobofleetError):
     """Raised where there is no gamepad, or it cannot be read. The message is a line that says how to mend it."""
-
-
-class Pad(Protocol):
-    """What is asked of a gamepad. A file descriptor, which is readable when something happened."""
-
-    name: str
-
-    def fileno(self) -> int:
-        """Return the descriptor."""
-
-    def read(self) -> Stick:
-        """Take what happened, and return how its stick is; OSError where it is gone."""
 
 
 class Held:
@@ -68,7 +56,7 @@ class Held:
 
 
 class EventPad:
-    """A gamepad of ``evdev``."""
+    """A gamepad of ``evdev``: a file descriptor, which is readable when something happened."""
 
     def __init__(self, device: Any) -> None:
         axes = {code: (info.min, info.max) for code, info in device.capabilities(absinfo=True)[EV_ABS]}
@@ -79,6 +67,7 @@ class EventPad:
         return int(self._device.fd)
 
     def read(self) -> Stick:
+        """Take what happened, and return how its stick is; OSError where it is gone."""
         events: list[Any] = []
         with suppress(BlockingIOError):  # nothing happened
             events = list(self._device.read())
