@@ -6,7 +6,6 @@ from contextlib import closing
 from pathlib import Path
 
 from robofleet.bus.bus import Stream
-from robofleet.bus.joining import joined
 from robofleet.bus.keys import STATE, split
 from robofleet.bus.keys import key as key_of
 from robofleet.bus.messages import RUN_STATE
@@ -16,7 +15,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, WallClock, epoch_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import ArenaAccess, Served, is_over
+from robofleet.gateways.place import ArenaAccess, Served, is_over, joined_bus
 from robofleet.gateways.viewers.server import Run, Server
 from robofleet.nodes.node import Lifeline
 from robofleet.operator.viewer_address import RERUN, Address
@@ -50,7 +49,7 @@ def serve(
         if lifeline.cut:
             raise SystemExit
 
-    bus = joined(config.arena.name, access.endpoint, VIEWER, clock, within_s, look, access.credentials)
+    bus = joined_bus(config, access, VIEWER, clock, within_s, look)
     run = Run(config, access, folder, Asking(bus, clock, config, access.role))
 
     def opened(channels: Sequence[Channel]) -> Server:
