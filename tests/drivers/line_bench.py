@@ -4,6 +4,7 @@ import math
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 from unittest.mock import patch
@@ -41,14 +42,16 @@ class LineBench:
     """
 
     def __init__(
-        self, kind: Any, firmware: Any, drive: DifferentialDrive, imperfections: Imperfections, loop_ns: int
-    ) -> None:
+        self, kind: Any, firmware: Any, drive: DifferentialDrive, imperfections: Imperfections, loop_ns: int,
+        encoders: Imperfections | None = None,
+    ) -> None:  # fmt: skip
+        """Put the robot there; ``encoders``: of another firmware than the plant's."""
         self._kind, self._drive, self._period_ns = kind, drive, loop_ns
         self.clock = SimulatedClock()
         self.clock.advance_to(S)
         self._loop_ns = self.now_ns + loop_ns
         self.plant = Plant(drive, imperfections, (0.0, 0.0, 0.0), np.random.default_rng(1))
-        self.hardware = Hardware(drive, imperfections, self.plant)
+        self.hardware = Hardware(drive, encoders or imperfections, self.plant)
         self.firmware = firmware(self.hardware)
         self.to_robot: Line = bytes
         self.to_driver: Line = bytes
@@ -155,7 +158,5 @@ def gternal() -> LineBench:
 
 def arduino() -> LineBench:
     """Return a bench whose wheels turn as they are told, at once; the speed loop looks every millisecond."""
-    bench = LineBench(ArduinoBridge, ArduinoBridgeFirmware, GTERNAL, IDEAL, MS)
-    bench.hardware.radians_per_count = math.tau / COUNTS_PER_TURN
-    bench.hardware.loop_period = FRAME_S
-    return bench
+    encoders = replace(IDEAL, speed_quantum=math.tau / COUNTS_PER_TURN / FRAME_S, loop_period=FRAME_S)
+    return LineBench(ArduinoBridge, ArduinoBridgeFirmware, GTERNAL, IDEAL, MS, encoders)
