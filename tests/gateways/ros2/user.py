@@ -33,6 +33,7 @@ from robofleet.gateways.ros2.topics import MAP, load
 SIDE_M, V_M_S, OMEGA_RAD_S = 0.1, 0.12, 1.2
 WITHIN_S = 30.0
 CLOCK = WallClock()
+_EVERY_NODES = "/rosout", "/parameter_events"
 _LATCHED = QoSProfile(
     depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
 )
@@ -48,7 +49,6 @@ def until(node: Node, true: Callable[[], Any], within_s: float = WITHIN_S) -> No
 
 def listen(node: Node, seconds: float) -> dict[str, Any]:
     """Return the graph's topics with type, frames and quality, and how many messages of each came."""
-    own = {name for name, _ in node.get_topic_names_and_types()}
 
     def of_gateway(ends: list[Any]) -> list[Any]:
         return [end for end in ends if end.node_name == "robofleet"]
@@ -62,7 +62,7 @@ def listen(node: Node, seconds: float) -> dict[str, Any]:
         for name, (kind, *_) in node.get_topic_names_and_types():
             publishers = of_gateway(node.get_publishers_info_by_topic(name))
             subscribers = of_gateway(node.get_subscriptions_info_by_topic(name))
-            if name in own or name in found or not (publishers or subscribers) or name == "/parameter_events":
+            if name in _EVERY_NODES or name in found or not (publishers or subscribers):
                 continue
             (end,) = publishers or subscribers
             found[name] = {"type": kind, "quality": said(end.qos_profile), "flow": "out" if publishers else "in"}
