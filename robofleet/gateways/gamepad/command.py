@@ -18,8 +18,8 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra
-from robofleet.gateways.gamepad.pads import Pad
-from robofleet.gateways.place import Served, answering, is_over, joined_otherwise, run_of
+from robofleet.gateways.gamepad.pads import EventPad
+from robofleet.gateways.place import Served, answering, is_over, joined_bus, joined_otherwise, run_of
 from robofleet.operator.commands import ArenaName
 from robofleet.operator.hand import Hand
 from robofleet.safety.supervisor import Phase
@@ -31,7 +31,7 @@ _REPEAT_NS = 20 * MS  # of a command that stays as it is
 
 
 def drive(
-    pad: Pad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool], out: str = ""
+    pad: EventPad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool], out: str = ""
 ) -> None:  # fmt: skip
     """Drive a group until the run is over; OSError where the gamepad is gone. Then, too, the robots stand.
 
@@ -59,9 +59,6 @@ def drive(
         hand.let_go()
 
 
-_JOINS_WITHIN_S = 3.0
-
-
 def teleop(
     arena: ArenaName = None,
     config: Annotated[
@@ -85,7 +82,6 @@ def teleop(
     Hold a shoulder button (L1 or R1): the left stick drives. Let it go, and the robot stands. While the run is held, it
     drives one robot out at a crawl. Ctrl-C ends this, and not the run.
     """
-    from robofleet.bus.joining import joined  # noqa: PLC0415
     from robofleet.bus.permissions import OPERATOR as PERSON  # noqa: PLC0415
     from robofleet.core.clock import WallClock  # noqa: PLC0415
     from robofleet.gateways.gamepad import pads  # noqa: PLC0415
@@ -106,9 +102,7 @@ def teleop(
     clock = WallClock()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with answering(tree):
-        bus = joined(
-            tree.arena.name, access.endpoint, access.role, clock, _JOINS_WITHIN_S, credentials=access.credentials
-        )
+        bus = joined_bus(tree, access, access.role, clock)
     robot = robots[0]
     print(
         f"{pad.name} drives {robot} while a shoulder button is held: Ctrl-C ends this, and not the run", file=sys.stderr

@@ -47,7 +47,6 @@ class Runs:
 
     @property
     def most(self) -> int:
-        """How many robots there are."""
         return len(self._config.members)
 
     def begin(self, starts: Array, *, sensors: bool = False, walls: Walls | None = None) -> "Run":
@@ -104,7 +103,6 @@ class Run:
     """A run that a script drives, tick by tick."""
 
     def __init__(self, fleet: Fleet) -> None:
-        """Take a fleet that is open."""
         self.fleet = fleet
         self.robots, self.config, self.folder = fleet.robots, fleet.config, fleet.folder
         self.pictures: list[Drawing] = []  # in which the script draws
@@ -167,7 +165,6 @@ class Run:
             picture.save(self.folder / f"figure{number}.png", poses)  # type: ignore[operator]
 
     def _next(self) -> None:
-        """Wait for the next tick."""
         if self._ticks is None:
             self._ticks = self.fleet.ticks(resume=True)
         next(self._ticks)

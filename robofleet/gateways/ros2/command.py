@@ -129,7 +129,6 @@ def _configuration(arena: str | None, overrides: list[str], copy: Path | None) -
 
 
 def _rviz(config: "Config", namespace: str) -> str:
-    """Return what RViz shows of a run."""
     from robofleet.gateways.ros2 import rviz  # noqa: PLC0415
 
     _check_names(config)
@@ -158,8 +157,8 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
         raise RefusedError(f"--lockstep: {file or 'CONFIG'}: name a configuration, for example configs/ros2.yaml")
     if not _SLOWEST <= speed <= _FASTEST:
         raise RefusedError(f"--speed {speed:g}: must be {_SLOWEST:g} to {_FASTEST:g}")
+    from robofleet.gateways.ros2 import simulated  # noqa: PLC0415
     from robofleet.gateways.ros2.live import node  # noqa: PLC0415
-    from robofleet.gateways.ros2.simulated import Simulated  # noqa: PLC0415
     from robofleet.runs.check import load_checked  # noqa: PLC0415
     from robofleet.scripts.script_link import FleetError  # noqa: PLC0415
 
@@ -170,7 +169,7 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{Path(file).stem}"
     new_folder(folder)
     try:
-        summary = Simulated(tree, Path(file).stem, folder).serve(namespace, speed)
+        summary = simulated.serve(tree, Path(file).stem, folder, namespace, speed)
     except FleetError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(1) from error

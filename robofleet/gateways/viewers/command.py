@@ -5,11 +5,9 @@ from typing import Annotated
 
 import typer
 
-from robofleet.gateways.place import ArenaAccess, answering, run_of
+from robofleet.gateways.place import JOINED_WITHIN_S, ArenaAccess, answering, run_of
 from robofleet.operator.commands import ArenaName, LifelineFd
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, RERUN, Address, need
-
-_JOINS_WITHIN_S = 3.0  # a run that is on
 
 _Copy = Annotated[
     Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
@@ -66,7 +64,7 @@ def _serve(viewer: str, arena: str | None, config: Path | None, text: str, lifel
     from robofleet.nodes.node import Lifeline  # noqa: PLC0415
 
     with answering(tree):
-        live.serve(viewer, tree, access, at, access.folder or Path.cwd(), Lifeline(None), _JOINS_WITHIN_S)
+        live.serve(viewer, tree, access, at, access.folder or Path.cwd(), Lifeline(None), JOINED_WITHIN_S)
 
 
 def _of_run(viewer: str, file: Path, at: Address, lifeline: int) -> None:

@@ -6,7 +6,6 @@ from contextlib import closing
 from pathlib import Path
 
 from robofleet.bus.bus import Stream
-from robofleet.bus.joining import joined
 from robofleet.bus.keys import STATE, split
 from robofleet.bus.keys import key as key_of
 from robofleet.bus.messages import RUN_STATE
@@ -16,7 +15,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, WallClock, epoch_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import ArenaAccess, Served, is_over
+from robofleet.gateways.place import ArenaAccess, Served, is_over, joined_bus
 from robofleet.gateways.viewers.server import Run, Server
 from robofleet.nodes.node import Lifeline
 from robofleet.operator.viewer_address import RERUN, Address
@@ -50,7 +49,7 @@ def serve(
         if lifeline.cut:
             raise SystemExit
 
-    bus = joined(config.arena.name, access.endpoint, VIEWER, clock, within_s, look, access.credentials)
+    bus = joined_bus(config, access, VIEWER, clock, within_s, look)
     run = Run(config, access, folder, Asking(bus, clock, config.units, access.role))
 
     def opened(channels: Sequence[Channel]) -> Server:
@@ -99,7 +98,6 @@ class Viewers:
         self._state = key_of(config.arena.name, STATE)
 
     def step(self, now_ns: int) -> None:
-        """Pass on new messages."""
         for at_ns, full_of_sender, payload in self._stream.drain():
             full, _ = split(full_of_sender)
             if full == self._state and (epoch := RUN_STATE.head_of(payload, "epoch")):
@@ -118,5 +116,4 @@ class Viewers:
         self._server.step(now_ns + self._epoch_ns)
 
     def close(self) -> None:
-        """Close every viewer's connection."""
         self._server.close()

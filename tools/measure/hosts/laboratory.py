@@ -61,7 +61,8 @@ def laboratory(pattern: str | None = None, seed: int = 1) -> Iterator[tuple[Netw
             radio = subprocess.Popen(
                 air.command(*words, f"{network['lab'].address}:{PORT}", pattern, "--seed", str(seed))
             )
-            stack.callback(lambda: (radio.kill(), radio.wait()))
+            stack.callback(radio.wait)
+            stack.callback(radio.kill)
         yield network, stack
 
 
@@ -88,12 +89,13 @@ def closed(recording: Recording) -> dict[str, Any]:
     """
     arena = recording.config.arena.name
     units = {key(arena, STATUS, unit): unit for unit in recording.config.units}
-    phase, began, newest = Phase.IDLE, {}, {}
+    phase, began = Phase.IDLE, dict[str, int]()
+    newest, last_ns = dict[str, GateStatus](), dict[str, int]()
     why: Counter[str] = Counter()
     lasted_ms: list[float] = []
     held: Counter[str] = Counter()
     stopped: set[tuple[str, int]] = set()  # unit, and when its gate closed
-    running_ns, last_ns, hurried, statuses = 0, {}, 0, 0
+    running_ns, hurried, statuses = 0, 0, 0
     for full, payload in in_order(recording):
         if full == key(arena, STATE) and (state := RUN_STATE.decode(payload)) is not None:
             if state.phase != phase and state.phase == Phase.HOLD:

@@ -73,7 +73,6 @@ class Server(ServerListener):
         self.subscriptions += 1
 
     def tell(self, topic: str, log_ns: int, message: bytes) -> None:
-        """Send a message to whoever wants it."""
         self._kept.take(topic, message)
         self._channels[topic].log(message, log_time=log_ns)
 
@@ -87,7 +86,6 @@ class Server(ServerListener):
                 self._channels[topic].log(message, log_time=log_ns)
 
     def close(self) -> None:
-        """Close every viewer's connection."""
         self._server.stop()
 
 

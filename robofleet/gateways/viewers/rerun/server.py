@@ -96,7 +96,6 @@ class Server:
             self._imported_ns = log_ns
 
     def close(self) -> None:
-        """Close every viewer's connection."""
         self._import(self._prompt + self._frequent)
         with suppress(TimeoutError):
             self._recording.flush(timeout_sec=_LEAVE_WITHIN_S)
@@ -122,10 +121,9 @@ class Server:
             numbers[topic] = writer.register_channel(topic, channel.encoding, schema)
         for topic, log_ns, data in messages:
             writer.add_message(numbers[topic], log_ns, data, log_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
     def _log(self, path: str, log_ns: int, *archetypes: rr.AsComponents) -> None:
-        """Show archetypes of an entity at a time."""
         self._recording.set_time(TIMELINE, timestamp=np.datetime64(log_ns, "ns"))
         self._recording.log(path, *archetypes)
 
