@@ -366,15 +366,9 @@ class Run:
         for gauge, columns, rows in zip(self.recording.gauges, self.told, groups.rows(config.groups), strict=True):
             figures = {name: values[running] for name, values in columns.figures.items()}
             past = Past(
-                t=t,
-                poses=poses[:, rows],
-                points=points[:, rows],
-                known=self.known[rows],
-                settled=settled,
-                spaced=spaced,
-                references=columns.references[running],
-                figures=figures,
-            )
+                t=t, poses=poses[:, rows], points=points[:, rows], known=self.known[rows], settled=settled,
+                spaced=spaced, references=columns.references[running], figures=figures,
+            )  # fmt: skip
             parts.append(GroupColumns(gauge, rows, past, running, peaks.get(gauge.said.name, ())))
         return tuple(parts)
 

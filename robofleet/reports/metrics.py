@@ -33,15 +33,9 @@ Figures = dict[str, Any]
 
 
 def summary(
-    recording: Recording,
-    *,
-    name: str,
-    mode: str,
-    outcome: str,
-    cause: str | None,
-    began: str | None = None,
+    recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None, began: str | None = None,
     run: Run | None = None,
-) -> Figures:
+) -> Figures:  # fmt: skip
     """Return the figures of a run as ``summary.json`` has them.
 
     ``began``: when, UTC, ISO 8601; ``run``: the recording in columns, where somebody has it.

@@ -100,15 +100,9 @@ class Page:
         self._add("pictures", pictures=list(pictures))
 
     def figure(
-        self,
-        figure: Figure,
-        caption: str,
-        *,
-        title: str = "",
-        legend: Iterable[tuple[str, str]] = (),
-        long: bool = False,
-        files: Callable[[], Iterable[tuple[str, str]]] = tuple,
-    ) -> None:
+        self, figure: Figure, caption: str, *, title: str = "", legend: Iterable[tuple[str, str]] = (),
+        long: bool = False, files: Callable[[], Iterable[tuple[str, str]]] = tuple,
+    ) -> None:  # fmt: skip
         """Add a plot, with its legend's (label, colour); make it inside ``with mpl.rc_context(STYLE):``.
 
         A long one does not shrink to a narrow screen: it is moved to the side there. ``files``, called when the plot

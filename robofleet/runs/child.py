@@ -30,15 +30,9 @@ _RESTARTS_WITHIN_NS = 5 * S  # a router that begins anew
 
 
 def main(
-    row: Row,
-    config: Config,
-    folder: Path,
-    lifeline: int | None,
-    robots: tuple[str, ...] = (),
-    camera: str = "",
-    *,
+    row: Row, config: Config, folder: Path, lifeline: int | None, robots: tuple[str, ...] = (), camera: str = "", *,
     take_over: bool = False,
-) -> None:
+) -> None:  # fmt: skip
     """Run one process of a run until its lifeline is cut. ``folder``: where the run is recorded.
 
     ``camera``: whose tracker this is, where there are several.

@@ -184,13 +184,9 @@ def news(seq: int) -> bytes:
     ids=["phase", "cause", "latch", "latch again", "news"],
 )
 def test_a_change_that_matters_to_safety_is_in_the_file_at_once(
-    full: str,
-    before: bytes,
-    same: bytes | None,
-    changed: bytes,
-    log: RunLog,
+    full: str, before: bytes, same: bytes | None, changed: bytes, log: RunLog,
     written: Callable[[], list[tuple[str, bytes]]],
-) -> None:
+) -> None:  # fmt: skip
     log.add(full, before, 0)
     counts = [(full, before)]
     assert written() == counts

@@ -159,12 +159,8 @@ def test_stops_are_gates_that_closed_during_the_run(story: Make, figures: Make, 
     recording = run.recording()
     closed = GateStatus.NO_COMMAND
     for k, gate in (
-        (-4, GateStatus.OPEN),
-        (-3, GateStatus.NO_ENABLE),
-        (1, GateStatus.OPEN),
-        (100, closed),
-        (101, closed),
-    ):
+        (-4, GateStatus.OPEN), (-3, GateStatus.NO_ENABLE), (1, GateStatus.OPEN), (100, closed), (101, closed),
+    ):  # fmt: skip
         add_status(recording, "r2", run.stamp(k), gate=gate)
     for k, gate in ((1, GateStatus.OPEN), (50, GateStatus.NO_ENABLE), (52, GateStatus.OPEN)):
         add_status(recording, "r1", run.stamp(k), gate=gate)
