@@ -24,7 +24,7 @@ _BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", "#1b6ca8"])
 def draw(figure: Figure, stem: Path) -> list[Path]:
     """Write ``stem``.png and ``stem``.svg; return both."""
     count = len(figure.panels)
-    columns = 1 if figure.stacked else 3 if count == 3 else min(count, 2)
+    columns = 3 if count == 3 else min(count, 2)
     rows = -(-count // columns)
     width, height = (_WIDTH if columns < 3 else 0.8 * _WIDTH) * columns, _HEIGHT * rows + 0.4
     if count == 1:

@@ -171,7 +171,6 @@ def _only_described(group: described.Group, team: Team) -> Behaviour:
 
 
 def _tried(robots: int, group: described.Group) -> Past:
-    """Return a past of robots that stand in a row."""
     t, row = np.arange(_TRIED_TICKS) / 30, 1.0 + np.arange(robots)
     poses = np.tile(np.stack([0.1 * row, 0.02 * row, 0.1 * row], axis=-1), (_TRIED_TICKS, 1, 1))
     every = np.ones(_TRIED_TICKS, dtype=np.bool_)

@@ -90,7 +90,6 @@ def busy_figures(payloads: Iterable[bytes], robots: tuple[str, ...]) -> dict[str
 
 
 def _busy_verdict(message: BusyMachine, load: float, robots: tuple[str, ...]) -> str:
-    """Return what the report says of the machine."""
     sentence = f"This machine was busy: {_busy_so_far(message._replace(load=load), robots)}."
     if message.attempts:
         sentence += f" The checks before the start began anew {_times(message.attempts)}."

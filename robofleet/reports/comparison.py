@@ -146,7 +146,6 @@ def _keys(page: Page, first: Side, second: Side) -> None:
 
 
 def _flat(tree: Any, path: str = "") -> dict[str, Any]:
-    """Return the leaves of a configuration by their dotted keys."""
     if isinstance(tree, dict | list) and tree:
         items = tree.items() if isinstance(tree, dict) else enumerate(tree)
         return {k: v for key, value in items for k, v in _flat(value, f"{path}.{key}" if path else str(key)).items()}

@@ -230,7 +230,6 @@ def _images(run: Run, frames: list[FleetPoses]) -> Images:
 
 
 def _camera(images: Images) -> Figures:
-    """What one of several cameras saw."""
     took_s = (images.newest_ns - images.first_ns) / 1e9
     return {
         "frames": images.frames,

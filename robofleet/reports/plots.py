@@ -87,14 +87,12 @@ def _robots(view: RunView) -> list[tuple[str, str]]:
 
 
 def _referring(view: RunView) -> list[tuple[str, str]]:
-    """Return the robots that had references."""
     had = np.atleast_1d(np.isfinite(view.run.references).any(axis=(0, 2)))
     every = zip(view.run.robots, view.colours, had, strict=True)
     return few([(robot, colour) for robot, colour, present in every if present])
 
 
 def _known(view: RunView) -> list[tuple[str, str]]:
-    """Return the robots whose truth is known."""
     every = zip(view.run.robots, view.colours, view.run.known, strict=True)
     return few([(robot, colour) for robot, colour, known in every if known])
 

@@ -113,7 +113,6 @@ def _subtitle(summary: Summary) -> str:
 
 
 def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
-    """Say what became of the run, and why."""
     missed = failures(summary)
     good: bool | None = not missed and summary["outcome"] == "completed"
     if summary["outcome"] == "completed":

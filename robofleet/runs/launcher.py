@@ -395,7 +395,6 @@ class Launcher:
             self._bus.ask(REQUEST, "supervisor", b"attended")
 
     def _stopped_at_gates(self) -> bool:
-        """Whether an emergency stop has reached a gate."""
         statuses = [self.recording.newest_status(robot) for robot in self._robots]
         return any(status is not None and status.latch == Latch.EMERGENCY_STOP for status in statuses)
 
