@@ -33,7 +33,7 @@ _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a
 
 _LONGEST_NS = 1 << 62
 _MOST_IN_FOUR_BYTES = (1 << 32) - 1
-_PIECE = 1 << 20  # [bytes]
+_PIECE_BYTES = 1 << 20
 Duration = Annotated[int, Field(ge=0, lt=_LONGEST_NS)]
 
 
@@ -46,7 +46,7 @@ def _integers(text: bytes, start: int, stop: int) -> "array[int] | None":
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # numpy warns where it cannot read on
         while start <= stop:  # piece by piece: each copy of all of them is tens of megabytes
-            end = stop if stop - start <= _PIECE else text.rfind(b",", start, start + _PIECE)
+            end = stop if stop - start <= _PIECE_BYTES else text.rfind(b",", start, start + _PIECE_BYTES)
             piece = text[start : max(start, end)].strip()
             if not piece:
                 return None

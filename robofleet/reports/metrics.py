@@ -313,7 +313,7 @@ def _rounded(value: float, digits: int = 4) -> float:
     return round(float(value), digits)
 
 
-_TIMED_ERROR_MM = 3.0  # more than a healthy robot has
+_HEALTHY_TIMED_ERROR_MM = 3.0
 _LAW_SHARE = 0.2  # of the timed error: a smaller control error is not its reason
 
 
@@ -341,7 +341,7 @@ def _estimate_remark(config: Config, figures: Mapping[str, Any]) -> Iterator[str
     timed, control = figures.get("timed_error_mm"), figures.get("control_error_mm")
     if config.controller.disturbance == "estimated" or not timed or not control:
         return
-    if timed["mean"] > _TIMED_ERROR_MM and control["mean"] < _LAW_SHARE * timed["mean"]:
+    if timed["mean"] > _HEALTHY_TIMED_ERROR_MM and control["mean"] < _LAW_SHARE * timed["mean"]:
         yield (
             f"the timed error is {timed['mean']:.1f} mm, the control error {control['mean']:.1f} mm: the wheels move"
             " the robot otherwise than commanded (slip, wear); `controller.disturbance: estimated` corrects that"

@@ -26,7 +26,7 @@ from robofleet.runs.table import RECORDER, ROUTER, TRACKER, Edges, Row, say
 from robofleet.tracking.sources import CameraError
 from robofleet.vehicles.interface import DriverError
 
-_RESTARTS_WITHIN_NS = 5 * S  # a router that begins anew
+_ROUTER_RESTARTS_WITHIN_NS = 5 * S
 
 
 def main(
@@ -115,7 +115,7 @@ def _route(config: Config, lifeline: Lifeline) -> None:
 def _opened_again(config: Config, beyond: Network) -> zenoh.Session:
     """Open a router where one has just been closed: a QUIC socket is there for a moment longer."""
     clock = WallClock()
-    end_ns = clock.now_ns() + _RESTARTS_WITHIN_NS
+    end_ns = clock.now_ns() + _ROUTER_RESTARTS_WITHIN_NS
     while True:
         try:
             return open_router(config.bus.endpoint, beyond)
