@@ -219,7 +219,7 @@ def _note(recording: Recording, part: Attachment | Metadata) -> None:
         if part.name == ENDING:
             recording.end(part.data)
         elif part.name == GROUPS:
-            recording.said = believed_groups(part.data, recording.config)
+            recording.file_groups = believed_groups(part.data, recording.config)
     elif part.name == PROVENANCE:
         recording.provenance = Provenance.of(part.metadata)
     elif part.name == DROPPED:

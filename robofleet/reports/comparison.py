@@ -172,7 +172,7 @@ class OverlaidPlot(NamedTuple):
 def overlays(sides: tuple[Side, Side]) -> Iterator[OverlaidPlot]:
     """Yield what the runs' groups have, then the filter's errors."""
     first, second = (
-        {(p.said.name, c.key): c for p in side.view.run.parts for c in p.curves if c.live} for side in sides
+        {(p.group.name, c.key): c for p in side.view.run.parts for c in p.curves if c.live} for side in sides
     )
     several = any(len(side.view.run.parts) > 1 for side in sides)
     for (name, key), curve in (first | second).items():

@@ -110,7 +110,7 @@ def reduced(run: Run, *, peaks: bool = False) -> Reduced:
         moments=list(moments(run)),
         rejected=[_rejected(run, status) for status in run.statuses],
         standing=run.standing(),
-        peaks={part.said.name: [part.summary()] for part in run.parts} if peaks else {},
+        peaks={part.group.name: [part.summary()] for part in run.parts} if peaks else {},
     )
 
 
@@ -118,9 +118,9 @@ def _groups(run: Run, recording: Recording) -> Figures:
     """Each group's own figures; ``asked``: what a measure should be, where the behaviour says so; ``kept``: what its
     scripts kept."""
     return {
-        part.said.name: part.summary()
-        | {"behaviour": part.said.behaviour, "robots": list(part.said.robots), "asked": part.gauge.asked}
-        | ({"kept": own} if (own := notes.kept(recording, part.said.name)) else {})
+        part.group.name: part.summary()
+        | {"behaviour": part.group.behaviour, "robots": list(part.group.robots), "asked": part.gauge.asked}
+        | ({"kept": own} if (own := notes.kept(recording, part.group.name)) else {})
         for part in run.parts
     }
 

@@ -228,6 +228,6 @@ FLEET = {
 def sections(view: RunView) -> dict[str, list[Plot]]:
     """Return all plots of a run, by section: what happened, each group's own, the whole fleet's."""
     alone = len(view.run.parts) == 1
-    groups = {f"Group {part.said.name}": of_group(part, alone=alone) for part in view.run.parts}
+    groups = {f"Group {part.group.name}": of_group(part, alone=alone) for part in view.run.parts}
     plots = {**HAPPENED, **groups, **FLEET}
     return {section: list(entries) for section, entries in plots.items() if entries}
