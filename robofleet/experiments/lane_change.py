@@ -91,7 +91,6 @@ def _names(parameters: LaneChangeParameters) -> list[str]:
 
 
 def _tables(parameters: LaneChangeParameters, paper: list[list[Drive]], ours: list[list[Drive]]) -> tuple[Table, Table]:
-    """Return Table 2, lateral and heading errors."""
     printed = [TABLE_2.get(speed, driving.NOT_GIVEN) for speed in parameters.speeds_m_s]
     columns: dict[str, list[driving.Pair]] = {}
     for prefix, drives in (("", paper), ("own, ", ours)):

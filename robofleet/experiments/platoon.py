@@ -74,7 +74,7 @@ def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: 
     found = Run(lockstep.recording)
     points = found.points()
     assert points is not None
-    (recorded,) = found.told
+    (recorded,) = found.group_figures
     return Drive(found.t, recorded.figures["control_error"], points, settings_of(config).path.path())
 
 

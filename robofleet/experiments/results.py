@@ -45,7 +45,6 @@ class Map:
     x: Array
     y: Array
     values: Array
-    label: str
 
 
 @dataclass(frozen=True)
@@ -64,12 +63,11 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture of one topic: panels side by side, or one above the other when ``stacked``."""
+    """A picture of one topic: panels side by side."""
 
     name: str
     title: str
     panels: tuple[Panel, ...]
-    stacked: bool = False
 
 
 @dataclass(frozen=True)

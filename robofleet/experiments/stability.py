@@ -221,7 +221,7 @@ def _map(
     """Return where a control step is stable, over alpha and what the limits are of."""
     alphas, values = _grid(p.alpha_1_s, p.points), _grid(limits, p.points)
     stable = [[spectral_radius(plant, settings(alpha, value), x) <= 1.0 for alpha in alphas] for value in values]
-    return Map(alphas, values, np.array(stable, dtype=np.float64), "stable")
+    return Map(alphas, values, np.array(stable, dtype=np.float64))
 
 
 def _grid(limits: tuple[float, float], points: int) -> Array:

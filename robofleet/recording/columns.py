@@ -127,7 +127,7 @@ def table(run: Run) -> Array:
 
 def own_table(part: GroupColumns, names: Sequence[str]) -> Array:
     """Return columns of a group's own (K, n, C) by their names; NaN where the group has none of this name."""
-    values = np.full((len(part.said.robots), len(names), len(part.running)), np.nan)
+    values = np.full((len(part.group.robots), len(names), len(part.running)), np.nan)
     places = {name: index for index, name in enumerate(names)}
     for curve in part.curves:
         for name, (rows, columns) in curve.columns.items():
@@ -157,7 +157,7 @@ def write_csv(parts: Iterable[Run], file: Path) -> None:
 def _write_rows(run: Run, own: Sequence[str], out: TextIO) -> None:
     parts, ticks = run.parts, run.ticks
     values = np.concatenate([table(run), np.concatenate([own_table(part, own) for part in parts], axis=1)], axis=2)
-    robots = [f"{robot},{part.said.name}" for part in parts for robot in part.said.robots]
+    robots = [f"{robot},{part.group.name}" for part in parts for robot in part.group.robots]
     row = "".join(",%.0f" if column.whole else ",%.6g" for column in COLUMNS) + ",%.6g" * len(own)
     whens = zip(run.since_start_s.tolist(), ticks["tick"].tolist(), ticks["run_tick"].tolist(), strict=True)
     for (t, tick, run_tick), of_tick in zip(whens, values, strict=True):  # Python's own floats are quickly written

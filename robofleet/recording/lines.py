@@ -30,13 +30,9 @@ class Line(NamedTuple):
 
 _GRAVE = {Phase.HOLD: Level.WARNING, Phase.FAULT: Level.ERROR, Phase.ESTOP: Level.ERROR}
 _GOOD_NEWS = (
-    TrackerEvent.TAG_FOUND,
-    TrackerEvent.CAMERA_BACK,
-    TrackerEvent.CAMERA_ENDED,
-    TrackerEvent.CAMERA_LIGHT_GOOD,
-    TrackerEvent.POSES_BACK,
-    TrackerEvent.BODY_FOUND,
-)
+    TrackerEvent.TAG_FOUND, TrackerEvent.CAMERA_BACK, TrackerEvent.CAMERA_ENDED, TrackerEvent.CAMERA_LIGHT_GOOD,
+    TrackerEvent.POSES_BACK, TrackerEvent.BODY_FOUND,
+)  # fmt: skip
 
 
 def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...]) -> Iterator[Line]:

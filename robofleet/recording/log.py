@@ -28,7 +28,7 @@ PROFILE, LIBRARY = "robofleet", "robofleet {} wire {}"  # who wrote the file: ro
 CONFIG, GROUPS, ENDING = "config.yaml", "groups.json", "ending.json"  # the attachments
 PROVENANCE, DROPPED = "provenance", "dropped"  # the metadata
 COUNT = "messages"  # how many were dropped since the record before
-_CHUNK, _LARGE_CHUNK = 64 * 1024, 512 * 1024  # [bytes] in real time; in lockstep, where a chunk costs more than a kill
+_CHUNK_BYTES, _LOCKSTEP_CHUNK_BYTES = 64 * 1024, 512 * 1024  # in lockstep a chunk costs more than a kill
 _FLUSH_NS, _SELDOM_NS = 200 * MS, 60 * S  # a kill loses a quarter of a second at most, also on a busy machine
 
 
@@ -51,7 +51,7 @@ class RunLog:
         ``batched``: written seldom, in large pieces: of a run whose seconds last milliseconds.
         """
         self._epoch_ns = epoch_ns
-        self._chunk, self._flush_ns = (_CHUNK, _FLUSH_NS) if not batched else (_LARGE_CHUNK, _SELDOM_NS)
+        self._chunk, self._flush_ns = (_CHUNK_BYTES, _FLUSH_NS) if not batched else (_LOCKSTEP_CHUNK_BYTES, _SELDOM_NS)
         self._file = file.open("xb", buffering=0)
         with suppress(OSError):  # a network's disk may know no locks
             fcntl.flock(self._file, fcntl.LOCK_EX)  # nobody repairs what is still being written

@@ -36,7 +36,7 @@ _AROUND_NS = 10 * S  # what belongs together is no further apart
 _STEP_NS = S
 
 _MADE_BY = re.compile(LIBRARY.format(r"(\S{1,40})", r"(\d{1,9})"))
-_SHOWN = 80  # characters of what a file says of itself
+_SHOWN_CHARACTERS = 80  # of what a file says of itself
 _MOST_DROPPED = 1 << 63  # more messages than this were never sent
 
 
@@ -168,9 +168,8 @@ def check_maker(header: Header, file: Path) -> str:
     """Return the version that wrote a file; RecordingError where this one does not read it."""
     made_by = _MADE_BY.fullmatch(header.library) if header.profile == PROFILE else None
     if made_by is None:
-        raise RecordingError(
-            f"{file}: is not a recording of robofleet: it was made by {header.library[:_SHOWN] or 'somebody else'}"
-        )
+        maker = header.library[:_SHOWN_CHARACTERS] or "somebody else"
+        raise RecordingError(f"{file}: is not a recording of robofleet: it was made by {maker}")
     robofleet, wire = made_by.groups()
     if int(wire) != VERSION:
         raise RecordingError(
@@ -220,7 +219,7 @@ def _note(recording: Recording, part: Attachment | Metadata) -> None:
         if part.name == ENDING:
             recording.end(part.data)
         elif part.name == GROUPS:
-            recording.said = believed_groups(part.data, recording.config)
+            recording.file_groups = believed_groups(part.data, recording.config)
     elif part.name == PROVENANCE:
         recording.provenance = Provenance.of(part.metadata)
     elif part.name == DROPPED:

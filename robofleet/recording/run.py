@@ -33,7 +33,7 @@ _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a
 
 _LONGEST_NS = 1 << 62
 _MOST_IN_FOUR_BYTES = (1 << 32) - 1
-_PIECE = 1 << 20  # [bytes]
+_PIECE_BYTES = 1 << 20
 Duration = Annotated[int, Field(ge=0, lt=_LONGEST_NS)]
 
 
@@ -46,7 +46,7 @@ def _integers(text: bytes, start: int, stop: int) -> "array[int] | None":
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # numpy warns where it cannot read on
         while start <= stop:  # piece by piece: each copy of all of them is tens of megabytes
-            end = stop if stop - start <= _PIECE else text.rfind(b",", start, start + _PIECE)
+            end = stop if stop - start <= _PIECE_BYTES else text.rfind(b",", start, start + _PIECE_BYTES)
             piece = text[start : max(start, end)].strip()
             if not piece:
                 return None
@@ -91,7 +91,7 @@ class Recording:
     trace_hash: str | None = None
     tick_durations_ns: Sequence[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
     tracker_durations_ns: Sequence[int] | None = None
-    said: tuple[described.Group, ...] | None = None  # the groups, as the file says; None: as the configuration does
+    file_groups: tuple[described.Group, ...] | None = None  # as the file says; None: as the configuration does
     foreign: frozenset[str] = frozenset()  # behaviours that only a file names: their modules are not imported
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
     count: int = 0  # of all messages
@@ -100,8 +100,8 @@ class Recording:
     @cached_property
     def groups(self) -> tuple[described.Group, ...]:
         """The groups: which figures their ticks have, and what is drawn for them."""
-        if self.said is not None:
-            return self.said
+        if self.file_groups is not None:
+            return self.file_groups
         if self.foreign:
             raise PluginError(f"{', '.join(sorted(self.foreign))} is not imported because a recording names it")
         return groups.descriptions(self.config)
@@ -256,8 +256,8 @@ class GroupColumns:
     peaks: Sequence[Figures] = ()  # of a long run, of which the past has only some ticks: figures of its parts
 
     @property
-    def said(self) -> described.Group:
-        return self.gauge.said
+    def group(self) -> described.Group:
+        return self.gauge.group
 
     @cached_property
     def curves(self) -> tuple[Curve, ...]:
@@ -334,7 +334,7 @@ class Run:
         self.groups = self.recording.groups
         numbers = self.ticks["figures"]
         numbers = np.where(np.abs(numbers) < _BEYOND, numbers, np.nan)
-        self.told = described.told(self.groups, numbers)  # of each group
+        self.group_figures = described.told(self.groups, numbers)  # of each group
 
     def _know(self, bodies: Array | None, known: NDArray[np.bool_]) -> None:
         """Take the true poses of all bodies, and of which they are known (M,)."""
@@ -363,25 +363,20 @@ class Run:
         settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
         parts = []
         peaks = self.reduced.peaks if self.reduced else {}
-        for gauge, columns, rows in zip(self.recording.gauges, self.told, groups.rows(config.groups), strict=True):
+        rows_of = groups.rows(config.groups)
+        for gauge, columns, rows in zip(self.recording.gauges, self.group_figures, rows_of, strict=True):
             figures = {name: values[running] for name, values in columns.figures.items()}
             past = Past(
-                t=t,
-                poses=poses[:, rows],
-                points=points[:, rows],
-                known=self.known[rows],
-                settled=settled,
-                spaced=spaced,
-                references=columns.references[running],
-                figures=figures,
-            )
-            parts.append(GroupColumns(gauge, rows, past, running, peaks.get(gauge.said.name, ())))
+                t=t, poses=poses[:, rows], points=points[:, rows], known=self.known[rows], settled=settled,
+                spaced=spaced, references=columns.references[running], figures=figures,
+            )  # fmt: skip
+            parts.append(GroupColumns(gauge, rows, past, running, peaks.get(gauge.group.name, ())))
         return tuple(parts)
 
     @cached_property
     def references(self) -> Array:
         """Where each robot's followed point is to be (K, N, 2) [m]; NaN: nowhere."""
-        return np.concatenate([columns.references for columns in self.told], axis=1)
+        return np.concatenate([columns.references for columns in self.group_figures], axis=1)
 
     @cached_property
     def newest_statuses(self) -> list[NDArray[np.int64]]:

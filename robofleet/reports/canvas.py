@@ -21,10 +21,10 @@ from robofleet.safety.supervisor import Phase
 
 WIDTH = 7.6  # of a plot [inch]
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.68, 0.14, 0.1, 0.42  # margins [inch]: equal, so that times stand below each other
-_TITLE = 0.3  # above axes that stand side by side [inch]
-_LABEL = 0.52  # from the axis to its label [inch]
+_TITLE_INCH = 0.3  # above axes that stand side by side
+_LABEL_INCH = 0.52  # from the axis to its label
 _PIXEL_COLUMNS = 700  # that a line is thinned to
-_MANY_POINTS = 10_000  # of a plot
+_MOST_VECTOR_POINTS = 10_000  # of a plot: more are drawn as pixels
 
 _PHASES = {
     Phase.IDLE: "#efefef",
@@ -78,7 +78,7 @@ def sheet(height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[
     figure = Figure(figsize=(WIDTH, height))
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col" if rows > 1 else False)
     right = 1 - _RIGHT / WIDTH
-    top = 1 - (_TOP if columns == 1 else _TITLE) / height
+    top = 1 - (_TOP if columns == 1 else _TITLE_INCH) / height
     figure.subplots_adjust(_LEFT / WIDTH, _BOTTOM / height, right, top, wspace=0.22, hspace=0.12)
     return figure, list(grid.flat)
 
@@ -88,7 +88,7 @@ def strips(view: RunView, labels: Sequence[str], height: float = 1.9) -> tuple[F
     figure, axes = sheet(height * len(labels) + 0.3, len(labels))
     for each, label in zip(axes, labels, strict=True):
         each.set_ylabel(label)
-        each.yaxis.set_label_coords(-_LABEL / (WIDTH - _LEFT - _RIGHT), 0.5)
+        each.yaxis.set_label_coords(-_LABEL_INCH / (WIDTH - _LEFT - _RIGHT), 0.5)
         interruptions(each, view.timeline)
     axes[-1].set(xlabel="time since the start, s", xlim=view.span)
     return figure, axes
@@ -119,7 +119,7 @@ def lines(axes: Axes, t: Array, values: Array, span: tuple[float, float], colour
         x, y = line(t, column, span, _PIXEL_COLUMNS)
         points += len(x)
         axes.plot(x, y, color=colour, lw=0.9)
-    if points > _MANY_POINTS:
+    if points > _MOST_VECTOR_POINTS:
         for drawn in axes.get_lines():
             drawn.set_rasterized(True)
 

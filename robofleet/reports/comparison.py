@@ -146,7 +146,6 @@ def _keys(page: Page, first: Side, second: Side) -> None:
 
 
 def _flat(tree: Any, path: str = "") -> dict[str, Any]:
-    """Return the leaves of a configuration by their dotted keys."""
     if isinstance(tree, dict | list) and tree:
         items = tree.items() if isinstance(tree, dict) else enumerate(tree)
         return {k: v for key, value in items for k, v in _flat(value, f"{path}.{key}" if path else str(key)).items()}
@@ -173,7 +172,7 @@ class OverlaidPlot(NamedTuple):
 def overlays(sides: tuple[Side, Side]) -> Iterator[OverlaidPlot]:
     """Yield what the runs' groups have, then the filter's errors."""
     first, second = (
-        {(p.said.name, c.key): c for p in side.view.run.parts for c in p.curves if c.live} for side in sides
+        {(p.group.name, c.key): c for p in side.view.run.parts for c in p.curves if c.live} for side in sides
     )
     several = any(len(side.view.run.parts) > 1 for side in sides)
     for (name, key), curve in (first | second).items():

@@ -25,10 +25,10 @@ NO_TRUTH = "true poses are known of simulated robots only."
 
 def of_group(part: GroupColumns, *, alone: bool) -> list[Plot]:
     """Return a plot for each figure and each measure; ``alone``: no other group has figures."""
-    better = {f"{_ESTIMATED}{curve.name}" for curve in part.curves if not curve.told}
+    better = {f"{_ESTIMATED}{curve.name}" for curve in part.curves if not curve.is_figure}
     return [
         Plot(
-            curve.title if alone else f"{curve.title} of {part.said.name}", partial(_draw, part, k), _caption(curve),
+            curve.title if alone else f"{curve.title} of {part.group.name}", partial(_draw, part, k), _caption(curve),
             partial(_legend, part, k), _missing(part, curve),
         )
         for k, curve in enumerate(part.curves)
@@ -56,7 +56,7 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
     if not np.isfinite(curve.values).any():
         return None
     run = view.config.run
-    settle_s = run.settle_s if curve.told else run.spacing_settle_s
+    settle_s = run.settle_s if curve.is_figure else run.spacing_settle_s
     key, words = _BOUNDS.get(curve.key, ("", ""))
     bound = getattr(view.bounds, key, None)
     if curve.asked is None:
@@ -81,7 +81,7 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
 def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s: float, bound: float | None) -> None:
     """Draw a curve: of a figure that was told all of it, of a measure what counts."""
     counted = curve.values[view.counted(settle_s)]
-    lowest = wide(curve.values, counted) if curve.told else None
+    lowest = wide(curve.values, counted) if curve.is_figure else None
     values = curve.values if lowest is None else np.maximum(curve.values, lowest)
     lines(axes, view.run.since_start_s, values, view.span, colours(view, part, curve))
     if lowest is not None:
@@ -93,7 +93,7 @@ def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s
 def _missing(part: GroupColumns, curve: Curve) -> str:
     if not curve.of:
         return "Not measured: the group has nothing that it could be measured of."
-    return "Not measured." if curve.told or part.past.known.all() else f"Not measured: {NO_TRUTH}"
+    return "Not measured." if curve.is_figure or part.past.known.all() else f"Not measured: {NO_TRUTH}"
 
 
 def _caption(curve: Curve) -> str:
@@ -103,7 +103,7 @@ def _caption(curve: Curve) -> str:
             f"{meaning}Above all of it, below the difference from what the behaviour asks for, large enough to see "
             "what counts. In the grey part it is not counted."
         )
-    if curve.told:
+    if curve.is_figure:
         return f"{meaning}The behaviour told it at each tick. In the grey part it is not counted."
     return f"{meaning}Measured after the run. The axis shows what counts: the start, which is grey, may lie above it."
 

@@ -33,15 +33,9 @@ Figures = dict[str, Any]
 
 
 def summary(
-    recording: Recording,
-    *,
-    name: str,
-    mode: str,
-    outcome: str,
-    cause: str | None,
-    began: str | None = None,
+    recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None, began: str | None = None,
     run: Run | None = None,
-) -> Figures:
+) -> Figures:  # fmt: skip
     """Return the figures of a run as ``summary.json`` has them.
 
     ``began``: when, UTC, ISO 8601; ``run``: the recording in columns, where somebody has it.
@@ -116,7 +110,7 @@ def reduced(run: Run, *, peaks: bool = False) -> Reduced:
         moments=list(moments(run)),
         rejected=[_rejected(run, status) for status in run.statuses],
         standing=run.standing(),
-        peaks={part.said.name: [part.summary()] for part in run.parts} if peaks else {},
+        peaks={part.group.name: [part.summary()] for part in run.parts} if peaks else {},
     )
 
 
@@ -124,9 +118,9 @@ def _groups(run: Run, recording: Recording) -> Figures:
     """Each group's own figures; ``asked``: what a measure should be, where the behaviour says so; ``kept``: what its
     scripts kept."""
     return {
-        part.said.name: part.summary()
-        | {"behaviour": part.said.behaviour, "robots": list(part.said.robots), "asked": part.gauge.asked}
-        | ({"kept": own} if (own := notes.kept(recording, part.said.name)) else {})
+        part.group.name: part.summary()
+        | {"behaviour": part.group.behaviour, "robots": list(part.group.robots), "asked": part.gauge.asked}
+        | ({"kept": own} if (own := notes.kept(recording, part.group.name)) else {})
         for part in run.parts
     }
 
@@ -236,7 +230,6 @@ def _images(run: Run, frames: list[FleetPoses]) -> Images:
 
 
 def _camera(images: Images) -> Figures:
-    """What one of several cameras saw."""
     took_s = (images.newest_ns - images.first_ns) / 1e9
     return {
         "frames": images.frames,
@@ -320,7 +313,7 @@ def _rounded(value: float, digits: int = 4) -> float:
     return round(float(value), digits)
 
 
-_TIMED_ERROR_MM = 3.0  # more than a healthy robot has
+_HEALTHY_TIMED_ERROR_MM = 3.0
 _LAW_SHARE = 0.2  # of the timed error: a smaller control error is not its reason
 
 
@@ -348,7 +341,7 @@ def _estimate_remark(config: Config, figures: Mapping[str, Any]) -> Iterator[str
     timed, control = figures.get("timed_error_mm"), figures.get("control_error_mm")
     if config.controller.disturbance == "estimated" or not timed or not control:
         return
-    if timed["mean"] > _TIMED_ERROR_MM and control["mean"] < _LAW_SHARE * timed["mean"]:
+    if timed["mean"] > _HEALTHY_TIMED_ERROR_MM and control["mean"] < _LAW_SHARE * timed["mean"]:
         yield (
             f"the timed error is {timed['mean']:.1f} mm, the control error {control['mean']:.1f} mm: the wheels move"
             " the robot otherwise than commanded (slip, wear); `controller.disturbance: estimated` corrects that"

@@ -15,7 +15,7 @@ from robofleet.recording import notes
 from robofleet.reports.canvas import ALARM, WIDTH, RunView, phase_colour, sheet
 from robofleet.reports.timeline import CONTROLLER, FAULTS, TRACKER, Entry
 
-_MARGIN_M = 0.1  # around the arena
+_ARENA_MARGIN_M = 0.1
 _TRAIL_STEP_M = 0.006  # a trail has no points that are closer
 _NAME_SHARE = 0.3  # of the axis that a fault's name takes
 _ROW_INCH = 0.24
@@ -45,7 +45,7 @@ def paths(view: RunView) -> Figure:
 def floor(view: RunView) -> tuple[Figure, Axes]:
     """Draw the arena with its obstacles, and what the groups' behaviours have on its floor."""
     width, height = view.config.arena.size_m
-    x, y = width / 2 + _MARGIN_M, height / 2 + _MARGIN_M
+    x, y = width / 2 + _ARENA_MARGIN_M, height / 2 + _ARENA_MARGIN_M
     figure = Figure(figsize=(WIDTH, WIDTH * y / x))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal")
@@ -55,7 +55,7 @@ def floor(view: RunView) -> tuple[Figure, Axes]:
     for group in view.run.groups:
         for shape in (*group.shapes, *notes.marks(view.run.recording, group.name)):
             _shape(axes, shape, dict(zip(view.run.robots, view.colours, strict=True)))
-    below = -height / 2 - _MARGIN_M / 2
+    below = -height / 2 - _ARENA_MARGIN_M / 2
     axes.plot([-width / 2, -width / 2 + 0.5], [below] * 2, color=QUIET, lw=2)
     axes.text(-width / 2 + 0.54, below, "0.5 m", va="center", color=INK, fontsize=8)
     return figure, axes

@@ -87,14 +87,12 @@ def _robots(view: RunView) -> list[tuple[str, str]]:
 
 
 def _referring(view: RunView) -> list[tuple[str, str]]:
-    """Return the robots that had references."""
     had = np.atleast_1d(np.isfinite(view.run.references).any(axis=(0, 2)))
     every = zip(view.run.robots, view.colours, had, strict=True)
     return few([(robot, colour) for robot, colour, present in every if present])
 
 
 def _known(view: RunView) -> list[tuple[str, str]]:
-    """Return the robots whose truth is known."""
     every = zip(view.run.robots, view.colours, view.run.known, strict=True)
     return few([(robot, colour) for robot, colour, known in every if known])
 
@@ -230,6 +228,6 @@ FLEET = {
 def sections(view: RunView) -> dict[str, list[Plot]]:
     """Return all plots of a run, by section: what happened, each group's own, the whole fleet's."""
     alone = len(view.run.parts) == 1
-    groups = {f"Group {part.said.name}": of_group(part, alone=alone) for part in view.run.parts}
+    groups = {f"Group {part.group.name}": of_group(part, alone=alone) for part in view.run.parts}
     plots = {**HAPPENED, **groups, **FLEET}
     return {section: list(entries) for section, entries in plots.items() if entries}

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from robofleet.behaviours.described import JUDGED_FIGURES
-from robofleet.behaviours.interface import scale
 from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.core.figures import STYLE
@@ -25,7 +24,7 @@ from robofleet.recording.run import Recording, Run
 from robofleet.reports import sensors
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.reports.canvas import Legend, RunView
-from robofleet.reports.own_figures import OwnFigure, asked, heading, own_figures
+from robofleet.reports.own_figures import as_asked, heading, own_figures
 from robofleet.reports.pages import Marked, Page, Tile
 from robofleet.reports.plots import HAPPENED, sections
 from robofleet.reports.stops import together
@@ -114,7 +113,6 @@ def _subtitle(summary: Summary) -> str:
 
 
 def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
-    """Say what became of the run, and why."""
     missed = failures(summary)
     good: bool | None = not missed and summary["outcome"] == "completed"
     if summary["outcome"] == "completed":
@@ -238,7 +236,8 @@ def _robots(page: Page, summary: Summary) -> None:
     page.section("Robots", "Means over the time that counts.")
     own = [stop["robot"] for stop in summary["stops"] if not stop["by_operator"]]
     for name, group in summary["groups"].items():
-        columns = dict(_column(group, figure) for figure in own_figures(group) if figure.each)
+        shown = [as_asked(group, figure) for figure in own_figures(group) if figure.each]
+        columns = {figure.title: figure.each for figure in shown}
         rows = [
             (robot, *(values[k] for values in columns.values()), own.count(robot), summary["rejected"][robot])
             for k, robot in enumerate(group["robots"])
@@ -246,17 +245,6 @@ def _robots(page: Page, summary: Summary) -> None:
         if len(summary["groups"]) > 1:
             page.note(heading(name, group["behaviour"]))
         page.table(("robot", *columns, "stops by itself", "messages refused"), rows)
-
-
-def _column(group: Summary, figure: OwnFigure) -> tuple[str, tuple[float | None, ...]]:
-    """Return a figure's title and its value of each robot, in the unit of what it should be."""
-    should = asked(group, figure)
-    if should is None:
-        return figure.title, figure.each
-    value, unit = should
-    factor = scale(figure.unit, unit)
-    each = tuple(None if mean is None else mean * factor for mean in figure.each)
-    return f"{figure.label}, {unit} (of {value:g})", each
 
 
 def _origin(page: Page, recording: Recording, folder: Path, *, linked: bool) -> None:

@@ -9,9 +9,8 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from robofleet.behaviours.interface import scale
 from robofleet.config.tree import Config
-from robofleet.reports.own_figures import asked, heading, own_figures
+from robofleet.reports.own_figures import as_asked, heading, own_figures
 from robofleet.reports.paper import is_papers, papers_mean
 from robofleet.reports.stops import together
 
@@ -126,19 +125,13 @@ def _errors(s: Summary, config: Config) -> Iterator[_Row]:
         for figure in own_figures(group):
             mean = papers_mean(config, figure.key)
             paper = "-" if mean is None else f"about {mean:g}"
-            should = asked(group, figure)
-            if figure.mean is None:
+            shown = as_asked(group, figure)
+            digits = 2 if shown.asked is None else 1
+            if shown.mean is None:
                 yield _Row(figure.title, "not measured", paper)
-            elif should is None:
-                largest = "" if figure.largest is None else f" ({figure.largest:.1f})"
-                yield _Row(figure.title, f"{figure.mean:.2f}{largest}", paper, _each(figure.each, 2))
             else:
-                value, unit = should
-                factor = scale(figure.unit, unit)
-                each = _each([v if v is None else v * factor for v in figure.each], 1)
-                label = f"{figure.label}, {unit} (of {value:g})"
-                largest = "" if figure.largest is None else f" ({figure.largest * factor:.1f})"
-                yield _Row(label, f"{figure.mean * factor:.1f}{largest}", "-", each)
+                largest = "" if shown.largest is None else f" ({shown.largest:.1f})"
+                yield _Row(shown.title, f"{shown.mean:.{digits}f}{largest}", paper, _each(shown.each, digits))
             if figure.deviation is not None:
                 off, unit = figure.deviation
                 yield _Row(f"{figure.label}'s deviation, {unit}", f"({off:.1f})")

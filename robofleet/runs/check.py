@@ -45,14 +45,9 @@ class Study(NamedTuple):
 
 
 def load_checked(
-    file: FilePath,
-    overrides: Sequence[str | Change] = (),
-    faults_file: FilePath | None = None,
-    *,
-    lockstep: bool = False,
-    change: Callable[[Config], Config] | None = None,
-    study: Study | None = None,
-) -> Config:
+    file: FilePath, overrides: Sequence[str | Change] = (), faults_file: FilePath | None = None, *,
+    lockstep: bool = False, change: Callable[[Config], Config] | None = None, study: Study | None = None,
+) -> Config:  # fmt: skip
     """Read a configuration that can work; ConfigError with every fault at its line and column.
 
     Where nothing else is wrong with the robots, each is opened once: what does not answer is a fault too. ``change``

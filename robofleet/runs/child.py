@@ -26,19 +26,13 @@ from robofleet.runs.table import RECORDER, ROUTER, TRACKER, Edges, Row, say
 from robofleet.tracking.sources import CameraError
 from robofleet.vehicles.interface import DriverError
 
-_RESTARTS_WITHIN_NS = 5 * S  # a router that begins anew
+_ROUTER_RESTARTS_WITHIN_NS = 5 * S
 
 
 def main(
-    row: Row,
-    config: Config,
-    folder: Path,
-    lifeline: int | None,
-    robots: tuple[str, ...] = (),
-    camera: str = "",
-    *,
+    row: Row, config: Config, folder: Path, lifeline: int | None, robots: tuple[str, ...] = (), camera: str = "", *,
     take_over: bool = False,
-) -> None:
+) -> None:  # fmt: skip
     """Run one process of a run until its lifeline is cut. ``folder``: where the run is recorded.
 
     ``camera``: whose tracker this is, where there are several.
@@ -121,7 +115,7 @@ def _route(config: Config, lifeline: Lifeline) -> None:
 def _opened_again(config: Config, beyond: Network) -> zenoh.Session:
     """Open a router where one has just been closed: a QUIC socket is there for a moment longer."""
     clock = WallClock()
-    end_ns = clock.now_ns() + _RESTARTS_WITHIN_NS
+    end_ns = clock.now_ns() + _ROUTER_RESTARTS_WITHIN_NS
     while True:
         try:
             return open_router(config.bus.endpoint, beyond)

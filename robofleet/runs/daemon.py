@@ -32,7 +32,7 @@ from robofleet.runs.table import say
 from robofleet.vehicles.interface import DriverError
 
 _IDLE_NS = S // 10
-_PRIORITY = 15  # as that of a driver that the run starts
+_DRIVER_PRIORITY = 15
 
 Say = Callable[[str], None]
 
@@ -161,7 +161,7 @@ def main() -> None:
             "certificate_ends": f"{certificate.not_after:%Y-%m-%d}",
         }  # fmt: skip
         node = Daemon(robot, file, bus, clock, waker, host, say)
-        realtime_priority(_PRIORITY)
+        realtime_priority(_DRIVER_PRIORITY)
         run(node, clock, held, waker)
 
 

@@ -58,13 +58,10 @@ class Slot:
             return
         scheduled = self.next_ns == instant_ns
         ahead_ns = 0 if self.clock is None else self.clock.offset_ns()
+        started_ns = stopwatch_ns() if self.timed else 0
+        next_ns = self.node.step(instant_ns + ahead_ns) - ahead_ns
         if self.timed:
-            started_ns = stopwatch_ns()
-            next_ns = self.node.step(instant_ns + ahead_ns)
             self.durations_ns.append(stopwatch_ns() - started_ns)
-        else:
-            next_ns = self.node.step(instant_ns + ahead_ns)
-        next_ns -= ahead_ns
         if scheduled or next_ns != self.next_ns:
             self.schedule(max(next_ns, instant_ns + 1))
 

@@ -72,17 +72,9 @@ class Launcher:
     """
 
     def __init__(
-        self,
-        config: Config,
-        folder: Path,
-        watch: Watch,
-        console: Console,
-        *,
-        reset: bool = False,
-        take_over: bool = False,
-        web: PageWanted | None = None,
-        viewers: Mapping[str, str] | None = None,
-    ) -> None:
+        self, config: Config, folder: Path, watch: Watch, console: Console, *, reset: bool = False,
+        take_over: bool = False, web: PageWanted | None = None, viewers: Mapping[str, str] | None = None,
+    ) -> None:  # fmt: skip
         self._config, self._folder, self._watch, self._console = config, folder, watch, console
         self._reset, self._take_over, self._web, self._served = reset, take_over, web, viewers or {}
         self._clock = WallClock()
@@ -403,7 +395,6 @@ class Launcher:
             self._bus.ask(REQUEST, "supervisor", b"attended")
 
     def _stopped_at_gates(self) -> bool:
-        """Whether an emergency stop has reached a gate."""
         statuses = [self.recording.newest_status(robot) for robot in self._robots]
         return any(status is not None and status.latch == Latch.EMERGENCY_STOP for status in statuses)
 

@@ -65,18 +65,9 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
     assert [row["saturated"] for row in rows[:6]] == ["0", "0", "0", "0", "1", "0"]
     units = ("_m", "_rad", "_s", "_mm", "_deg", "_ms")
     plain = {
-        "tick",
-        "run_tick",
-        "robot",
-        "group",
-        "failed",
-        "reference_parameter",
-        "saturated",
-        "measured",
-        "lost",
-        "filtered",
-        "blocked",
-    }
+        "tick", "run_tick", "robot", "group", "failed", "reference_parameter", "saturated", "measured", "lost",
+        "filtered", "blocked",
+    }  # fmt: skip
     assert all(name in plain or name.endswith(units) for name in rows[0])
 
 
@@ -84,14 +75,8 @@ def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None
     write_csv([Run(story(ticks=3).recording(truth=False))], tmp_path / "m.csv")
     absent = {"reference_x_m", "reference_y_m", "estimated_path_error_mm", "estimated_spacing_mm"}  # not in this story
     unknown = absent | {
-        "centre_error_mm",
-        "true_x_m",
-        "true_y_m",
-        "true_psi_rad",
-        "path_error_mm",
-        "timed_error_mm",
-        "pose_error_mm",
-    }
+        "centre_error_mm", "true_x_m", "true_y_m", "true_psi_rad", "path_error_mm", "timed_error_mm", "pose_error_mm",
+    }  # fmt: skip
     measured = {"left_measured_rad_s", "right_measured_rad_s"}  # no robot said anything
     for row in rows_of(tmp_path / "m.csv"):
         empty = {name for name, cell in row.items() if cell == ""}

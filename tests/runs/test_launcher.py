@@ -80,16 +80,6 @@ def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., 
 
 
 @pytest.mark.long
-def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
-    run = real_run(*ALONE)
-    run.wait_until_running()
-    assert len(run.children()) == 6
-    run.launcher.kill()
-    assert run.nothing_is_left()
-    assert run.ended(1) == -signal.SIGKILL
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("running", [True, False], ids=["running", "still starting"])
 def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun], running: bool) -> None:
     run = real_run(*ALONE)

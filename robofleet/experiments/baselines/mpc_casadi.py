@@ -63,7 +63,6 @@ class CasadiMpc:
         self._last = np.zeros(2)
 
     def update(self, t: float, x: Array) -> Input:
-        """Return the first input of the optimal sequence."""
         r = self._problem.target(t + self._times)
         first = np.concatenate([x, self._last])
         if "x0" not in self._start:

@@ -84,14 +84,8 @@ class Overlay:
                 PointsAnnotation(timestamp=at, type=kind, points=corners, outline_color=ink, thickness=_LINE_PX)
             )
             text, corner = self._robots[tag], max(corners, key=lambda point: point.x)
-            drawn.texts.append(
-                TextAnnotation(
-                    timestamp=at,
-                    position=corner,
-                    text=text,
-                    font_size=_FONT_PX,
-                    text_color=ink,
-                    background_color=colour(_LABEL, 0.6),
-                )
-            )
+            drawn.texts.append(TextAnnotation(
+                timestamp=at, position=corner, text=text, font_size=_FONT_PX, text_color=ink,
+                background_color=colour(_LABEL, 0.6),
+            ))  # fmt: skip
         return drawn

@@ -44,7 +44,7 @@ def _described(gauges: Sequence[Gauge], gauge: Gauge) -> Scalars:
         *(Scalar(column.name, "<f4", f"{column.meaning}; NaN: not known") for column in COLUMNS),
         *own,
     )
-    return Scalars(PACKAGE, message_name(gauges, gauge.said.name), fields)
+    return Scalars(PACKAGE, message_name(gauges, gauge.group.name), fields)
 
 
 class RobotTicks:
@@ -58,7 +58,7 @@ class RobotTicks:
         self._status_keys = {key(arena, STATUS, unit) for unit in config.units}
         self._truth_keys = {key(arena, TRUTH, unit) for unit in config.units}
         self._statuses: dict[str, bytes] = {}  # the newest ones since the tick before
-        self._window = Recording(config, said=groups)
+        self._window = Recording(config, file_groups=groups)
         self._came: array[int] = array("Q")  # when each tick of the window did [ns]
         gauges = self._window.gauges  # and what they compute with is loaded by that
         self._messages = [_described(gauges, gauge) for gauge in gauges]
@@ -97,7 +97,7 @@ class RobotTicks:
             robot_values = {column.name: values[:, part.rows, index] for index, column in enumerate(COLUMNS)}
             own = own_table(part, names)[:count]
             robot_values |= {name: own[..., index] for index, name in enumerate(names)}
-            n = len(part.said.robots)
+            n = len(part.group.robots)
             messages = message.messages((count, n), common | robot_values)
             by_robot += [messages[k::n] for k in range(n)]
         places = [(topic, came) for came in self._came[:count] for topic, *_ in self.channels]

@@ -70,16 +70,10 @@ def _scene(config: Config) -> Panel:
     }  # fmt: skip
     topics = "/arena", "/fleet", "/references"
     return {
-        "cameraState": camera,
-        "followMode": "follow-none",
-        "followTf": WORLD,
-        "topics": {name: {"visible": True} for name in topics},
-        "layers": {},
-        "scene": {},
-        "transforms": {},
-        "publish": {},
-        "imageMode": {},
-    }
+        "cameraState": camera, "followMode": "follow-none", "followTf": WORLD,
+        "topics": {name: {"visible": True} for name in topics}, "layers": {}, "scene": {}, "transforms": {},
+        "publish": {}, "imageMode": {},
+    }  # fmt: skip
 
 
 def _image(topic: str) -> Panel:
@@ -89,15 +83,10 @@ def _image(topic: str) -> Panel:
 
 def _button(service: str, request: Mapping[str, str]) -> Panel:
     return {
-        "serviceName": service,
-        "requestPayload": dumps(request),
-        "layout": "vertical",
-        "editingMode": False,
-        "timeoutSeconds": 10,
-        "buttonText": _BUTTONS.get(service, service.capitalize()),
-        "buttonColor": "#c62828" if service == "stop" else "#37474f",
-        "buttonTooltip": "",
-    }
+        "serviceName": service, "requestPayload": dumps(request), "layout": "vertical", "editingMode": False,
+        "timeoutSeconds": 10, "buttonText": _BUTTONS.get(service, service.capitalize()),
+        "buttonColor": "#c62828" if service == "stop" else "#37474f", "buttonTooltip": "",
+    }  # fmt: skip
 
 
 def _plot(plot: Plot) -> Panel:
@@ -111,14 +100,8 @@ def _plot(plot: Plot) -> Panel:
             }
             for line in plot.lines
         ],
-        "xAxisVal": "timestamp",
-        "isSynced": True,
-        "showLegend": True,
-        "legendDisplay": "floating",
-        "showPlotValuesInLegend": False,
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-        "sidebarDimension": 240,
+        "xAxisVal": "timestamp", "isSynced": True, "showLegend": True, "legendDisplay": "floating",
+        "showPlotValuesInLegend": False, "showXAxisLabels": True, "showYAxisLabels": True, "sidebarDimension": 240,
     }  # fmt: skip
 
 
