@@ -14,7 +14,6 @@ permission permits nothing, and a counter that is used up repeats its last value
 import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
-from itertools import accumulate
 from operator import itemgetter
 from struct import Struct, error
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
@@ -55,12 +54,6 @@ def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
     return [(name, _NUMPY[letter]) for name, letter in zip(make._fields, fields, strict=False)]
 
 
-def _span(columns: list[tuple[str, str]], first: str, last: str) -> slice:
-    """Return the bytes from one column to another one, with both."""
-    names, ends = [name for name, _ in columns], [*accumulate(int(kind[-1]) for _, kind in columns)]
-    return slice(ends[names.index(first) - 1], ends[names.index(last)])
-
-
 def _nearest(letter: str, value: float) -> float:
     """Return the nearest number that a field can hold; for what is not a number, the least."""
     if letter == "d":
@@ -83,16 +76,13 @@ def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:
 
 
 class Layout(Generic[M]):
-    """A fixed layout: version byte, then the fields of a named tuple; ``doubles`` of its last fields are floats."""
+    """A fixed layout: version byte, then the fields of a named tuple. ``blob``: its last field are all bytes behind."""
 
-    def __init__(self, make: type[M], fields: str, doubles: int) -> None:
-        self._make = make
-        self._fields = fields + "d" * doubles
-        self._struct, self._body = Struct(f"<B{self._fields}"), Struct(f"<x{self._fields}")
-        self._floats, self._near = slice(len(self._fields) - doubles, None), _judge_instants(self._fields)
-        self._columns = [("version", "u1"), *_columns(make, self._fields)]
-        self._doubles = doubles
-        self.size = self._struct.size
+    def __init__(self, make: type[M], fields: str, *, blob: bool = False) -> None:
+        self._make, self._letters, self.blob = make, fields, blob
+        self._struct, self._near = Struct(f"<B{fields}"), _judge_instants(fields)
+        self._columns = [("version", "u1"), *_columns(make, fields)]
+        self.size = self._struct.size  # without a blob
 
     @cached_property
     def dtype(self) -> "np.dtype[Any]":
@@ -101,33 +91,31 @@ class Layout(Generic[M]):
 
         return np.dtype(self._columns)
 
-    def span(self, first: str, last: str) -> slice:
-        return _span(self._columns, first, last)
-
     def describe(self) -> Description:
-        return self._make.__name__, {"fields": self._columns}
+        rest = {"rest": self._make._fields[-1]} if self.blob else {}
+        return self._make.__name__, {"fields": self._columns, **rest}
 
     def encode(self, message: M) -> bytes:
+        values, rest = (message[:-1], bytes(message[-1])) if self.blob else (tuple(message), b"")
         try:
-            payload = self._struct.pack(VERSION, *message)
+            packed = self._struct.pack(VERSION, *values)
+            fits = self._sound(values)
         except _TOO_LARGE:
-            return self._struct.pack(VERSION, *_fitted(self._fields, message))
-        if self._sound(message):
-            return payload
-        return self._struct.pack(VERSION, *_fitted(self._fields, message))
+            fits = False
+        return (packed if fits else self._struct.pack(VERSION, *_fitted(self._letters, values))) + rest
 
-    def _sound(self, values: tuple[float, ...]) -> bool:
-        finite = not self._doubles or math.isfinite(sum(values[self._floats]))
-        return finite and self._near(values)
+    def _sound(self, values: Sequence[float]) -> bool:
+        return math.isfinite(sum(values)) and self._near(values)
 
     def decode(self, payload: bytes) -> M | None:
         """Return the message, or None where length, version, finiteness or an instant is wrong."""
-        if len(payload) != self.size or payload[0] != VERSION:
+        too_long = len(payload) > self.size and not self.blob
+        if len(payload) < self.size or too_long or payload[0] != VERSION:
             return None
-        values = self._body.unpack(payload)
+        _, *values = self._struct.unpack_from(payload)
         if not self._sound(values):
             return None
-        return tuple.__new__(self._make, values)  # the layout has as many as the message: no need to count
+        return self._make._make([*values, payload[self.size :]] if self.blob else values)
 
 
 class ListLayout(Generic[M]):
@@ -177,9 +165,6 @@ class ListLayout(Generic[M]):
     def describe(self) -> Description:
         rest = {"rest": self._make._fields[-1]} if self._numbers else {}
         return self._make.__name__, {"fields": self._columns, "items": self._item_columns, **rest}
-
-    def span(self, first: str, last: str) -> slice:
-        return _span(self._columns, first, last)
 
     def _fits(self, length: int, count: int) -> bool:
         """Return whether a message of this length can have so many items."""
@@ -240,9 +225,9 @@ class ListLayout(Generic[M]):
 
     @cached_property
     def _fields(self) -> dict[str, Struct]:
-        spans = {name: _span(self._columns, name, name) for name, _ in self._columns[1:]}
-        letters = dict(zip(spans, f"{self._head_letters}H", strict=True))
-        return {name: Struct(f"<{span.start}x{letters[name]}") for name, span in spans.items()}
+        at = self.head_dtype.fields or {}
+        letters = zip(self._columns[1:], f"{self._head_letters}H", strict=True)
+        return {name: Struct(f"<{at[name][1]}x{letter}") for (name, _), letter in letters}
 
     @cached_property
     def _reader(self) -> "_Reader":
@@ -372,25 +357,3 @@ class _Reader:
     def small(self, floats: "NDArray[Any]") -> bool:
         """Return whether all, of one at least, are numbers whose sum is one."""
         return bool(self._largest(self._abs(floats), None) <= _MOST)  # not so of NaN
-
-
-class BlobLayout(Generic[M]):
-    """A layout with bytes at its end: version byte, the head's fields, then whatever is left is the last field."""
-
-    def __init__(self, make: type[M], head: str) -> None:
-        self._make, self._head, self._letters = make, Struct(f"<B{head}"), head
-        self._columns, self._near = [("version", "u1"), *_columns(make, head)], _judge_instants(head)
-
-    def describe(self) -> Description:
-        return self._make.__name__, {"fields": self._columns, "rest": self._make._fields[-1]}
-
-    def encode(self, message: M) -> bytes:
-        *head, blob = message
-        return self._head.pack(VERSION, *_fitted(self._letters, head)) + bytes(blob)
-
-    def decode(self, payload: bytes) -> M | None:
-        """Return the message, or None where length, version or an instant is wrong."""
-        if len(payload) < self._head.size or payload[0] != VERSION:
-            return None
-        _, *head = self._head.unpack_from(payload)
-        return self._make._make([*head, payload[self._head.size :]]) if self._near(head) else None
