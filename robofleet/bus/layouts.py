@@ -67,7 +67,10 @@ def _judge_instants(letters: str) -> Callable[[Sequence[Any]], bool]:
     fields = [k for k, letter in enumerate(letters) if letter == "q"]
     if not fields:
         return lambda values: True
-    instants_of = itemgetter(*fields, fields[0])  # of two at least it makes a tuple
+    if len(fields) == 1:
+        (only,) = fields
+        return lambda values: -_FURTHEST_NS <= values[only] <= _FURTHEST_NS
+    instants_of = itemgetter(*fields)
     return lambda values: max(map(abs, instants_of(values))) <= _FURTHEST_NS
 
 

@@ -99,6 +99,7 @@ class Bodies:
         self._calls += 1
         if now_ns <= self._enough_ns and self._calls < _CALLS:
             return
+        self._refill()
         b = self.bodies
         reached_ns, coming = int(b["reached_ns"].min()), int(b["waiting"].max())
         steps = (now_ns - reached_ns) // self._step_ns + coming + 3
@@ -108,7 +109,6 @@ class Bodies:
             self._calls, spare = 0, left - coming - 3 - 2 * _CALLS
             self._enough_ns = reached_ns + max(0, spare) * self._step_ns
             return
-        self._refill()
         while DRAWS * steps > RANDOM_BLOCK and (b["reached_ns"] < now_ns).any():
             advance_all(b, self.builds, self.coming, self.noise, now_ns)
             self._refill()
