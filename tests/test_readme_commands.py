@@ -202,7 +202,7 @@ def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 def run_shortly(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a lockstep command, without its report and for a moment only."""
     with monkeypatch.context() as patched:
-        patched.setattr(Ending, "_report", lambda _: None)
+        patched.setattr(Ending, "write_report", lambda _: None)
         done = CliRunner().invoke(cli.app, [*arguments, "--duration=0.2", "--quiet", "--out=tried"])
     shutil.rmtree("tried", ignore_errors=True)
     assert done.exit_code == 0, done.output

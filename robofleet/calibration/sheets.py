@@ -64,7 +64,6 @@ class Page:
         self._add(PathPatch(placed, **style, transform=self._to_paper, snap=False, gid=name))
 
     def text(self, x: float, y: float, text: str, **style: Any) -> None:
-        """Write a line."""
         self.figure.text(x / self.width, y / self.height, text, **{"fontsize": LABEL_PT, "color": INK, **style})
 
     def _add(self, artist: Artist) -> None:
@@ -110,7 +109,6 @@ def piece_side(side: float, family: FamilyName = "36h11") -> float:
 
 
 def tag_pages(ids: Sequence[int], side: float, paper: str, command: str, family: FamilyName = "36h11") -> list[Page]:
-    """Return sheets of tags whose square has that side [mm]."""
     square, piece = FAMILIES[family].square, piece_side(side, family)
     size, columns, rows = _grid(piece, paper)
     if columns * rows == 0:
@@ -207,7 +205,6 @@ def foot(page: Page, command: str, what: str) -> None:
 
 
 def write(pages: Sequence[Page], out: Path) -> list[Path]:
-    """Write the pages to one PDF, or each to an SVG; returns the files."""
     several = len(pages) > 1 and out.suffix.lower() == ".svg"
     files = [out.with_stem(f"{out.stem}-{k + 1}") for k in range(len(pages))] if several else [out]
     try:

@@ -66,16 +66,15 @@ def serial_ports(needs: Needs) -> Iterator[Finding]:
     """Every port of an adapter, and every one that the configuration names."""
     ports = devices()
     named = {os.path.realpath(port.path): port for port in needs.ports()}
-    rules = udev.serial_rules(
-        [candidate for candidate in ports if candidate.vendor_id is not None], _names(needs, ports)
-    )
+    adapters = [device for device in ports if device.vendor_id is not None]
+    rules = udev.serial_rules(adapters, _names(needs, ports))
     for device in ports:
         port = named.pop(os.path.realpath(device.path), None)
         if device.vendor_id is not None or port is not None:
             yield _judged(device.path, _described(device), port.robot if port else None, rules.get(device.path))
     for port in named.values():
         yield _judged(port.path, "no USB adapter", port.robot, None)
-    if any(candidate.vendor_id is not None for candidate in ports):
+    if adapters:
         yield ok("which robot", "`robofleet doctor --ask all` opens the ports and says which robot answers at each")
     built_in = [candidate.path for candidate in ports if candidate.vendor_id is None]
     if built_in:

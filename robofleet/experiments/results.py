@@ -24,7 +24,6 @@ class Table:
         return {"title": self.title, "rows": rows, "notes": list(self.notes)}
 
     def text(self, row: tuple[Cell, ...]) -> tuple[str, ...]:
-        """Return a row as it is printed."""
         formats = self.formats or ("",) * len(row)
         return tuple(_text(cell, form) for cell, form in zip(row, formats, strict=True))
 

@@ -1,8 +1,12 @@
 """The run that a gateway serves, and whether it goes on: of this computer, or of an arena that this one has joined."""
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
+
+import typer
 
 from robofleet.core.clock import S
 from robofleet.core.refusal import RefusedError
@@ -37,6 +41,16 @@ def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, ArenaAccess]"
     if copy is None:
         raise RefusedError(f"{joined.arena} is another computer's: name a copy of its configuration in --config")
     return load_config(copy), ArenaAccess(joined.router, joined.credentials, joined.role)
+
+
+@contextmanager
+def answering(config: "Config") -> Iterator[None]:
+    """End with exit code 1 and a line where a run's bus does not answer (TimeoutError)."""
+    try:
+        yield
+    except TimeoutError as error:
+        print(f"the run of {config.arena.name}: {error}", file=sys.stderr)
+        raise typer.Exit(1) from error
 
 
 def joined_otherwise(config: "Config", access: ArenaAccess, role: str) -> str | None:

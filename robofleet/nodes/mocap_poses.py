@@ -1,5 +1,6 @@
 """Poses of a motion-capture system: its frames and the bodies in them, and the robots that stand in no arena."""
 
+import sys
 from collections.abc import Iterator
 from functools import partial
 
@@ -9,9 +10,9 @@ from robofleet.core.clock import S
 from robofleet.simulation.capture import SimulatedCapture
 from robofleet.simulation.sources import VirtualPoses
 from robofleet.tracking.bodies import FleetBodies
-from robofleet.tracking.capture import POLLED, CapturePoller, CaptureReader, bodies_there, open_capture
+from robofleet.tracking.capture import CaptureDevice, bodies_there, open_capture
 from robofleet.tracking.events import Notice
-from robofleet.tracking.sources import CameraError, Observation, PoseContext
+from robofleet.tracking.sources import CameraError, Lost, Observation, Poller, PoseContext, Reader, ReopenedCamera
 
 
 class MocapPoses:
@@ -25,16 +26,14 @@ class MocapPoses:
         self._latency_ns = round(settings.latency_s * S)
         self._bodies = FleetBodies(config)
         self._virtual = VirtualPoses(config, config.virtual, context.bus, context.rng)
-        self._feed: CaptureReader | CapturePoller
         if settings.system == "simulated":
-            capture = SimulatedCapture(config, context.bus, context.clock, context.rng)
-            if not context.real_time:
-                self._feed = CapturePoller(capture, context.clock)
-                return
-            self._feed = CaptureReader(lambda: capture, context.clock, context.wake)
+            simulated = SimulatedCapture(config, context.bus, context.clock, context.rng)
+            opened = partial(CaptureDevice, simulated, context.clock)
         else:
-            opened = partial(open_capture, settings)
-            self._feed = CaptureReader(opened, context.clock, context.wake, polled=settings.system in POLLED)
+            opened = partial(open_capture, settings, context.clock)
+        device = ReopenedCamera(opened(), opened, calibrated="")
+        self._feed = Reader(device, context.wake) if context.real_time else Poller(device)
+        self._failed = False
 
     @staticmethod
     def works_in_lockstep(config: Config) -> bool:
@@ -75,8 +74,14 @@ class MocapPoses:
     def observe(self, now_ns: int) -> Observation | None:
         """Return what the newest frame tells, or None."""
         frame = self._feed.take(now_ns)
+        if isinstance(frame, Lost):
+            if not self._failed:
+                print(f"motion capture: {frame.why}", file=sys.stderr)
+            self._failed = True
+            return None
         if frame is None:
             return None
+        self._failed = False
         instant_ns = frame.arrival_ns - self._latency_ns
         poses, strange = self._bodies.poses(frame.bodies, instant_ns)
         return Observation(instant_ns, poses + self._virtual.at(instant_ns), strange)

@@ -45,7 +45,6 @@ def stop(arena: str | None) -> int:
 
 
 def request(what: str, arena: str | None) -> int:
-    """Ask the supervisor of an arena."""
     from robofleet.operator import requests  # noqa: PLC0415
 
     try:
@@ -57,7 +56,6 @@ def request(what: str, arena: str | None) -> int:
 
 
 def status(arena: str | None, *, as_json: bool = False) -> int:
-    """Show the state of an arena."""
     from robofleet.operator import requests  # noqa: PLC0415
 
     try:

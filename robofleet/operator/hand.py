@@ -127,6 +127,5 @@ class Hands:
         return True
 
     def let_go(self) -> None:
-        """Let all of them stand."""
         for hand in self._hands.values():
             hand.let_go()

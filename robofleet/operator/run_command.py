@@ -25,10 +25,10 @@ from robofleet.hosts.network import network
 from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.operator import viewer_address as viewers
 from robofleet.operator.config_commands import ConfigFile, Overrides
-from robofleet.operator.ending import Ending
+from robofleet.operator.ending import Ending, Result
 from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.page_address import LOOPBACK, listening
-from robofleet.operator.run import Result, in_lockstep, in_real_time
+from robofleet.operator.run import in_lockstep, in_real_time
 from robofleet.operator.terminal.outlet import unhindered
 from robofleet.operator.terminal.plain_terminal import as_shown
 from robofleet.reports.tables import proofs_table
@@ -69,7 +69,6 @@ class RunCommand(TyperCommand):
     """``run``, whose options --foxglove and --rerun may stand without a value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Add the values that were left out."""
         return super().parse_args(ctx, viewers.completed(args))
 
 
@@ -151,8 +150,8 @@ def run(
         new_folder(folder)
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
         result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
-    ending = Ending(tree, folder, result, as_json=as_json)
-    ending.tell()
+    ending = Ending(tree, folder, result)
+    ending.tell(as_json=as_json)
     if junit is not None:
         ending.write_junit(junit)
     if ending.bad(strict=strict):
@@ -204,7 +203,6 @@ def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> Page
 
 
 def _refuse_viewers(shown: dict[str, str], tree: Config, *, lockstep: bool) -> None:
-    """Refuse viewers that could not see the run."""
     for viewer, at in shown.items():
         option = viewers.option(viewer)
         if lockstep:

@@ -42,12 +42,10 @@ class Curve(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its name in words."""
         return self.name.replace("_", " ").capitalize()
 
     @property
     def label(self) -> str:
-        """Its name and unit in words."""
         return ", ".join(filter(None, (self.name.replace("_", " "), self.unit)))
 
     @property
@@ -84,7 +82,6 @@ class Gauge:
         self._keys = [curve.key for curve in tried]
 
     def curves(self, past: Past) -> tuple[Curve, ...]:
-        """Return its figures and measures over the past's ticks."""
         group, robots = self.said, self._team.robots
         figures = [
             (Measure(f.name, f.unit, past.figures[f.name], robots, f.shown, f.meaning), f.live) for f in group.figures

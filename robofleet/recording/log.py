@@ -17,10 +17,10 @@ from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.valid_json import dumps
-from robofleet.recording.channels import keys
+from robofleet.recording.channels import Channel, keys, of_key
 from robofleet.recording.container import Container
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.scenes.drawn import Channel, Drawn, DrawnMessages, of_key
+from robofleet.recording.scenes.drawn import Drawn, DrawnMessages
 from robofleet.recording.scenes.robot_ticks import BATCH, LARGE_BATCH
 
 FILE = "run.mcap"
@@ -81,7 +81,6 @@ class RunLog:
         self._write()
 
     def add(self, full: str, payload: bytes, at_ns: int) -> None:
-        """Keep a message that came at an instant of this process's clock."""
         channel = self._channels.get(full) or self._register(of_key(full))
         self.messages += 1
         self._waiting += 1
@@ -110,7 +109,6 @@ class RunLog:
             self._write()
 
     def end(self, ending: bytes) -> None:
-        """Keep how the run ended, where somebody knows it, and close."""
         if ending:
             self._attach(ENDING, "application/json", ending)
         self.close()
@@ -135,11 +133,9 @@ class RunLog:
             self._file.close()
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the file."""
         self.close()
 
     def _add_drawn(self, messages: DrawnMessages) -> None:

@@ -124,7 +124,6 @@ class Marks:
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """What is drawn."""
         return tuple(self._shapes.values())
 
 

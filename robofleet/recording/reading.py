@@ -124,27 +124,15 @@ def about(run: Path, imports: Imports = nothing_imported) -> Recording:
     """
     file = file_of(run)
     with opened(file) as stream:
-        scan, made_by = scanned(stream), ""
-        recording: Recording | None = None
-        for item in scan.items():
-            if isinstance(item, Header):
-                made_by = check_maker(item, file)
-            elif isinstance(item, Attachment) and item.name == CONFIG:
-                recording = Recording(_config(item.data, made_by, file))
-            elif recording is not None and isinstance(item, Attachment) and item.name == GROUPS:
-                with suppress(KeyError, TypeError, ValueError):
-                    _note(recording, item)
-                break
-            elif recording is not None and isinstance(item, list):
-                break
-    if recording is None:
-        raise nothing(scan, file)
-    _know_groups(recording, file, imports)
-    return recording
+        content = _Content(scanned(stream), file)
+        next(content.messages(), None)
+    if content.recording is None:
+        raise nothing(content.scan, file)
+    _know_groups(content.recording, file, imports)
+    return content.recording
 
 
 def file_of(run: Path) -> Path:
-    """Return the file of a run's folder, or the file itself."""
     return run / FILE if os.path.isdir(run) else run  # noqa: PTH112 - it raises nothing
 
 
@@ -169,7 +157,6 @@ def scanned(stream: BinaryIO) -> Scan:
 
 
 def nothing(scan: Scan, file: Path) -> RecordingError:
-    """Return the refusal of a file without a message."""
     if scan.trouble is None:
         return RecordingError(f"{file}: holds no message: the run ended before its first message: name another run")
     if scan.trouble == NO_MCAP:

@@ -21,13 +21,12 @@ from robofleet.bus.layouts import VERSION, Layout, ListLayout
 from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS, FleetPoses, RobotStatus, RunState
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.plugins import PluginError
 from robofleet.core.valid_json import dumps
 from robofleet.recording.gauge import Curve, Figures, Gauge, gauges, peaked
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.reduced import Reduced
-
-Array = NDArray[np.float64]
 
 SHOWN = 512  # messages of a key, for a live view
 _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing
@@ -109,16 +108,13 @@ class Recording:
 
     @cached_property
     def gauges(self) -> tuple[Gauge, ...]:
-        """What measures each group."""
         return gauges(self.config, self.groups, self.foreign)
 
     @property
     def whole(self) -> bool:
-        """Whether the file is as it was written, up to its end."""
         return self.trouble is None
 
     def add(self, full: str, payload: bytes) -> None:
-        """Keep a message."""
         self.count += 1
         self.messages[full].append(payload)
         self._places[full].append(self.count)
@@ -137,7 +133,6 @@ class Recording:
         return later
 
     def emptied(self) -> "Recording":
-        """Return the recording without its messages."""
         made = replace(self, messages=defaultdict(list), _places=defaultdict(lambda: array("Q")), _arrays={})
         made.__dict__.update({name: self.__dict__[name] for name in ("groups", "gauges") if name in self.__dict__})
         return made
@@ -149,12 +144,10 @@ class Recording:
                 self.forget(full, len(messages) - most)
 
     def forget(self, full: str, count: int) -> None:
-        """Drop a key's oldest messages."""
         del self.messages[full][:count], self._places[full][:count]
         self._arrays.pop(full, None)
 
     def ending(self) -> bytes:
-        """Return how the run ended, for its file."""
         fields = {name: getattr(self, name) for name in EndingFile.model_fields}
         return dumps(
             {name: list(values) if isinstance(values, array) else values for name, values in fields.items()}
@@ -264,7 +257,6 @@ class GroupColumns:
 
     @property
     def said(self) -> described.Group:
-        """The group as others see it."""
         return self.gauge.said
 
     @cached_property
@@ -276,7 +268,6 @@ class GroupColumns:
         return tuple(curve._replace(values=self._spread(curve.values)) for curve in curves)
 
     def summary(self) -> Figures:
-        """Return its part of ``summary.json``."""
         return peaked(self.gauge.summary(self.past), self.peaks)
 
     def _spread(self, values: Array) -> Array:
@@ -336,7 +327,6 @@ class Run:
         self.frames = [frame for images in self.images.values() for frame in images]
 
     def _take(self, ticks: NDArray[Any]) -> None:
-        """Take the ticks that count."""
         self.ticks = ticks
         self.running = self.ticks["run_tick"] >= 0  # (K,)
         self.t = self.ticks["run_tick"] * self.config.controller.tick_s
@@ -352,6 +342,11 @@ class Run:
         self.known = known[: len(self.config.members)]  # (N,) whose truth was told
         self.truth = None if bodies is None or not self.known.any() else bodies[:, : len(self.known)]
 
+    @property
+    def robots(self) -> list[str]:
+        """The ids of the groups' robots (N,)."""
+        return [robot.id for robot in self.config.members]
+
     def own_statuses(self, robot: int) -> NDArray[np.bool_]:
         """Return which of a robot's statuses (S,) are of this part."""
         return np.asarray((self.status_places[robot] >= self.own.first) & (self.status_places[robot] < self.own.until))
@@ -363,7 +358,6 @@ class Run:
 
     @cached_property
     def parts(self) -> tuple[GroupColumns, ...]:
-        """What became of each group."""
         config, running = self.config, self.running
         t, poses, points = self.t[running], self.poses()[running], self.points()[running]
         settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
@@ -443,8 +437,20 @@ class Run:
         true = self.truth[..., :2] + ahead * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
         return np.where(self.known[:, None], true, estimates)
 
+    @cached_property
+    def since_start_s(self) -> Array:
+        """Instants of the ticks (K,) since the first of these, on the controller's grid [s]."""
+        return np.asarray((self.ticks["stamp_ns"] - (self.start_ns or 0)) / 1e9)
+
+    @cached_property
+    def pose_errors(self) -> tuple[Array, Array] | None:
+        """How far the filter is off: distances (K, N) [m] and turns (K, N) [rad]; None: no truth is known."""
+        if self.truth is None:
+            return None
+        off = np.hypot(self.items["x_m"] - self.truth[..., 0], self.items["y_m"] - self.truth[..., 1])
+        return off, np.angle(np.exp(1j * (self.items["psi_rad"] - self.truth[..., 2])))
+
     def after(self, start_s: float) -> NDArray[np.bool_]:
-        """Return which ticks count."""
         return np.asarray(self.t >= start_s)
 
 

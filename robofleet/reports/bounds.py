@@ -23,7 +23,6 @@ class Judged(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its label and unit in words."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
 
@@ -126,13 +125,11 @@ def complaints(figures: Figures) -> list[str]:
 
 
 def shown(bound: Figures) -> str:
-    """Return a verdict's value and limit in words."""
     unit = JUDGED[bound["figure"]].unit
     value = "not measured" if bound["value"] is None else f"{bound['value']:.4g} {unit}".strip()
     return f"{value}, {limit(bound)} asked for"
 
 
 def limit(bound: Figures) -> str:
-    """Return what a bound asks for, in words."""
     figure = JUDGED[bound["figure"]]
     return f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g} {figure.unit}".strip()

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,9 +12,10 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from robofleet.config.tree import Bounds, Config
+from robofleet.core.arrays import Array
 from robofleet.core.figures import FAINT, INK, QUIET, robot_colours
-from robofleet.recording.measures import Series, line
-from robofleet.recording.run import Array, Recording
+from robofleet.recording.measures import line
+from robofleet.recording.run import Run
 from robofleet.reports.timeline import Timeline
 from robofleet.safety.supervisor import Phase
 
@@ -41,33 +43,33 @@ ALARM = "#b3261e"
 class RunView:
     """What there is to draw."""
 
-    recording: Recording
-    series: Series
-    timeline: Timeline
+    run: Run
+    summary: dict[str, Any]
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        return Timeline(self.run, self.summary["stops"])
 
     @property
     def config(self) -> Config:
-        """The run's configuration."""
-        return self.series.run.config
+        return self.run.config
 
     @property
     def bounds(self) -> Bounds:
-        """What the run is judged by."""
         return self.config.run.bounds
 
     @property
     def colours(self) -> tuple[str, ...]:
-        """Each robot's own colour."""
-        return robot_colours(len(self.series.robots))
+        return robot_colours(len(self.run.robots))
 
     @property
     def span(self) -> tuple[float, float]:
         """From the run's first tick to its last [s]."""
-        return 0.0, float(self.series.t.max(initial=self.config.controller.tick_s))
+        return 0.0, float(self.run.since_start_s.max(initial=self.config.controller.tick_s))
 
     def counted(self, settle_s: float) -> NDArray[np.bool_]:
         """Which ticks count after a settling time; all, where none does."""
-        after = self.series.run.after(settle_s)
+        after = self.run.after(settle_s)
         return after if after.any() else np.ones_like(after)
 
 
@@ -102,7 +104,6 @@ def interruptions(axes: Axes, timeline: Timeline) -> None:
 
 
 def phase_colour(phase: int) -> str:
-    """Return the colour of a phase of the run."""
     return {int(known): colour for known, colour in _PHASES.items()}.get(phase, FAINT)
 
 
@@ -134,7 +135,6 @@ def level(axes: Axes, value: float | None, label: str = "") -> None:
 
 
 def logarithmic(axes: Axes, lowest: float) -> None:
-    """Make the y axis logarithmic, from a value up."""
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.yaxis.set_minor_locator(NullLocator())

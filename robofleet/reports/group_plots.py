@@ -8,11 +8,12 @@ from matplotlib.figure import Figure
 
 from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.behaviours.interface import with_unit
+from robofleet.core.arrays import Array
 from robofleet.core.figures import robot_colours
 from robofleet.recording.gauge import Curve
-from robofleet.recording.run import Array, GroupColumns
+from robofleet.recording.run import GroupColumns
 from robofleet.reports.canvas import Legend, Plot, RunView, few, level, lines, logarithmic, settling, strips, zoomed
-from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
+from robofleet.reports.paper import papers_mean
 
 _WIDE_RATIO = 30.0  # to its median: a figure that is so much larger at times has a logarithmic axis
 _ESTIMATED = "estimated_"  # a figure that is so called is for the run itself: the report has the measure
@@ -63,15 +64,14 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
         settling(axes, settle_s)
         _lines(axes, view, part, curve, settle_s, bound)
         level(axes, bound, words)
-        if curve.key == FIGURE_KEY and is_papers(view.config):
-            level(axes, CONTROL_ERROR_MM, "the paper's mean, on hardware")
+        level(axes, papers_mean(view.config, curve.key), "the paper's mean, on hardware")
         return figure
     figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
-    lines(whole, view.series.t, curve.values, view.span, colours(view, part, curve))
+    lines(whole, view.run.since_start_s, curve.values, view.span, colours(view, part, curve))
     level(whole, curve.asked, f"asked: {curve.asked:g} {curve.unit}")
     deviation = curve.values - curve.asked
     settling(off, settle_s)
-    lines(off, view.series.t, deviation, view.span, colours(view, part, curve))
+    lines(off, view.run.since_start_s, deviation, view.span, colours(view, part, curve))
     zoomed(off, deviation[view.counted(settle_s)], bound, bound and -bound)
     level(off, bound, words)
     level(off, bound and -bound)
@@ -83,7 +83,7 @@ def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s
     counted = curve.values[view.counted(settle_s)]
     lowest = wide(curve.values, counted) if curve.told else None
     values = curve.values if lowest is None else np.maximum(curve.values, lowest)
-    lines(axes, view.series.t, values, view.span, colours(view, part, curve))
+    lines(axes, view.run.since_start_s, values, view.span, colours(view, part, curve))
     if lowest is not None:
         logarithmic(axes, lowest)
     else:

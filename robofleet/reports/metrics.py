@@ -15,12 +15,13 @@ from robofleet.bus.keys import BUSY, key
 from robofleet.bus.messages import FleetPoses
 from robofleet.config import obstacles
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, US
 from robofleet.recording import notes
 from robofleet.recording.causes import named
-from robofleet.recording.measures import compute, computed, delays, lateness, pose_errors
+from robofleet.recording.measures import compute, computed, delays, lateness
 from robofleet.recording.reduced import Counted, Distribution, Images, Mean, Reduced
-from robofleet.recording.run import Array, Recording, Run
+from robofleet.recording.run import Recording, Run
 from robofleet.recording.state_words import busy_figures
 from robofleet.reports.bounds import judged
 from robofleet.reports.stops import stops
@@ -167,10 +168,7 @@ def _distances(whole: Reduced, config: Config) -> Figures:
     first, second = _pairs(config)
     radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
     gaps = distances - radii[first] - radii[second]
-    return {
-        "min_gap_mm": _rounded(gaps.min() * 1e3),
-        "min_centre_distance_mm": _rounded(distances.min() * 1e3),
-    }
+    return {"min_gap_mm": _rounded(gaps.min() * 1e3), "min_centre_distance_mm": _rounded(distances.min() * 1e3)}
 
 
 def _obstacle_gap(run: Run) -> float:
@@ -186,9 +184,9 @@ def _obstacle_gap(run: Run) -> float:
 
 def _pose_errors(run: Run) -> tuple[Mean, Mean, float]:
     """The filter at the tick against the truth at the tick: squares [m^2], [rad^2], the largest [m]."""
-    if run.truth is None:
+    if run.pose_errors is None:
         return Mean(), Mean(), 0.0
-    off, turn = (errors[:, run.known] for errors in pose_errors(run, run.truth))
+    off, turn = (errors[:, run.known] for errors in run.pose_errors)
     off, turn = off[np.isfinite(off)], turn[np.isfinite(turn)]
     return _known(off**2), _known(turn**2), float(off.max(initial=0.0))
 
@@ -222,7 +220,6 @@ def _tracker(run: Run, whole: Reduced, recording: Recording) -> Figures:
 
 
 def _images(run: Run, frames: list[FleetPoses]) -> Images:
-    """What a camera saw."""
     if not frames:
         return Images()
     fleet, members = ({robot.tag for robot in robots} for robots in (run.config.robots, run.config.members))
@@ -328,7 +325,6 @@ _LAW_SHARE = 0.2  # of the timed error: a smaller control error is not its reaso
 
 
 def remarks(config: Config, groups: Mapping[str, Any]) -> list[str]:
-    """Return the remarks on all groups' figures."""
     return [
         line
         for name, figures in groups.items()

@@ -22,7 +22,6 @@ class OwnFigure(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its label and unit in words."""
         return ", ".join(filter(None, (self.label, self.unit)))
 
 

@@ -57,7 +57,6 @@ class Picture(NamedTuple):
 
     @property
     def base64(self) -> str:
-        """Return the photograph as an address holds it."""
         return base64.b64encode(self.jpeg).decode()
 
 
@@ -78,18 +77,15 @@ class Page:
         self._add("verdict", text=text, good=good, detail=detail)
 
     def section(self, title: str, text: str = "") -> None:
-        """Begin a section."""
         self._sections.append(title)
         self._add("section", number=len(self._sections), title=title)
         if text:
             self.note(text)
 
     def note(self, text: str) -> None:
-        """Add a sentence."""
         self._add("note", text=text)
 
     def tiles(self, tiles: Iterable[Tile]) -> None:
-        """Add figures to be seen at a glance."""
         self._add("tiles", tiles=list(tiles))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[object]], *, whole: bool = False) -> None:
@@ -101,7 +97,6 @@ class Page:
         self._add("table", head=head, rows=shown, whole=whole, cards=whole and len(head) > _SIDE_BY_SIDE)
 
     def pictures(self, pictures: Iterable[Picture]) -> None:
-        """Add small photographs side by side."""
         self._add("pictures", pictures=list(pictures))
 
     def figure(

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from robofleet.bus import sensors
 from robofleet.bus.keys import SENSORS, key
+from robofleet.core.arrays import Array
 from robofleet.core.files import replaced
-from robofleet.recording.run import Array, Recording
+from robofleet.recording.run import Recording
 
 CSV = "sensors.csv"
 _AXES = "xyz"

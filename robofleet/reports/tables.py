@@ -12,7 +12,7 @@ from rich.text import Text
 from robofleet.behaviours.interface import scale
 from robofleet.config.tree import Config
 from robofleet.reports.own_figures import asked, heading, own_figures
-from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
+from robofleet.reports.paper import is_papers, papers_mean
 from robofleet.reports.stops import together
 
 Make = Callable[[Sequence[str]], Table]  # is given the columns that are left out
@@ -120,13 +120,12 @@ def _caption(s: Summary) -> Iterator[str]:
 
 
 def _errors(s: Summary, config: Config) -> Iterator[_Row]:
-    """Yield the groups' own figures."""
-    papers = f"about {CONTROL_ERROR_MM:g}"
     for name, group in s["groups"].items():
         if len(s["groups"]) > 1:
             yield _Row(heading(name, group["behaviour"]), "", "", group["robots"])
         for figure in own_figures(group):
-            paper = papers if figure.key == FIGURE_KEY else "-"
+            mean = papers_mean(config, figure.key)
+            paper = "-" if mean is None else f"about {mean:g}"
             should = asked(group, figure)
             if figure.mean is None:
                 yield _Row(figure.title, "not measured", paper)
@@ -177,7 +176,6 @@ def _health(s: Summary) -> Iterator[_Row]:
 
 
 def _stops(stops: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Yield who stopped by itself, and whom the operator stopped."""
     own = [stop for stop in stops if not stop["by_operator"]]
     if own:
         yield f"stops of a robot by itself: {len(own)}"

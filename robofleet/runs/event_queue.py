@@ -48,7 +48,6 @@ class Slot:
         self.schedule(instant_ns)
 
     def kill(self) -> None:
-        """Drop the process as it is."""
         self.node = None
         if self.bus is not None:
             self.bus.alive = False
@@ -79,7 +78,6 @@ class EventQueue:
         self.slots: dict[str, Slot] = {}
 
     def add(self, name: str, make: Callable[[Slot], Node]) -> Slot:
-        """Add a process and start it."""
         slot = self.slots[name] = Slot(name, len(self.slots), self, make)
         slot.start(self._clock.now_ns())
         return slot

@@ -362,7 +362,6 @@ class Launcher:
         raise EmergencyError(f"at the gates; {silent}") if self._stopped_at_gates() else RunError(silent)
 
     def _heed(self) -> None:
-        """Raise what the terminal's signals ask for."""
         counted, attended = self._interrupts, self._config.run.attended
         if attended and (counted.hung_up or self._console.lost):
             raise EmergencyError("the operator's terminal is gone")
@@ -372,7 +371,6 @@ class Launcher:
             raise InterruptedRunError("the operator interrupted")
 
     def _obey(self, keys: str) -> None:
-        """Raise what the keys ask for."""
         if EMERGENCY_KEYS.intersection(keys):
             raise EmergencyError("by key")
         if "q" in keys and not self._ending:
@@ -430,7 +428,6 @@ class ChildFaults:
         self._schedule.begin(self._clock.now_ns())
 
     def step(self) -> None:
-        """Begin and end the faults that are due."""
         now_ns = self._clock.now_ns()
         for injection in self._schedule.of("killed", "stopped"):
             acts = injection.acts(now_ns)

@@ -106,7 +106,6 @@ def processes(config: "Config") -> list[Process]:
 
 
 def started_by(starter: Starter, config: "Config") -> list[Process]:
-    """Return those that somebody starts."""
     return [process for process in processes(config) if _starter(process, config) == starter]
 
 
@@ -177,7 +176,7 @@ def _supervisor(edges: Edges) -> Node:
         free = faulty_disk.free_bytes(free, edges.faults)
     return Supervisor(
         edges.config, edges.bus, edges.clock, edges.wake, edges.rng, free_bytes=free,
-        attended=edges.real_time and edges.config.run.attended, say=_say if edges.real_time else lambda _: None,
+        attended=edges.real_time and edges.config.run.attended, say=say if edges.real_time else lambda _: None,
         machine=MachineProbe(edges.config.ids) if edges.real_time else lambda _: None,
     )  # fmt: skip
 
@@ -192,7 +191,7 @@ def _room(folder: Path | None) -> Callable[[], int]:
     return lambda: free_bytes(held)
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 

@@ -58,7 +58,6 @@ class Bodies:
                 self._draw(row, 1)
 
     def __len__(self) -> int:
-        """Return how many robots these are."""
         return len(self.bodies)
 
     def prepare(self) -> int:
@@ -114,7 +113,6 @@ class Bodies:
             self._refill()
 
     def _refill(self) -> None:
-        """Draw again the blocks of random numbers that were used up."""
         drawn = self.bodies["drawn"]
         for row in np.flatnonzero(drawn >= RANDOM_BLOCK).tolist():
             # The block that is under way comes first, a new one behind it.

@@ -13,14 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.core.arrays import Array, Image
+from robofleet.core.arrays import Array, Array32, Image, Indices
 from robofleet.simulation.draw import BLUR_PX, cells, centres, draw, renew
 from robofleet.simulation.floor import WIDEST, Floor
 from robofleet.tracking.camera import CameraGeometry, Lens
 from robofleet.tracking.tags.targets import Target
-
-Array32 = NDArray[np.float32]
-Boxes = NDArray[np.int64]
 
 _BODY_RADIUS = 0.8  # [sides of the tag's print]
 _BODY_DROP_M = 0.02  # the body's top lies below the tag
@@ -96,7 +93,6 @@ class SceneRenderer:
         self.render(np.full((len(robots), 3), np.nan))  # compiles the kernels, or loads them
 
     def moved(self, geometry: CameraGeometry) -> None:
-        """Look from another place from now on."""
         self._geometry = geometry
         plane = self._plane_at(geometry, self._height)
         self._plane = plane[0].astype(np.float32), plane[1].astype(np.float32)
@@ -125,7 +121,6 @@ class SceneRenderer:
         self._light_ground()
 
     def _light_ground(self) -> None:
-        """Draw what lies still, in the present light."""
         self._ground = np.minimum(np.rint(self._floor_grays * self._gain), 255).astype(np.uint8)
         self._boxes[:] = 0
         quiet = np.full_like(self._ground, self._offset)
@@ -173,7 +168,7 @@ class SceneRenderer:
 
     def _draw(
         self, image: Image, noise: Image, looks: Array32, side: float, heights: Array, further: Array,
-        poses: Array, velocities: Array, offsets: Array, boxes: Boxes, *, bodies: bool = False,
+        poses: Array, velocities: Array, offsets: Array, boxes: Indices, *, bodies: bool = False,
     ) -> None:  # fmt: skip
         draw(
             image, noise, self._offset, *self._plane, self._gain, looks, self._blurs, side, self._geometry.flat,

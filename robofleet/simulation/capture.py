@@ -15,7 +15,7 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.config.mocap import MocapSettings
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
-from robofleet.simulation.sources import World
+from robofleet.simulation.arena import World
 from robofleet.tracking.offset import tag_from_centre
 
 
@@ -52,7 +52,6 @@ class SimulatedCapture:
         self._bodies: dict[str, MeasuredBody] = {}
 
     def ready_ns(self) -> int:
-        """Return when the next frame arrives [ns]."""
         return self._exposure_ns + self._latency_ns
 
     def waitForNextFrame(self) -> None:
@@ -73,7 +72,6 @@ class SimulatedCapture:
 
     @property
     def rigidBodies(self) -> Mapping[str, MeasuredBody]:
-        """The bodies of the newest frame."""
         return self._bodies
 
 

@@ -40,7 +40,6 @@ class FaultyBus:
         self.alive = True  # a killed process's subscriptions wake nobody
 
     def publisher(self, topic: Topic, name: str = "") -> Publish:
-        """Return the function that publishes on a topic."""
         publish, layout = self._bus.publisher(topic, name), _STAMPED.get(topic)
         if layout is None or not self._clock_steps:
             return publish
@@ -53,7 +52,6 @@ class FaultyBus:
         return restamped
 
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
-        """Subscribe to a topic."""
         woken = self._guarded(wake)
         fate = _Fate(self._schedule, self._process, topic, name, self._cuts(topic, name))
         if fate.harmless and self._simulated_router and not self._clock_steps:
@@ -63,7 +61,6 @@ class FaultyBus:
         return subscription
 
     def newest_by_sender(self, topic: Topic, name: str) -> BySender:
-        """Subscribe to a topic that tells senders apart."""
         fate = _Fate(self._schedule, self._process, topic, name, self._cuts(topic, name))
         if fate.harmless and self._simulated_router and not self._clock_steps:
             return self._bus.newest_by_sender(topic, name)
@@ -72,11 +69,9 @@ class FaultyBus:
         return senders
 
     def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
-        """Pass every message on as it arrives."""
         self._bus.listen(topic, name, put)
 
     def listen_by_sender(self, topic: Topic, name: str, put: Callable[[str, int, bytes], None]) -> None:
-        """Pass every message on as it arrives."""
         self._bus.listen_by_sender(topic, name, put)
 
     def stream(self, *expressions: str, capacity: int) -> Stream:
@@ -108,7 +103,6 @@ class FaultyBus:
         return self._bus.ask(topic, name, payload)
 
     def close(self) -> None:
-        """Leave the bus."""
         self._bus.close()
 
     @property
@@ -155,7 +149,6 @@ class _FaultySubscription:
         self._wake(arrival_ns)
 
     def take(self) -> bytes | None:
-        """Return the newest message that is there."""
         pending = self._there()
         if not pending:
             return None
@@ -187,7 +180,6 @@ class _FaultyStream(_FaultySubscription):
     key: str
 
     def drain(self) -> list[Arrival]:
-        """Return what is there."""
         return [Arrival(at_ns, self.key, payload) for at_ns, payload in self._there()]
 
 

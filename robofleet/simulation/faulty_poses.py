@@ -26,11 +26,9 @@ class FaultyFeed:
         self._last: Frame | None = None
 
     def next_ns(self) -> int | None:
-        """Return when there will be something to take."""
         return self._feed.next_ns()
 
     def take(self, now_ns: int) -> Frame | Lost | None:
-        """Return the image that is there, or why there is none."""
         taken = self._feed.take(now_ns)
         if not isinstance(taken, Frame):
             return taken
@@ -44,7 +42,6 @@ class FaultyFeed:
         return taken
 
     def close(self) -> None:
-        """Let go of the camera."""
         self._feed.close()
 
 
@@ -93,13 +90,11 @@ class FaultyPoses:
         self._news = News()
 
     def next_ns(self) -> int | None:
-        """Return when the next observation will be ready; None: a message or a camera will wake the process."""
         times = [ready_ns for ready_ns, _ in list(self._held)[:1]]
         next_ns = self._source.next_ns()
         return min(times if next_ns is None else [*times, next_ns], default=None)
 
     def observe(self, now_ns: int) -> Observation | None:
-        """Return the observation that is ready, or None."""
         observation, at_ns = self._source.observe(now_ns), self._now_ns()
         if struck(self._silent, at_ns):
             observation = None
@@ -117,11 +112,9 @@ class FaultyPoses:
         return self._held.popleft()[1] if self._held and self._held[0][0] <= now_ns else None
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         return self._source.news() + self._news.take()
 
     def close(self) -> None:
-        """Let go of the device."""
         self._source.close()
 
     def _dropout(self, injection: Injection, seen: Observation, _now_ns: int) -> Observation:

@@ -40,7 +40,6 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
 
 
 def light_at(settings: SimulatedCameraSettings, t: float) -> float:
-    """Return the share of full light at a time."""
     if not settings.daylight:
         return settings.light
     return float(np.interp(t, *np.array([(then.at_s, then.light) for then in settings.daylight]).T))
@@ -76,7 +75,6 @@ class ScenePlay:
         return looks
 
     def frozen(self, t: float) -> bool:
-        """Return whether the same picture is sent again."""
         return any(outage.kind == "frozen" and _remaining(outage, t) > 0.0 for outage in self._settings.outages)
 
     def stalled_for(self, t: float) -> float:

@@ -19,7 +19,8 @@ from robofleet.studies import cluster
 from robofleet.studies.engine import Engine
 from robofleet.studies.progress import bar
 from robofleet.studies.storm import report as storm_report
-from robofleet.studies.storm import workers
+from robofleet.studies.storm import tally as storms
+from robofleet.studies.storm.episode import Episode
 from robofleet.studies.sweep import journal, page, table
 from robofleet.studies.sweep import report as sweep_report
 from robofleet.studies.sweep.journal import Journal
@@ -76,8 +77,13 @@ def storm(
     replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
     with hangup_interrupts(), cluster.opened(on, jobs) as where:
         started_ns = WallClock().now_ns()
-        with storm_report.progress(seeds, replay) as watch:
-            tally = workers.storm(tree, range(first, first + seeds), where, watch)
+        with bar("storm", seeds) as shown:
+
+            def watch(_tally: storms.Tally, episode: Episode) -> None:
+                shown.say(*storm_report.lines(episode, replay))
+                shown.add(failed=bool(episode.violations))
+
+            tally = storms.storm(tree, range(first, first + seeds), where, watch)
     if not storm_report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
         raise typer.Exit(1)
 

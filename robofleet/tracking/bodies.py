@@ -101,7 +101,6 @@ class FleetBodies:
         return tuple(found), strange
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         return self._news.take()
 
     def _moves(self, seen: _Seen, body: Body) -> bool:

@@ -81,7 +81,6 @@ class DriftMonitor:
     """
 
     def __init__(self, geometry: CameraGeometry, landmarks: Sequence[Landmark]) -> None:
-        """Take the calibrated camera."""
         self.trusted, self.floor_seen = True, False
         n = len(landmarks)
         table = np.array(landmarks, dtype=np.float64).reshape(n, 5)
@@ -280,7 +279,6 @@ class DriftMonitor:
         return tuple(Notice(TrackerEvent.TAG_JUMPED, self._tags[row], float(distance[row])) for row in fresh)
 
     def _learn(self, residual: Array, agree: Flags) -> None:
-        """Learn what landmarks are off by themselves."""
         shaking = self._sensitivity**2 @ self._vibration
         patience = _LEARNT * (1.0 + np.sqrt(shaking.reshape(-1, 3)[:, :2].max(1)) / self._noise[:2].max())
         fresh = agree & (self._learnt < patience)

@@ -112,7 +112,6 @@ class FleetSight:
         return camera
 
     def light(self, image: NDArray[np.uint8]) -> Light:
-        """Return how bright the image (H, W) is that was seen last."""
         return self._light.of(image, self._tracker.geometry, self._measured)
 
     def _robot(self, seen: TagSighting) -> TagSighting:

@@ -117,7 +117,6 @@ def built(drive: DifferentialDrive, imperfections: Imperfections, rng: np.random
 
 
 def placed(pose: tuple[float, float, float], now_ns: int) -> Body:
-    """Return a body that stands at a pose."""
     x, y, psi = pose
     return Body(x=x, y=y, psi=psi, reached_ns=now_ns)
 
@@ -128,13 +127,11 @@ def capacity(delay_ns: int) -> int:
 
 
 def random_numbers(rng: np.random.Generator) -> list[float]:
-    """Return the next block of random numbers."""
     numbers: list[float] = rng.standard_normal(RANDOM_BLOCK)[::-1].tolist()
     return numbers
 
 
 def befall(b: Body, trouble: BodyTrouble) -> None:
-    """Let something be wrong with a robot from now on."""
     b.stuck, b.slip = trouble.stuck, trouble.slip
     b.left_runs = math.nan if trouble.left is None else trouble.left
     b.right_runs = math.nan if trouble.right is None else trouble.right
@@ -306,11 +303,9 @@ class Plant:
         return self.reading().battery
 
     def reading(self) -> DriverReading:
-        """Return what the robot's own sensors say."""
         return DriverReading(*measured(self._b, self._p), self._b.faults)
 
     def truth(self) -> TruePose:
-        """Return the true pose and body velocity."""
         b = self._b
         return TruePose(b.x, b.y, b.psi, b.v, b.omega)
 

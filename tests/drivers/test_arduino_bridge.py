@@ -3,8 +3,6 @@
 import itertools
 import math
 import select
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,13 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robofleet.core.clock import MS, S, SimulatedClock, WallClock
+from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.drivers.arduino_bridge import ArduinoBridge
 from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.simulation.serial_line import SerialLine
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, Simulation, WheelSpeeds
 from tests.robots import GTERNAL, IDEAL
-from tests.twins import TwinStand, config_of
 
 COUNTS_PER_TURN = 2000
 FRAME_S = 0.033  # 1000 / 30, in whole milliseconds
@@ -384,14 +381,6 @@ def test_a_driver_that_was_held_up_itself_does_not_blame_the_robot(bench: Bench)
     bench.poll()
 
 
-def test_a_line_that_is_gone_is_said_at_once(bench: Bench) -> None:
-    bench.robot.line.unplug()
-    with pytest.raises(DriverError, match=r"r1\.tty"):
-        bench.driver.read()
-    with pytest.raises(DriverError, match=r"r1\.tty"):
-        bench.driver.write(STOP)
-
-
 def test_closing_stops_the_wheels_though_the_first_word_is_lost(bench: Bench) -> None:
     bench.write(34, 12)
     losses = iter([True])
@@ -452,38 +441,3 @@ def test_encoders_that_cannot_drive_the_robot_are_refused(counts_per_turn: float
     assert key == "settings.counts_per_turn"
     assert "counts a frame" in why
     assert not ArduinoBridge.refusals(settings.model_copy(update={"counts_per_turn": 2000.0}), GTERNAL)
-
-
-DRIVER = f"""
-import sys, threading
-from types import SimpleNamespace
-from robofleet.drivers.arduino_bridge import ArduinoBridge
-from robofleet.core.clock import WallClock
-from robofleet.vehicles.interface import WheelSpeeds
-settings = ArduinoBridge.Settings(port=sys.argv[1], counts_per_turn={COUNTS_PER_TURN})
-drive = SimpleNamespace(max_wheel_speed=12.0)
-driver = ArduinoBridge(SimpleNamespace(drive=drive, now_ns=WallClock().now_ns, settings=settings))
-while True:
-    driver.read()
-    driver.write(WheelSpeeds(3.0, 3.0))
-    threading.Event().wait(0.01)
-"""
-
-
-def test_wheels_stop_soon_after_a_driver_that_is_killed(tmp_path: Path) -> None:
-    clock = WallClock()
-    stand = TwinStand(config_of(twin="arduino_bridge", vehicle="arduino"), tmp_path, clock)
-
-    def wait_until(condition: Callable[[], bool], seconds: float) -> None:
-        until_ns = clock.now_ns() + round(seconds * S)
-        while not condition():
-            assert clock.now_ns() < until_ns
-            clock.sleep_until(clock.now_ns() + 5 * MS)
-
-    with stand.running():
-        process = subprocess.Popen([sys.executable, "-c", DRIVER, str(stand.port)])
-        wait_until(lambda: stand.twin.truth().v > 0.05, 30.0)
-        process.kill()
-        process.wait()
-        wait_until(lambda: stand.twin.truth().v < 0.005, 1.2)  # its own stop would take 2 s
-    stand.twin.close()

@@ -16,8 +16,6 @@ from robofleet.config.load import load_config
 from robofleet.core.clock import S
 from robofleet.gateways.place import ArenaAccess, Served, is_over
 from robofleet.gateways.viewers.live import Viewers
-from robofleet.gateways.viewers.server import Opened
-from robofleet.recording.scenes.drawn import Channel
 from robofleet.safety.supervisor import NOBODY, Phase
 from tests.endpoints import short_folder
 
@@ -62,7 +60,7 @@ def test_the_next_run_of_an_arena_is_another_one(monkeypatch: pytest.MonkeyPatch
 class Said:
     """What comes of a bus, and what a viewer is told of it."""
 
-    dropped = 0
+    dropped, address = 0, ""
 
     def __init__(self, epochs: Sequence[int]) -> None:
         self._arrivals = [Arrival(at * S, STATES, state(epoch)) for at, epoch in enumerate(epochs, 1)]
@@ -84,10 +82,6 @@ class Said:
 
 def test_viewers_see_nothing_of_the_next_run() -> None:
     source, served = Said([1, 1, 2, 2]), Served(lambda: False, 0)
-
-    def opened(_: Sequence[Channel]) -> Opened:
-        return Opened(source, "")
-
-    with closing(Viewers(CONFIG, source, served, opened, 0)) as viewers:
+    with closing(Viewers(CONFIG, source, served, lambda _: source, 0)) as viewers:
         viewers.step(4 * S)
     assert source.states == [state(1)] * 2 and served.is_over(4 * S)

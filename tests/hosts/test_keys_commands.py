@@ -288,7 +288,9 @@ def test_all_are_renewed_but_who_is_revoked(lab: Path) -> None:
 
 def test_a_revoked_or_expired_name_gets_no_bundle(lab: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said("keys", "revoke", "lab", "r1")
-    assert "`robofleet keys add lab r1`" in refused("keys", "bundle", "lab", "r1", "--router", ROUTER)
+    assert "r1 is revoked already" in refused("keys", "revoke", "lab", "r1")
+    for words in (["renew", "lab", "r1"], ["bundle", "lab", "r1", "--router", ROUTER]):
+        assert "`robofleet keys add lab r1`" in refused("keys", *words)
     said("keys", "add", "lab", "r1")
     assert names()["r1"]["common_name"] == "r1#2"
     later(monkeypatch, 200)
@@ -433,7 +435,7 @@ def test_a_person_joins_without_a_robot_file(lab: Path, desk: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_named(bundle: Path, desk: Path) -> None:
     (desk / "robot").write_text("no folder")
-    assert "robot" in refused("join", bundle, "--into", desk / "robot")
+    assert "keys are to be kept there" in refused("join", bundle, "--into", desk / "robot")
 
 
 def test_another_authoritys_folder_is_not_overwritten(lab: Path, bundle: Path, desk: Path) -> None:

@@ -137,6 +137,13 @@ class Stand:
         assert self.state.phase == Phase.RUNNING
         assert min(self.limits()) > 0.0
 
+    def armed(self) -> None:
+        self.run(S // 5)
+        assert self.ask("arm") == "ok"
+        self.run(2 * S)
+        assert (self.state.phase, self.state.stage) == (Phase.ARMED, Stage.DONE)
+        assert self.limits() == [0.0] * 4
+
     def tell(self, event: TrackerEvent | int, robot: str | None = None, value: float = 0.0) -> None:
         """Let the tracker tell something."""
         self._news += 1

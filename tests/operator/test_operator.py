@@ -180,13 +180,3 @@ def test_without_a_run_there_is_nothing_to_stop(tmp_path: Path) -> None:
         assert (done.exit_code, done.stdout) == (2, ""), command
         where = f"{tmp_path}/tmp/robofleet or {tmp_path}/rt/robofleet"
         assert done.stderr == f"no arena has a run in {where}: start one with `robofleet run CONFIG`\n", command
-
-
-def test_stop_waits_for_no_heavy_library() -> None:
-    import subprocess
-    import sys
-
-    heavy = "[n for n in ('numpy', 'numba', 'cv2', 'matplotlib', 'pydantic') if n in sys.modules]"
-    code = f"import sys, robofleet.cli, robofleet.operator.requests; print({heavy})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

@@ -144,7 +144,7 @@ with Terminal() as terminal:
 BLOCKED_RUN = """
 import os, sys
 from pathlib import Path
-from robofleet.cli import _settled
+from robofleet.operator.run_command import _settled
 from robofleet.config.load import load_config
 from robofleet.runs.launcher import Launcher
 from robofleet.operator.terminal.terminal import Terminal

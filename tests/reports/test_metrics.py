@@ -11,7 +11,6 @@ import pytest
 
 from robofleet.bus.keys import CAMERA, NEWS, TICK, key
 from robofleet.bus.messages import TRACKER_NEWS, TrackerNews
-from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S
 from robofleet.recording.run import Recording
 from robofleet.safety.latches import GateStatus
@@ -278,4 +277,3 @@ def test_one_robot_alone_has_no_spacing(story: Make, figures: Make) -> None:
     assert (s["spacing_m"], s["min_gap_mm"]) == (None, None)
     assert s["path_error_mm"]["per_robot_mean"] == [EXACT]
     assert s["robots"] == ["r1"]
-    assert load_config  # the config is validated as any other

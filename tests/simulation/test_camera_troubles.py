@@ -11,15 +11,17 @@ import pytest
 from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import TRUTH
 from robofleet.config.load import load_config
-from robofleet.core.clock import MS, S, SimulatedClock
+from robofleet.core.clock import MS, S, SimulatedClock, WallClock
 from robofleet.simulation.sources import SimulatedCamera
+from robofleet.testing import CameraContract
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.sources import CameraContext, Frame
+from robofleet.tracking.sources import Frame
 from robofleet.tracking.tags.detection import TagDetector
 from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import Target
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.bus.alone import Truth
+from tests.contexts import context
 from tests.shipped import PLATOON
 
 PERIOD_NS = 50 * MS  # of the camera
@@ -40,10 +42,7 @@ class Stage:
         bus: Any = MemoryBus("platoon", self.clock, 0)
         self._publish = [bus.publisher(TRUTH, robot.id) for robot in self.config.robots]
         ticks: Any = SimpleNamespace(began_ns=S + PERIOD_NS)  # at its first image
-        context = CameraContext(
-            config=self.config, clock=self.clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=0
-        )
-        self.camera = SimulatedCamera(context)
+        self.camera = SimulatedCamera(context(self.config, self.clock, bus=bus, ticks=ticks))
         self.eye = CameraGeometry.from_model(self.config.camera.model)
 
     def where(self, row: int, instant_ns: float) -> tuple[float, float, float]:
@@ -77,6 +76,14 @@ class Stage:
         ((x, y, psi),) = self.seen(frame, row + 1)
         true = self.where(row, frame.exposure_ns + after_ns)
         return math.dist((x, y), true[:2]), abs(math.remainder(psi - true[2], math.tau))
+
+
+class TestContract(CameraContract):
+    shape = (720, 1280)
+
+    @pytest.fixture
+    def camera(self) -> SimulatedCamera:
+        return SimulatedCamera(context(load_config(PLATOON, ["camera.trigger=free"]), WallClock()))
 
 
 def test_untroubled_it_shows_robots_where_they_are_at_mid_exposure() -> None:

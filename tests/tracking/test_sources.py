@@ -8,7 +8,7 @@ import pytest
 
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.tracking.events import TrackerEvent
-from robofleet.tracking.sources import CameraPoller, CameraReader, Frame, Lost, ReopenedCamera
+from robofleet.tracking.sources import Frame, Lost, Poller, Reader, ReopenedCamera
 
 IMAGE = np.zeros((4, 4), np.uint8)
 E = TrackerEvent
@@ -144,7 +144,7 @@ def test_a_camera_without_an_identity_is_not_the_one_that_was_calibrated() -> No
 
 def test_a_reader_keeps_the_newest_image() -> None:
     queue, woken = script(), Woken()
-    reader = CameraReader(of(Scripted(queue)), woken)
+    reader = Reader(of(Scripted(queue)), woken)
     assert reader.take(0) is None
     for exposure_ns in (1, 2, 3):
         queue.put(exposure_ns)
@@ -157,7 +157,7 @@ def test_a_reader_keeps_the_newest_image() -> None:
 def test_a_reader_loses_neither_the_last_image_nor_why_it_was_the_last() -> None:
     queue, woken = script(1, 2, EOFError("all shown")), Woken()
     before = set(threading.enumerate())
-    reader = CameraReader(of(Scripted(queue)), woken)
+    reader = Reader(of(Scripted(queue)), woken)
     woken.wait(3)
     assert reader.take(0) == Frame(IMAGE, 2)
     assert reader.take(0) == Lost(E.CAMERA_ENDED, "all shown")
@@ -172,7 +172,7 @@ def test_a_reader_opens_again_for_as_long_as_it_takes() -> None:
     woken = Woken()
     second, clock = Scripted(script(2)), WallClock()
     started_ns = clock.now_ns()
-    reader = CameraReader(of(Scripted(script(1, OSError("gone"))), OSError("not yet"), second), woken)
+    reader = Reader(of(Scripted(script(1, OSError("gone"))), OSError("not yet"), second), woken)
     woken.wait(4)
     assert clock.now_ns() - started_ns >= 600 * MS, "0.2 s, then 0.4 s"
     taken = [reader.take(0) for _ in range(4)]
@@ -186,7 +186,7 @@ def test_a_reader_opens_again_for_as_long_as_it_takes() -> None:
 def test_closing_a_reader_ends_its_thread_even_while_it_waits() -> None:
     before = set(threading.enumerate())
     camera = Scripted(script())
-    reader = CameraReader(of(camera), Woken())
+    reader = Reader(of(camera), Woken())
     (thread,) = set(threading.enumerate()) - before
     reader.close()
     reader.close()
@@ -203,7 +203,7 @@ def test_closing_a_reader_ends_one_that_gives_image_after_image() -> None:
 
     before, woken = set(threading.enumerate()), Woken()
     camera = Running(script())
-    reader = CameraReader(of(camera), woken)
+    reader = Reader(of(camera), woken)
     (thread,) = set(threading.enumerate()) - before
     woken.wait(3)
     reader.close()
@@ -214,7 +214,7 @@ def test_closing_a_reader_ends_one_that_gives_image_after_image() -> None:
 def test_a_poller_reads_when_the_image_is_there_and_not_before() -> None:
     camera = Scheduled(script(1, 2))
     camera.due_ns = 50 * MS
-    poller = CameraPoller(of(camera))
+    poller = Poller(of(camera))
     assert poller.next_ns() == 50 * MS
     assert poller.take(49 * MS) is None
     assert poller.take(50 * MS) == Frame(IMAGE, 1)
@@ -226,7 +226,7 @@ def test_a_poller_reads_when_the_image_is_there_and_not_before() -> None:
 def test_a_poller_opens_again_with_the_same_patience() -> None:
     second = Scheduled(script(7))
     second.due_ns = 5 * S
-    poller = CameraPoller(of(Scheduled(script(OSError("gone"))), OSError("a"), OSError("b"), second))
+    poller = Poller(of(Scheduled(script(OSError("gone"))), OSError("a"), OSError("b"), second))
     now_ns, losses = S, []
     while len(losses) < 3:
         if isinstance(taken := poller.take(now_ns), Lost):
@@ -242,7 +242,7 @@ def test_a_poller_opens_again_with_the_same_patience() -> None:
 
 
 def test_a_poller_ends_with_its_file() -> None:
-    poller = CameraPoller(of(Scheduled(script(1, EOFError("all shown")))))
+    poller = Poller(of(Scheduled(script(1, EOFError("all shown")))))
     assert poller.take(S) == Frame(IMAGE, 1)
     assert poller.take(S) == Lost(E.CAMERA_ENDED, "all shown")
     assert poller.next_ns() is None

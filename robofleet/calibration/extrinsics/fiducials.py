@@ -55,11 +55,9 @@ class Marks:
     by_lens: Array | float = 0.0  # (N, 2, K) how x, y follow the lens's values [m], if they were seen; 0: by hand
 
     def __len__(self) -> int:
-        """Return N."""
         return len(self.names)
 
     def chosen(self, which: NDArray[np.bool_]) -> "Marks":
-        """Return some of them."""
         names = tuple(name for name, keep in zip(self.names, which, strict=True) if keep)
         points, headings, sides, pixels, ahead, sigma_px = (
             array[which] for array in (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)
@@ -160,9 +158,7 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
         for tag in survey.floor_tags
         if tag.tag not in twice and any(tag.tag in prints for prints in found)
     }
-    spreads = {
-        tag: float(np.sqrt(np.var([seen.centre for seen in track], axis=0).max())) for tag, track in tracks.items()
-    }
+    spreads = {tag: float(np.std([seen.centre for seen in track], axis=0).max()) for tag, track in tracks.items()}
     usual = float(np.median(list(spreads.values()))) if spreads else 0.0
     carried = {tag for tag, spread in spreads.items() if spread > 3.0 * usual + _MOVED_PX}
     marks = _marks(survey, {tag: track for tag, track in tracks.items() if tag not in carried})

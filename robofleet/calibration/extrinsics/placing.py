@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.fiducials import Marks
+from robofleet.calibration.lens import projection
 from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
 
 PARAMETERS = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "shift_x_m", "shift_y_m", "shift_z_m")  # of a covariance
 LEAST_SURVEY_M = 1e-4  # nobody surveys a floor better
 _GAUSS_NEWTON_STEPS = 8  # from a pose that is right to some centimetres
-_DIFFERENCE_PX = 0.25
 _HEADING_RAD = math.radians(1.0)  # standard deviation of a tag's heading laid out by hand, until the tags tell
 _LEAST_HEADING_RAD = math.radians(0.2)
 _TURNED = 4.0  # a heading so many standard deviations off was surveyed wrongly
@@ -46,23 +46,20 @@ class Lens:
 
     def by_pixel(self, pixels: Array) -> Array:
         """Return how the slopes change with the pixel (N, 2, 2) [1/px]."""
-        steps = _DIFFERENCE_PX * np.eye(2)
-        return np.stack([self.slopes(pixels + s) - self.slopes(pixels - s) for s in steps], -1) / (2.0 * _DIFFERENCE_PX)
+        return np.asarray(np.linalg.inv(self._derivatives(pixels)[0]))
 
     def by_lens(self, pixels: Array) -> Array:
         """Return how the slopes change with the lens's values (N, 2, K)."""
-        K, distortion, lens = self.geometry.K, self.geometry.distortion, self.geometry.lens
-        values = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], distortion])
-        columns = []
-        for k in range(len(self.covariance)):
-            step = 0.1 if k < 4 else 1e-4
-            seen = []
-            for sign in (1.0, -1.0):
-                f_x, f_y, c_x, c_y, *rest = values + sign * step * (np.arange(len(values)) == k)
-                changed = CameraGeometry([[f_x, 0, c_x], [0, f_y, c_y], [0, 0, 1]], rest, np.eye(4), lens)
-                seen.append(changed.to_plane(pixels, 1.0))
-            columns.append((seen[0] - seen[1]) / (2.0 * step))
-        return np.stack(columns, -1) if columns else np.zeros((len(pixels), 2, 0))
+        by_slope, by_value = self._derivatives(pixels)
+        return np.asarray(np.linalg.solve(by_slope, -by_value))
+
+    def _derivatives(self, pixels: Array) -> tuple[Array, Array]:
+        """Return how pixels change with their slopes (N, 2, 2) [px], and with the lens's values (N, 2, K)."""
+        K = self.geometry.K
+        values = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], self.geometry.distortion])
+        points = np.column_stack([self.slopes(pixels), np.ones(len(pixels))])
+        _, by_value, by_pose = projection.Lens(self.geometry.lens, self.size, values).project(points, np.zeros(6))
+        return by_pose[:, :, 3:5], by_value[:, :, : len(self.covariance)]
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,6 @@ class Placement:
 
     @property
     def geometry(self) -> CameraGeometry:
-        """Return the camera in its place."""
         return self.lens.geometry.moved(self.T_world_camera)
 
     def spread(self, points: Array) -> Array:

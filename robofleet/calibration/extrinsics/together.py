@@ -49,9 +49,7 @@ def agree_together(views: Sequence[SurveyView], survey_m: float | None) -> list[
     CalibrationError where a camera cannot be placed: it sees too few marks that are surveyed, or that others see.
     """
     found = _begun(views, survey_m)
-    placements = _place(
-        [view.lens for view in views], _used(views, found), [agreement.placement for agreement in found], survey_m
-    )
+    placements = _place([view.lens for view in views], _used(views, found), [a.placement for a in found], survey_m)
     agreements = []
     for view, agreement, placement in zip(views, found, placements, strict=True):
         marks = _placed(view.marks, agreement.placement, known={})
@@ -108,7 +106,6 @@ def _known(marks: Marks, known: dict[str, Array]) -> NDArray[np.bool_]:
 
 
 def _placed(marks: Marks, placement: Placement | None, known: dict[str, Array]) -> Marks:
-    """Return marks with a place for those that nobody surveyed: a known one, or where a camera sees it."""
     points = marks.points.copy()
     for i in np.flatnonzero(np.isnan(points[:, 0])):
         if marks.names[i] in known:

@@ -56,9 +56,8 @@ class Fit:
     @property
     def information(self) -> Array:
         """Return what is known of the lens (P, P), prior included, poses eliminated [1 / px^2 of noise]."""
-        return np.asarray(
-            np.einsum("vkp,vkq->pq", self.roots, self.roots) + self.noise_px**2 * np.diag(self.prior.information)
-        )
+        prior = self.noise_px**2 * np.diag(self.prior.information)
+        return np.asarray(np.einsum("vkp,vkq->pq", self.roots, self.roots) + prior)
 
     @property
     def covariance(self) -> Array:
@@ -103,13 +102,11 @@ class Fit:
         return [np.linalg.solve(identity - R @ known @ R.T, e) for R, e in zip(self.roots, self.rests, strict=True)]
 
     def without(self, left_out: Sequence[int]) -> "Fit":
-        """Return the fit to the other views, from here."""
         kept = [k for k in range(len(self.views)) if k not in left_out]
         return _adjusted(self.lens, tuple(self.views[k] for k in kept), self.poses[kept], self.prior)
 
 
 def fit(kind: Kind, coefficients: int, size: tuple[int, int], views: Sequence[BoardView]) -> Fit:
-    """Fit a lens with so many distortion coefficients to views."""
     views = tuple(views)
     few, starts = views[:: -(-len(views) // _START_VIEWS)], []
     for scale in _FOCAL_STARTS:
@@ -159,8 +156,6 @@ def _prior(start: Lens, focal: float) -> Prior:
 
 
 class _Blocks(NamedTuple):
-    """One view's part of the normal equations."""
-
     lens: Array  # (P, P)
     both: Array  # (P, 6)
     pose: Array  # (6, 6)

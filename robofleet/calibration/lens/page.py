@@ -27,7 +27,6 @@ _CORNER_BGR = (90, 60, 230)
 
 
 def page(measured: Measured, gathering: Gathering, faults: Sequence[str]) -> Report:
-    """Return the report of a lens, refused for ``faults`` or good."""
     report = Report("Camera lens")
     warnings = measured.warnings()
     if not faults:
@@ -76,7 +75,6 @@ def distortion_figure(measured: Measured) -> Figure:
 
 
 def coverage_figure(measured: Measured) -> Figure:
-    """Draw the corners over the image."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(7.0, 4.2), layout="constrained")
         axes = figure.subplots()
@@ -177,7 +175,6 @@ def _lens(report: Report, measured: Measured) -> None:
 
 
 def _thumbnail(view: BoardView, text: str, *, good: bool | None) -> Picture:
-    """Return a view's image, small, with the corners that were found."""
     scale = _THUMBNAIL_WIDTH_PX / view.image.shape[1]
     small = cv2.resize(view.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     drawn = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
@@ -195,22 +192,14 @@ def _views(report: Report, measured: Measured, gathering: Gathering) -> None:
         lean, angle = tilt(pose)
         cells = int((cell_counts(measured.conditions.size, view.pixels) > 0).sum())
         where = f"{angle:.0f} deg" if lean is Lean.FLAT else f"{angle:.0f} deg, {lean.value} edge away"
-        rows.append(
-            (view.name, len(view.ids), cells, f"{pose[5]:.2f}", where, float(miss), measured.floor.shift_mm(change))
-        )
+        influence_mm = measured.floor.shift_mm(change)
+        rows.append((view.name, len(view.ids), cells, f"{pose[5]:.2f}", where, float(miss), influence_mm))
     report.table(("image", "corners", "cells", "distance, m", "tilt", "typical miss, px", "influence, mm"), rows)
-    report.pictures(
-        [
-            *(
-                _thumbnail(view, f"{view.name}: {miss:.2f} px", good=None)
-                for view, miss in zip(fit.views, fit.typical_px, strict=True)
-            ),
-            *(
-                _thumbnail(view, f"{view.name}: left out, {miss:.2f} px", good=False)
-                for view, miss in measured.outliers
-            ),
-        ]
-    )
+    used = zip(fit.views, fit.typical_px, strict=True)
+    left_out = [
+        _thumbnail(o.view, f"{o.view.name}: left out, {o.typical_px:.2f} px", good=False) for o in measured.outliers
+    ]
+    report.pictures([*(_thumbnail(view, f"{view.name}: {miss:.2f} px", good=None) for view, miss in used), *left_out])
     if measured.outliers:
         report.section("Left out", "These views do not fit the others: blurred, moved, bent, or another board.")
         report.table(

@@ -150,10 +150,9 @@ def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Turned, Turned
     """
     exposures, index, counts = np.unique(ticks["exposure_ns"], return_index=True, return_counts=True)
     stamp_of = dict(zip(exposures[counts == 1].tolist(), ticks["stamp_ns"][index[counts == 1]].tolist(), strict=True))
+    stamp_of.pop(0, None)  # of ticks without an image
     applied = zip(statuses["applied_exposure_ns"].tolist(), statuses["applied_ns"].tolist(), strict=True)
-    shifts = [
-        at_ns - stamp_of[exposure_ns] for exposure_ns, at_ns in applied if exposure_ns and exposure_ns in stamp_of
-    ]
+    shifts = [at_ns - stamp_of[exposure_ns] for exposure_ns, at_ns in applied if exposure_ns in stamp_of]
     nothing = np.empty(0), np.empty((0, 2))
     if not shifts:
         return nothing, nothing
@@ -192,7 +191,6 @@ def _cut(
 
 
 def _ends(config: Config) -> Array:
-    """Return when each robot of a drive has driven [s]."""
     (behaviour,) = groups.behaviours(config)
     assert isinstance(behaviour, Excitation)
     return behaviour.ends

@@ -22,7 +22,6 @@ _START_BARRIER, _TOLERANCE = 1e-4, 1e-6  # a small first barrier parameter: the 
 
 
 def has(solver: Solver) -> bool:
-    """Return whether this casadi was built with a solver."""
     return bool(ca.has_nlpsol(solver))
 
 

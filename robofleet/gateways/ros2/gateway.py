@@ -62,9 +62,14 @@ class Gateway:
         self._parts: list[Component] = [robots, run, sensing]
         if config.tracker.source == "camera":
             self._parts += [Camera(graph, name, view, robots, bus, observer) for name, view in config.trackers.items()]
-        self._markers = graph.publisher(topics.MARKERS)
-        self._markers.publish(markers(config, names, graph.frames))
-        self._floor = Floor(graph, config, names)
+        self._latched = [
+            published(graph, topics.MARKERS, markers(config, names, graph.frames)),
+            published(graph, topics.FLOOR, grid(config, graph)),
+            *(
+                published(graph, topics.DESCRIPTION, String(data=urdf.urdf(robot)), names[robot.id])
+                for robot in config.robots
+            ),
+        ]
         self._publish_fixed_frames(graph, config, names)
         if not has_transforms():
             node.get_logger().warning(
@@ -97,16 +102,11 @@ _CELL_M = 0.02
 _MOST_CELLS = 1_000_000
 
 
-class Floor:
-    """Publishes once, for late subscribers too, what does not move."""
-
-    def __init__(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
-        self._publishers: list[Any] = [graph.publisher(topics.FLOOR)]
-        self._publishers[0].publish(grid(config, graph))
-        for robot in config.robots:
-            description = graph.publisher(topics.DESCRIPTION, names[robot.id])
-            description.publish(String(data=urdf.urdf(robot)))
-            self._publishers.append(description)
+def published(graph: Graph, topic: topics.Topic, message: Any, *names: str) -> Any:
+    """Publish what does not change, for late subscribers too, as long as the publisher that is returned is held."""
+    publisher = graph.publisher(topic, *names)
+    publisher.publish(message)
+    return publisher
 
 
 def grid(config: Config, graph: Graph) -> OccupancyGrid:

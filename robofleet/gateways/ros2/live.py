@@ -64,7 +64,7 @@ def serve(config: Config, access: ArenaAccess, namespace: str) -> None:
             closing(joined(config.arena.name, access.endpoint, SCRIPT, clock, _JOINED_WITHIN_S,
                            credentials=access.credentials))
         )  # fmt: skip
-        asking = held.enter_context(closing(Asking(bus, clock, config, access.role)))
+        asking = held.enter_context(closing(Asking(bus, clock, config.units, access.role)))
         executor = SingleThreadedExecutor(context=made.context)
         executor.add_node(made)
         served = Served(lambda: is_over(config, access), clock.now_ns())

@@ -15,12 +15,12 @@ from rosgraph_msgs.msg import Clock
 
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
-from robofleet.gateways.asking import Outcome
 from robofleet.gateways.place import Served
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.gateway import Gateway, serve_requests
 from robofleet.gateways.ros2.graph import profile, stamped
 from robofleet.gateways.ros2.live import node
+from robofleet.operator.asking import Outcome
 from robofleet.operator.terminal.terminal import Interrupts, interrupts
 from robofleet.safety.supervisor import Phase
 from robofleet.scripts.script_link import FleetError

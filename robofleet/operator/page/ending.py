@@ -52,7 +52,6 @@ class Ending:
 
     @property
     def done(self) -> bool:
-        """Whether the page is needed no more."""
         if not self._over_ns:
             return False
         since_ns = self._clock.now_ns() - self._over_ns

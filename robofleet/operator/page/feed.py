@@ -46,7 +46,6 @@ class Diary:
         return list(self._lines)[-new:] if new > 0 else []
 
     def look(self, hearing: Hearing, news: list[tuple[str, TrackerNews]]) -> None:
-        """Add a line for each change."""
         lines: list[Line] = []
         if hearing.state is not None:
             lines += state_lines(self._state, hearing.state, self._robots)
@@ -137,25 +136,20 @@ class Feed:
         return before
 
     def shapes(self) -> str:
-        """Return what is drawn on the floor now."""
         return dumps(frames.shapes(self._groups, [marks.shapes for marks in self._marks]), compact=True)
 
     def _mark(self) -> None:
-        """Take the scripts' new marks."""
         marks = {group.name: own for group, own in zip(self._groups, self._marks, strict=True)}
         self.marked += sum(marks[group].take(note.mark) for group, note in self.hearing.notes if note.mark is not None)
 
     def beat(self) -> str:
-        """Return the ages of the newest words."""
         return dumps(frames.beat(self.hearing, self._clock.now_ns()))
 
     @property
     def phase(self) -> str:
-        """The run's phase."""
         return phase_name(self.hearing.state)
 
     def now_ns(self) -> int:
-        """Return the clock's instant."""
         return self._clock.now_ns()
 
     @cached_property
@@ -202,11 +196,9 @@ class Page:
         self.wants_picture = ""  # the camera's name; empty: none
 
     def wake(self) -> None:
-        """Wake the task that sends."""
         self._woken.set()
 
     def tell(self, frame: Frame) -> None:
-        """Send an answer."""
         self._answers.append(frame)
         self.wake()
 

@@ -156,7 +156,6 @@ def event(at_s: float | None, level: str, text: str) -> Frame:
 
 
 def answer(to: str, ok: bool, text: str) -> Frame:
-    """Return what came of something that the page asked for."""
     return {"type": "answer", "to": to, "ok": ok, "text": text}
 
 

@@ -133,7 +133,6 @@ class Hearing:
         return news
 
     def now_ns(self) -> int:
-        """Return the clock's instant."""
         return self._clock.now_ns()
 
     def controller_silent(self) -> bool:

@@ -45,7 +45,6 @@ class Overlay:
         self._robots = {robot.tag: robot.id for robot in config.robots}
 
     def place(self, at: Timestamp) -> FrameTransform:
-        """Return where the camera is."""
         x, y, z = self._geometry.position.tolist()
         rotation = cv2.Rodrigues(self._geometry.T_world_camera[:3, :3])[0].ravel()
         angle = float(np.linalg.norm(rotation))

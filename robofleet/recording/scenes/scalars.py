@@ -70,7 +70,6 @@ def _blank(fields: Sequence[tuple[str, str]]) -> NDArray[np.void]:
 
 
 def _described(package: str, name: str, fields: tuple[Scalar, ...]) -> bytes:
-    """Return the FileDescriptorSet."""
     files = FileDescriptorSet()
     file = files.file.add(name=f"{package}/{name}.proto", package=package, syntax="proto3")
     message = file.message_type.add(name=name)

@@ -63,7 +63,6 @@ def _split(direction: str, *parts: str | Panel) -> str | Panel:
 
 
 def _scene(config: Config) -> Panel:
-    """Return the arena from above."""
     size = config.arena.size_m
     camera = {
         "distance": 1.3 * max(size), "perspective": False, "phi": 0, "thetaOffset": 90, "target": [0, 0, 0],

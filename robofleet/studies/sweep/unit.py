@@ -32,7 +32,6 @@ class Played(NamedTuple):
 
 
 def play(job: Job) -> Played:
-    """Run in lockstep."""
     began_ns = cpu_ns()
     with redirect_stderr(StringIO()):  # processes complain as they should: the summary says what matters
         run = Lockstep(job.config)

@@ -39,7 +39,6 @@ class BaslerCamera:
     """Reads the camera of ``camera.basler``; CameraError with the setting that it does not take over."""
 
     def __init__(self, context: CameraContext) -> None:
-        """Open the camera, set it up and start it."""
         if not _installed():
             raise CameraError(_NO_PYPYLON)
         genicam, pylon = _loaded()
@@ -68,7 +67,6 @@ class BaslerCamera:
 
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:
-        """Return what cannot work with this configuration on this machine."""
         if not _installed():
             yield "camera.source", _NO_PYPYLON
         if config.camera.triggered_by_line and config.camera.adjusts_exposure:
@@ -132,7 +130,6 @@ class BaslerCamera:
         return Frame(result.Array, began_ns + start_to_middle_ns(self._settings, exposure.time_s), exposure)
 
     def close(self) -> None:
-        """Stop the camera and close it."""
         self._camera.Close()
 
 

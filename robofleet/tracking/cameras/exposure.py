@@ -73,7 +73,6 @@ class ExposureController:
         return new
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         return self._news.take()
 
     def _within(self, exposure: Exposure) -> Exposure:
@@ -181,7 +180,6 @@ def nothing_left(config: Config, camera: ExposureLimits) -> Iterator[Complaint]:
 
 
 def bounded(config: Config, camera: ExposureLimits) -> ExposureLimits:
-    """Return the limits of a camera within those of a configuration."""
     bound, (low, high) = longest_exposure(config), _gains(config, camera)
     longest_s = _floor(min(bound.time_s, camera.longest.time_s), camera.step.time_s)
     return camera._replace(

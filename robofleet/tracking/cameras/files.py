@@ -11,17 +11,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.config.camera import FilesSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Image
 from robofleet.core.clock import S
 from robofleet.tracking.cameras.stamps import Stamp, read_stamps
 from robofleet.tracking.sources import CameraContext, CameraError, Frame
-
-Image = NDArray[np.uint8]  # gray (H, W)
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}
 _AS_TAKEN = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # pixels as the sensor has them
@@ -123,7 +120,6 @@ class FileCamera:
             raise EOFError(str(error) or f"{self._path} ends before its stamps do") from error
 
     def close(self) -> None:
-        """Close the file."""
         self._entries = iter(())
 
     def _exposure_ns(self, k: int) -> int:

@@ -95,7 +95,6 @@ class CameraWatch:
         self._say(event, self._images if event is TrackerEvent.CAMERA_ENDED else 0.0)
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         return self._news.take()
 
     def _timed(self, exposure_ns: int, now_ns: int) -> bool:

@@ -323,7 +323,6 @@ def _grid(count: int, square: int) -> Complex:
 
 
 def _smooth(image: Image) -> Image:
-    """Return an image with less noise."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
 
 

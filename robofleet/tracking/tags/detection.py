@@ -144,7 +144,6 @@ class Sweep:
         self._searched: list[_Searched | None] = [None] * len(self._tiles)
 
     def __len__(self) -> int:
-        """Return how many tiles there are."""
         return len(self._tiles)
 
     def search(self, image: Image, turn: int, known: Complex) -> Findings:
@@ -193,7 +192,6 @@ def wrapped(psi: float) -> float:
 
 
 def _parameters() -> cv2.aruco.DetectorParameters:
-    """Return the settings of OpenCV's detector: one threshold."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = 13
     parameters.adaptiveThreshConstant = 15.0

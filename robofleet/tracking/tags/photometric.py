@@ -51,11 +51,9 @@ class Fit(NamedTuple):
     covariance: Array  # (M, 6), each a ``Covariance``
 
     def of(self, which: Indices) -> "Fit":
-        """Return some of them."""
         return Fit(self.centre[which], self.psi[which], self.alike[which], self.row[which], self.covariance[which])
 
     def found(self, row: int, target: int) -> Found:
-        """Return one of them, of the target with this index."""
         return Found(target, complex(self.centre[row]), float(self.psi[row]), covariance(self.covariance[row]))
 
 

@@ -246,7 +246,6 @@ class TagTracker:
         return found
 
     def _region(self, i: int, exposure_ns: int) -> Region:
-        """Return the pixels where a hidden tag may be."""
         (u, v) = self._fit.pixels(np.array([i]), self._centre[[i]])[0]
         half = (
             self._reach(i, exposure_ns) + _REGION_MARGIN * self._targets[i].whole * math.sqrt(2.0)
@@ -258,7 +257,6 @@ class TagTracker:
         )
 
     def _take(self, tag: Found, exposure_ns: int) -> None:
-        """Believe what was found."""
         i = tag.target
         if 0 < self._measured_ns[i] < exposure_ns - _GAP_NS:
             self._regained_ns[i] = exposure_ns

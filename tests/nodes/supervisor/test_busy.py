@@ -26,10 +26,12 @@ def told(stand: Stand) -> BusyMachine | None:
 
 
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
+@pytest.mark.parametrize("counted", [False, True])
 def test_a_simulated_run_goes_on_when_who_was_late_is_heard_again(
-    stand_of: MakeStand, who: str, event: Event, robot: int
+    stand_of: MakeStand, who: str, event: Event, robot: int, counted: bool
 ) -> None:
-    stand = stand_of(contended=0.9)
+    """Whether its turns are counted, and show that it waited for a core, or not."""
+    stand = stand_of(contended=0.9, counted=counted)
     stand.running()
     stand.silent.add(who)
     stand.run(700 * MS)
@@ -69,18 +71,6 @@ def test_who_was_stopped_or_hangs_on_a_busy_machine_is_not_late_by_load(
     message = told(stand)
     assert message is not None
     assert (message.cause, message.goes_on, message.resumed) == (Event.NOTHING, 0, 0)
-
-
-@pytest.mark.parametrize(("who", "event", "robot"), SILENT)
-def test_who_waited_for_a_core_is_late_by_load(stand_of: MakeStand, who: str, event: Event, robot: int) -> None:
-    stand = stand_of(contended=0.9, counted=True)
-    stand.running()
-    stand.silent.add(who)
-    stand.run(700 * MS)
-    assert stand.cause == (Phase.HOLD, event, robot)
-    stand.silent.clear()
-    stand.run(S)
-    assert stand.cause == (Phase.RUNNING, Event.CAUGHT_UP, NOBODY)
 
 
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)

@@ -1,17 +1,14 @@
 """What the tracker tells the supervisor: who is seen, who is not, and what became of the camera."""
 
-from math import nan
-from struct import pack
 from typing import Any
 
 import numpy as np
 import pytest
 
-from robofleet.bus.keys import CAMERA, NEWS, POSES
-from robofleet.bus.messages import TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
+from robofleet.bus.keys import CAMERA, POSES
+from robofleet.bus.messages import FleetPoses, TagPose
 from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import NOBODY, Event, Phase
-from robofleet.tracking.events import TrackerEvent
 from tests.nodes.stand import ROBOTS, Stand
 
 
@@ -30,16 +27,6 @@ def test_a_robot_whose_tag_is_hidden_stands_alone_and_goes_on_when_it_is_seen(st
     stand.run(100 * MS)
     assert min(stand.limits()) > 0.0
     assert stand.state.robots[2].cause == Event.NOTHING
-
-
-def test_a_robot_hidden_for_two_seconds_ends_the_run_and_keeps_its_cause(stand: Stand) -> None:
-    stand.running()
-    stand.hidden.add("r4")
-    stand.run(1900 * MS)
-    assert stand.state.phase == Phase.RUNNING
-    stand.run(200 * MS)
-    assert stand.cause == (Phase.FAULT, Event.TAG_LOST, 3)
-    assert stand.state.robots[3].cause == Event.TAG_LOST
 
 
 def test_a_tag_that_the_tracker_predicts_is_not_seen(stand: Stand) -> None:
@@ -88,44 +75,6 @@ def test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost
     assert [robot.cause for robot in stand.state.robots] == [0, Event.TAG_LATE, 0, 0]
 
 
-@pytest.mark.parametrize(
-    ("event", "robot", "to"),
-    [
-        (TrackerEvent.CAMERA_STALLED, None, (Phase.HOLD, Event.CAMERA_STALLED)),
-        (TrackerEvent.CAMERA_FROZEN, None, (Phase.HOLD, Event.CAMERA_FROZEN)),
-        (TrackerEvent.CAMERA_UNPLUGGED, None, (Phase.FAULT, Event.CAMERA_LOST)),
-        (TrackerEvent.CAMERA_RESIZED, None, (Phase.FAULT, Event.CAMERA_LOST)),
-        (TrackerEvent.CAMERA_STRANGE, None, (Phase.FAULT, Event.CAMERA_LOST)),
-        (TrackerEvent.CAMERA_ENDED, None, (Phase.FAULT, Event.CAMERA_LOST)),
-        (TrackerEvent.CAMERA_MOVED, None, (Phase.FAULT, Event.CAMERA_MOVED)),
-        (TrackerEvent.POSES_SILENT, None, (Phase.HOLD, Event.POSES_SILENT)),
-        (TrackerEvent.BODY_LOST, "r2", (Phase.RUNNING, Event.PROVED)),
-        (TrackerEvent.TAG_TWICE, "r2", (Phase.HOLD, Event.TAG_TWICE)),
-        (TrackerEvent.TAG_JUMPED, "r2", (Phase.FAULT, Event.POSE_JUMPED)),
-        (TrackerEvent.TAG_CARRIED, "r2", (Phase.FAULT, Event.POSE_JUMPED)),
-        (TrackerEvent.TAG_FOUND, "r2", (Phase.RUNNING, Event.PROVED)),
-        (TrackerEvent.CAMERA_CORRECTED, None, (Phase.RUNNING, Event.PROVED)),
-        (TrackerEvent.TAG_TWICE, None, (Phase.RUNNING, Event.PROVED)),  # nobody's tag
-        (250, "r2", (Phase.RUNNING, Event.PROVED)),  # of another version
-    ],
-)
-def test_the_trackers_news_in_the_runs_words(
-    stand: Stand, event: int, robot: str | None, to: tuple[Phase, Event]
-) -> None:
-    stand.running()
-    stand.tell(event, robot, 0.5)
-    stand.run(40 * MS)
-    assert stand.cause == (*to, NOBODY if robot is None or to[0] is Phase.RUNNING else ROBOTS.index(robot))
-
-
-def test_a_piece_of_news_behind_another_is_not_lost(stand: Stand) -> None:
-    stand.running()
-    stand.tell(TrackerEvent.CAMERA_MOVED)
-    stand.tell(TrackerEvent.CAMERA_CORRECTED)
-    stand.run(40 * MS)
-    assert stand.state.phase == Phase.FAULT
-
-
 @pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", range(2))
 def test_a_bad_network_raises_nothing(stand: Stand, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
@@ -168,8 +117,6 @@ def test_a_tag_that_is_only_predicted_gives_no_place(stand: Stand) -> None:
     stand.bench.run(stand.node, 10 * MS)
     image = FleetPoses(4, 10**6, stand.build, stand.bench.now_ns, 0, 0, 0, 0, 0, (outside, stranger, *seen))
     stand.bench.say(POSES, image, CAMERA)
-    malformed = TRACKER_NEWS.encode(TrackerNews(1, 1, 0, TrackerEvent.CAMERA_MOVED, 0, 0.0))[:-8] + pack("<d", nan)
-    stand.bench.bus.publisher(NEWS, CAMERA)(malformed)
     stand.bench.run(stand.node, 50 * MS)
     assert stand.state.phase == Phase.RUNNING
 

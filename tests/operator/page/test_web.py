@@ -2,7 +2,6 @@
 
 import base64
 import json
-from collections.abc import Iterator
 from math import nan
 from pathlib import Path
 
@@ -21,12 +20,6 @@ from tests.operator.page.webstand import CLOCK, Frame, OpenPage, WebStand, place
 from tests.runs.realrun import wait
 
 TRUTH = "tracker.source=truth"
-
-
-@pytest.fixture
-def stand(tmp_path: Path) -> Iterator[WebStand]:
-    with web_stand(tmp_path, TRUTH) as stand:
-        yield stand
 
 
 def row(hello: Frame, tick: Frame, robot: str) -> Frame:

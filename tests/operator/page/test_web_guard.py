@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from robofleet.operator.page import ticket
+from robofleet.operator.page import one_time_token
 from tests.operator.page.webstand import WebStand, web_stand
 
 INCOMPLETE = "This address is not complete, or it is an old one"
@@ -39,7 +39,7 @@ def is_bare(response: httpx.Response) -> bool:
 
 def is_worded(response: httpx.Response, stand: WebStand, title: str) -> bool:
     """Whether it tells a person what to do, and nobody anything else."""
-    secrets = stand.token, stand.once.partition("ticket=")[2], stand.authority
+    secrets = stand.token, stand.once.partition("once=")[2], stand.authority
     policy = response.headers["content-security-policy"]
     assert not any(secret in response.text for secret in secrets)
     assert policy.startswith("default-src 'none'; img-src data:; style-src 'sha256-")
@@ -230,13 +230,13 @@ def test_every_start_draws_another_token_of_128_bits(tmp_path: Path, stand: WebS
         assert second.token != stand.token
 
 
-def test_a_ticket_opens_the_page_once_and_only_for_this_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_one_time_token_opens_the_page_for_this_user_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with web_stand(tmp_path, "tracker.source=truth") as stand:
         assert stand.token not in stand.once, "the command line of a browser is read by everybody"
         wrong = httpx.get(stand.once[:-1])
         assert is_worded(wrong, stand, "This address has opened its page already")
         with monkeypatch.context() as patched:
-            patched.setattr(ticket.os, "geteuid", lambda: os.getuid() + 1)
+            patched.setattr(one_time_token.os, "geteuid", lambda: os.getuid() + 1)
             assert httpx.get(stand.once).status_code == 403
         opened = httpx.get(stand.once)
         assert (opened.status_code, opened.headers["location"]) == (303, f"/?token={stand.token}")
@@ -248,8 +248,8 @@ def test_the_system_says_whose_a_local_connection_is() -> None:
         with socket.create_server((host, 0), family=family) as server:
             port = server.getsockname()[1]
             with socket.create_connection((host, port)) as client:
-                assert ticket.owner(client.getsockname()[:2], port) == os.geteuid()
-            assert ticket.owner(("192.0.2.1", 5), port) is None
+                assert one_time_token.owner(client.getsockname()[:2], port) == os.geteuid()
+            assert one_time_token.owner(("192.0.2.1", 5), port) is None
 
 
 def test_no_more_pages_than_a_run_needs(stand: WebStand) -> None:

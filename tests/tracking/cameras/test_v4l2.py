@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.bus.bus import MemoryBus
-from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock, stopwatch_ns
 from robofleet.testing import CameraContract
 from robofleet.tracking.cameras.v4l2 import EXPOSURE_ABSOLUTE, GAIN, Range, V4L2Camera, control_range, device_identity
-from robofleet.tracking.sources import CameraContext, CameraError, Exposure, Frame
+from robofleet.tracking.sources import CameraError, Exposure, Frame
+from tests.contexts import context
 from tests.shipped import PLATOON
 
 EXPOSURE_S, READOUT_S = 0.006, 0.009
@@ -97,13 +96,8 @@ RANGES = {EXPOSURE_ABSOLUTE: Range(3, 2047, 1), GAIN: Range(0, 255, 5)}
 
 
 def camera_of(capture: Capture, *overrides: str, ranges: dict[int, Range] = RANGES) -> V4L2Camera:
-    clock, tree = WallClock(), config(*overrides)
-    bus = MemoryBus("platoon", clock, 0)
-    ticks = TickFollower(bus, 33 * MS, lambda _: None)
-    context = CameraContext(
-        config=tree, clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=0
-    )
-    return V4L2Camera(context, capture, lambda _, control: ranges.get(control))
+    made_from = context(config(*overrides), WallClock())
+    return V4L2Camera(made_from, capture, lambda _, control: ranges.get(control))
 
 
 def scene() -> NDArray[np.uint8]:
@@ -305,15 +299,8 @@ def test_a_device_that_is_not_there_is_refused_before_anything_starts_and_when_i
     complaints = dict(V4L2Camera.refusals(config("camera.trigger=tick", MEASURED)))
     assert set(complaints) == {"camera.v4l2.device", "camera.trigger"}
     assert DEVICE in complaints["camera.v4l2.device"]
-    clock = WallClock()
-    bus = MemoryBus("platoon", clock, 0)
-    ticks = TickFollower(bus, 33 * MS, lambda _: None)
     with pytest.raises(CameraError, match=f"{DEVICE} cannot be opened"):
-        V4L2Camera(
-            CameraContext(
-                config=config(), clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=0
-            )
-        )
+        V4L2Camera(context(config(), WallClock()))
 
 
 def test_a_file_is_no_device(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@
 not commanded in the last 0.3 s.
 """
 
-import argparse
 import math
 
 import numpy as np
@@ -13,6 +12,7 @@ from robofleet.core.clock import MS
 from robofleet.simulation.faulty_line import cut, garbled
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 from tests.drivers.create2_bench import MM_S, Bench
+from tools.measure.program import program
 
 _STEP_NS = 11 * MS  # a third of a tick
 _TICKS = 600
@@ -72,10 +72,7 @@ def _mm_s(wheels: WheelSpeeds) -> tuple[int, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--share", type=float, default=0.01)
-    arguments, count = parser.parse_args(), Count()
+    arguments, count = program(__doc__, runs=20, share=0.01).parse_args(), Count()
     ended = [why for why in (drive(seed, arguments.share, count) for seed in range(arguments.runs)) if why]
     print(f"{arguments.runs - len(ended)} of {arguments.runs} runs went on to their end", *ended, sep="\n")
     lasted_ms = [lasted * _STEP_NS / MS for lasted in count.lasted] or [0.0]

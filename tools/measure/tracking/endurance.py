@@ -9,7 +9,6 @@ within 5 mm of where its tag is at that instant. Measured counts the tag-images 
 and nobody else has its id: not in the second after it was carried, uncovered or exchanged.
 """
 
-import argparse
 import math
 from collections import defaultdict
 from typing import NamedTuple
@@ -19,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
+from robofleet.core.arrays import Array
 from robofleet.simulation.camera import Print, SceneRenderer, Shutter
 from robofleet.simulation.effects import effects
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagTracker
-
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 ROBOTS, SIZE, PERIOD = 20, (1280, 720), 1.0 / 30.0
 SIDE, HEIGHT, MAX_SPEED = 0.07, 0.08, 0.2
@@ -38,8 +37,6 @@ ANYWHERE = [(x, y) for x in (0, 320, 640, 960, 1279) for y in (0, 360, 719)]
 
 
 class Trouble(NamedTuple):
-    """What an episode does."""
-
     settings: SimulatedCameraSettings = SimulatedCameraSettings()
     light: float = 1.0
     exposure: float = 0.004
@@ -54,7 +51,6 @@ def cables(rng: np.random.Generator) -> tuple[Cable, ...]:
 
 
 def troubles(rng: np.random.Generator) -> dict[str, Trouble]:
-    """Return an episode of each kind."""
     lamps = tuple(
         Glare(at_px=tuple(rng.uniform((0, 0), SIZE).tolist()), radius_px=rng.uniform(5, 40), gray=300.0)
         for _ in range(3)
@@ -169,11 +165,7 @@ def episode(trouble: Trouble, images: int, rng: np.random.Generator) -> tuple[in
 
 
 def main() -> None:
-    """Print a row for each kind of trouble, and their sum."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=10_400, help="of twenty tags; default: 208,000 tag-images")
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = program(__doc__, images=(10_400, "of twenty tags; default: 208,000 tag-images"), seed=1).parse_args()
     cv2.setNumThreads(1)
     totals: dict[str, NDArray[np.int64]] = defaultdict(lambda: np.zeros(4, np.int64))
     done = 0

@@ -1,6 +1,6 @@
-"""A ticket opens the page once. A browser's command line is read by every user of this computer: no token stands there.
+"""A one-time token opens the page once: every user of this computer can read a browser's command line.
 
-Whoever else reads the ticket comes too late, or comes as another user: the system says whose a local connection is.
+Whoever else reads it there comes too late, or comes as another user: the system says whose a local connection is.
 """
 
 import os
@@ -16,7 +16,7 @@ _LOCAL, _REMOTE, _UID = 1, 2, 7  # columns of these tables
 
 
 class Taker(Enum):
-    """Who may take a ticket."""
+    """Who may take a token."""
 
     USER = (True, None)  # this user, as far as the system knows whose a connection is
     USER_HERE = (True,)  # this user, on this computer
@@ -32,7 +32,7 @@ class OneTimeToken:
         self._taker, self._taken = taker, False
 
     def take(self, shown: str, client: tuple[str, int] | None, port: int) -> bool:
-        """Return whether what is shown is the ticket, and nobody has taken it before."""
+        """Return whether what is shown is the token, and nobody has taken it before."""
         if self._taken or not secrets.compare_digest(shown.encode(), self.secret.encode()):
             return False
         if self._taker is not Taker.ANYBODY:

@@ -1,6 +1,6 @@
 """A browser on another host that has the operator's page open: it counts what it is told.
 
-python -m tests.hosts.visitor ADDRESS AUTHORITY.pem
+python -m tools.measure.hosts.visitor ADDRESS AUTHORITY.pem
 """
 
 import json

@@ -1,6 +1,6 @@
 """A radio between robots and their router: a proxy of UDP that loses and delays packets, by a seed.
 
-    python -m tests.hosts.radio 10.77.0.9:7447 10.77.0.1:7447 bursts --seed 1
+    python -m tools.measure.hosts.radio 10.77.0.9:7447 10.77.0.1:7447 bursts --seed 1
 
 Packets are lost when they are sent, and do not overtake each other. Each robot has a channel of its own.
 """

@@ -1,7 +1,7 @@
-"""Places at the page's server: a connection that asks for nothing keeps its place for seconds, and gives way before.
+"""Limits the connections of the page's server: one that asks for nothing is closed after seconds, or before.
 
-Whoever comes is let in, so the emergency stop always is; where there are too many, one goes that only waits: the
-oldest of the address that has the most. Who has not sent a whole request after a few seconds goes as well.
+The server accepts every connection, so the emergency stop always gets in. Over the limit, the oldest idle connection of
+the address that has most is closed. A connection without a whole request is closed after a few seconds.
 """
 
 import asyncio
@@ -30,7 +30,6 @@ class Complaints:
         self._logged_ns = -S
 
     def add(self, what: str) -> None:
-        """Count one, and say what it was."""
         self.count += 1
         now_ns = self._clock.now_ns()
         if now_ns - self._logged_ns >= S:
@@ -39,8 +38,8 @@ class Complaints:
             print(line.encode("ascii", "backslashreplace").decode(), file=sys.stderr)
 
 
-class Guest(Protocol):
-    """Who has a place."""
+class Limited(Protocol):
+    """A connection that counts."""
 
     @property
     def host(self) -> str:
@@ -72,10 +71,10 @@ class ConnectionLimiter:
 
     def __init__(self, complaints: Complaints) -> None:
         self.complaints = complaints
-        self._taken: dict[Guest, None] = {}
+        self._taken: dict[Limited, None] = {}
         self._crowds: Counter[str] = Counter()
 
-    def take(self, connection: Guest) -> None:
+    def take(self, connection: Limited) -> None:
         """Let a connection in; another one goes where there are too many."""
         self._taken[connection] = None
         self._crowds[connection.host] += 1
@@ -84,9 +83,9 @@ class ConnectionLimiter:
         ((crowd, _),) = self._crowds.most_common(1)
         held = [candidate for candidate in self._taken if candidate.host == crowd and not candidate.acts]
         if (goes := next((candidate for candidate in held if candidate.is_idle()), next(iter(held), None))) is not None:
-            goes.drop("more connections than there are places")
+            goes.drop("more connections than the limit")
 
-    def leave(self, connection: Guest) -> None:
+    def leave(self, connection: Limited) -> None:
         """Take note that a connection is closed, or a WebSocket now."""
         if connection in self._taken:
             del self._taken[connection]
@@ -94,58 +93,50 @@ class ConnectionLimiter:
 
 
 class Connection(H11Protocol):
-    """A connection that has a place, and a deadline for what it does next."""
+    """A connection that counts, with a deadline for what it does next."""
 
-    def __init__(self, places: ConnectionLimiter, **of_uvicorn: Any) -> None:
+    def __init__(self, limiter: ConnectionLimiter, **of_uvicorn: Any) -> None:
         super().__init__(**of_uvicorn)
-        self._places = places
+        self._limiter = limiter
         self._deadline: asyncio.TimerHandle | None = None
 
     @property
     def host(self) -> str:
-        """Whose it is."""
         return self.client[0] if self.client else "?"
 
     @property
     def acts(self) -> bool:
-        """Whether it asks for something to be done, and is not answered yet."""
         return self._asks and self.scope["method"] == "POST"
 
     def is_idle(self) -> bool:
-        """Return whether it asks for nothing, and has said nothing that is not read yet."""
         return not self._asks and not unread(self.transport)
 
     def drop(self, why: str) -> None:
-        """Close it at once."""
-        self._places.complaints.add(f"a connection of {self.host}: {why}")
+        self._limiter.complaints.add(f"a connection of {self.host}: {why}")
         self._leave()
         self.transport.abort()
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a place."""
         super().connection_made(transport)
         self._wait(ASKED_WITHIN_S)
-        self._places.take(self)
+        self._limiter.take(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Leave it."""
         self._leave()
         super().connection_lost(exc)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
-        """Leave it: pages have places of their own."""
+        """Remove it: pages have a limit of their own."""
         self._leave()
         super().handle_websocket_upgrade(event)
         self.loop.call_later(ASKED_WITHIN_S, self._end_without_page)
 
     def on_response_complete(self) -> None:
-        """Wait for the next request."""
         self._wait(ASKED_WITHIN_S)
         super().on_response_complete()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what is not HTTP."""
-        self._places.complaints.add(f"what {self.host} says is not HTTP")
+        self._limiter.complaints.add(f"what {self.host} says is not HTTP")
         super().send_400_response(msg)
 
     @property
@@ -173,4 +164,4 @@ class Connection(H11Protocol):
     def _leave(self) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
-        self._places.leave(self)
+        self._limiter.leave(self)

@@ -1,7 +1,7 @@
 """The beginning of a connection from beyond this computer: TLS, or nothing.
 
-A greeting has a place as every connection has, and a time limit. So who opens connections and says nothing, or not what
-TLS says, keeps no place for long and delays nobody: nothing here waits but the one connection.
+A handshake counts as every connection does, and has a time limit. So who opens connections and says nothing, or not
+what TLS says, is closed soon and delays nobody: nothing here waits but that connection.
 """
 
 import asyncio
@@ -11,26 +11,9 @@ from weakref import WeakSet
 
 from uvicorn.protocols.utils import get_remote_addr
 
-from robofleet.operator.page.places import ASKED_WITHIN_S, Connection, ConnectionLimiter, unread
+from robofleet.operator.page.connection_limiter import ASKED_WITHIN_S, Connection, ConnectionLimiter, unread
 
 _LEFT_WITHIN_S = 1.0  # of our last word: who does not say good-bye is left
-
-
-class TlsHandshakes:
-    """Makes the server's end of each connection, and closes what is left of them."""
-
-    def __init__(self, context: ssl.SSLContext, places: ConnectionLimiter) -> None:
-        self._context, self._places = context, places
-        self._open: WeakSet[asyncio.Transport] = WeakSet()
-
-    def __call__(self, **of_uvicorn: Any) -> "TlsHandshake":
-        """Return the beginning of a connection."""
-        return TlsHandshake(self._context, self._places, self._open, of_uvicorn)
-
-    def close(self) -> None:
-        """Wait for no other end's good-bye any more."""
-        for transport in list(self._open):
-            transport.abort()
 
 
 class TlsHandshake(asyncio.Protocol):
@@ -41,36 +24,33 @@ class TlsHandshake(asyncio.Protocol):
     def __init__(
         self,
         context: ssl.SSLContext,
-        places: ConnectionLimiter,
+        limiter: ConnectionLimiter,
         opened: WeakSet[asyncio.Transport],
-        of_uvicorn: dict[str, Any],
+        **of_uvicorn: Any,
     ) -> None:
-        self._context, self._places, self._open, self._of_uvicorn = context, places, opened, of_uvicorn
-        self._early = b""  # a request that came with the last word of the greeting
+        """``opened``: where its transport is kept, for who closes those that are left."""
+        self._context, self._limiter, self._open, self._of_uvicorn = context, limiter, opened, of_uvicorn
+        self._early = b""  # a request that came with the last word of the handshake
         self.host = "?"
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take a place, and begin."""
         assert isinstance(transport, asyncio.Transport)
         transport.pause_reading()  # until TLS reads
         self._transport = transport
         self._open.add(transport)
         self.host = (get_remote_addr(transport) or ("?",))[0]
         self._handshake = asyncio.get_running_loop().create_task(self._shake_hands())
-        self._places.take(self)
+        self._limiter.take(self)
 
     def data_received(self, data: bytes) -> None:
-        """Keep what TLS has brought already."""
         self._early += data
 
     def is_idle(self) -> bool:
-        """Return whether it has said nothing that is not read yet."""
         return not unread(self._transport)
 
     def drop(self, why: str) -> None:
-        """Close it at once."""
-        self._places.complaints.add(f"a connection of {self.host}: {why}")
-        self._places.leave(self)
+        self._limiter.complaints.add(f"a connection of {self.host}: {why}")
+        self._limiter.leave(self)
         self._transport.abort()
         self._handshake.cancel()
 
@@ -84,13 +64,13 @@ class TlsHandshake(asyncio.Protocol):
         except ConnectionResetError:  # it has left, as a look at an open port does
             return
         except OSError as error:  # of TLS, or too slow
-            self._places.complaints.add(f"a connection of {self.host}: no TLS: {getattr(error, 'reason', error)}")
+            self._limiter.complaints.add(f"a connection of {self.host}: no TLS: {getattr(error, 'reason', error)}")
             return
         finally:
-            self._places.leave(self)
+            self._limiter.leave(self)
         if secured is None or secured.is_closing():
             return
-        connection = Connection(self._places, **self._of_uvicorn)
+        connection = Connection(self._limiter, **self._of_uvicorn)
         secured.set_protocol(connection)
         connection.connection_made(secured)
         if self._early:
