@@ -27,10 +27,10 @@ _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8",
 _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
 _RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits in (("i", 32), ("q", 64))}
-_FURTHEST_NS = 2**62 - 1  # of an instant
-_RANGES["q"] = -_FURTHEST_NS, _FURTHEST_NS
-_MOST = 1e300  # so many of them have a finite sum, by which decoding judges
-_FEW = 128  # floats: so many Python adds up before numpy has begun
+_FURTHEST_INSTANT_NS = 2**62 - 1
+_RANGES["q"] = -_FURTHEST_INSTANT_NS, _FURTHEST_INSTANT_NS
+_LARGEST_FLOAT = 1e300  # a list of them has a finite sum, by which decoding judges
+_FEW_FLOATS = 128  # so many Python adds up before numpy has begun
 _MOST_ITEMS = _RANGES["H"][1]
 _TOO_LARGE = (error, OverflowError)  # what packing raises
 
@@ -57,7 +57,7 @@ def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
 def _nearest(letter: str, value: float) -> float:
     """Return the nearest number that a field can hold; for what is not a number, the least."""
     if letter == "d":
-        return min(max(-_MOST, value), _MOST)  # in this order: no comparison with NaN is true
+        return min(max(-_LARGEST_FLOAT, value), _LARGEST_FLOAT)  # in this order: no comparison with NaN is true
     low, high = _RANGES[letter]
     return int(min(max(low, value), high))
 
@@ -69,9 +69,9 @@ def _judge_instants(letters: str) -> Callable[[Sequence[Any]], bool]:
         return lambda values: True
     if len(fields) == 1:
         (only,) = fields
-        return lambda values: -_FURTHEST_NS <= values[only] <= _FURTHEST_NS
+        return lambda values: -_FURTHEST_INSTANT_NS <= values[only] <= _FURTHEST_INSTANT_NS
     instants_of = itemgetter(*fields)
-    return lambda values: max(map(abs, instants_of(values))) <= _FURTHEST_NS
+    return lambda values: max(map(abs, instants_of(values))) <= _FURTHEST_INSTANT_NS
 
 
 def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:
@@ -320,7 +320,7 @@ class ListLayout(Generic[M]):
         """Return whether all floats of the items that begin at a place in a payload are finite."""
         if not self.item_floats:
             return True
-        if count * self.item_floats <= _FEW:
+        if count * self.item_floats <= _FEW_FLOATS:
             return math.isfinite(sum(self._floats_of(count).unpack_from(payload, start)))
         if self._reader.small(self._tail(count, payload, start + self._floats_at)):
             return True
@@ -359,4 +359,4 @@ class _Reader:
 
     def small(self, floats: "NDArray[Any]") -> bool:
         """Return whether all, of one at least, are numbers whose sum is one."""
-        return bool(self._largest(self._abs(floats), None) <= _MOST)  # not so of NaN
+        return bool(self._largest(self._abs(floats), None) <= _LARGEST_FLOAT)  # not so of NaN
