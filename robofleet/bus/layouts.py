@@ -228,7 +228,7 @@ class ListLayout(Generic[M]):
 
     @cached_property
     def _fields(self) -> dict[str, Struct]:
-        at = self.head_dtype.fields or {}
+        at: dict[str, Any] = dict(self.head_dtype.fields or {})
         letters = zip(self._columns[1:], f"{self._head_letters}H", strict=True)
         return {name: Struct(f"<{at[name][1]}x{letter}") for (name, _), letter in letters}
 
