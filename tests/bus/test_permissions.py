@@ -149,8 +149,8 @@ class Tried:
 
     def _heard(self, receiver: zenoh.Session, expressions: list[str], sender: zenoh.Session, does: str) -> set[str]:
         keys: set[str] = set()
-        heard = zenoh.handlers.Callback(lambda sample: keys.add(str(sample.key_expr)), indirect=False)
-        subscribers = [receiver.declare_subscriber(full, heard) for full in expressions]
+        noted = zenoh.handlers.Callback(lambda sample: keys.add(str(sample.key_expr)), indirect=False)
+        subscribers = [receiver.declare_subscriber(full, noted) for full in expressions]
         self.marked(does)
         expected = allowed(self._who, does)
 
