@@ -79,7 +79,7 @@ class BusContract:
         bus.until(probe.take, lambda: publish(b"route"))
         for k in range(30):
             publish(b"%d" % k)
-            bus.until(lambda: received[-1] == b"%d" % k)  # noqa: B023
+            bus.until(lambda: received[-1:] == [b"%d" % k])  # noqa: B023
         bus.until(lambda: len(received) == stream.dropped + 4)
         arrivals = stream.drain()
         assert [arrival.payload for arrival in arrivals] == [b"26", b"27", b"28", b"29"]
