@@ -34,8 +34,8 @@ from robofleet.control.trajectory import Trajectory, demanded
 from robofleet.core.arrays import Array
 from robofleet.core.settings import ROBOTS, Coordinate, Degrees, within
 
-_STEP = 0.01  # between the instants that are looked at before a run [s]
-_SIDE_SAMPLES = 256  # of a side of the path, to turn it into ways of the robots
+_CHECK_STEP_S = 0.01  # between the instants that are looked at before a run
+_SAMPLES_PER_SIDE = 256  # of the path, to turn it into ways of the robots
 
 
 class Formation(Behaviour):
@@ -104,9 +104,9 @@ class Formation(Behaviour):
         yield cusp
         if not cusp.holds:
             return
-        centres, step = [], _STEP
+        centres, step = [], _CHECK_STEP_S
         for i, way in enumerate(self._ways()):
-            t, v, omega, centre = demanded(way, self.team.point_ahead, _STEP)
+            t, v, omega, centre = demanded(way, self.team.point_ahead, _CHECK_STEP_S)
             centres.append(centre)
             where, step = partial(self._where, t), float(t[1] - t[0])
             yield from inside(self.team, i, "settings.path", way.position(t), where)
@@ -143,7 +143,7 @@ class Formation(Behaviour):
 
     def _ways(self) -> Iterator[Trajectory]:
         """Yield each robot's way: cubics through many of its places."""
-        t = np.linspace(0.0, self._frame.end, self.settings.path.path().sides * _SIDE_SAMPLES + 1)
+        t = np.linspace(0.0, self._frame.end, self.settings.path.path().sides * _SAMPLES_PER_SIDE + 1)
         near = 1e-4 * t[1]
         velocities = (self._at(t + near) - self._at(t - near)) / (2 * near)
         for points, velocity in zip(self._at(t), velocities, strict=True):

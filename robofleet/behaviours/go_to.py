@@ -39,15 +39,15 @@ from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.safety.supervisor import Event
 from robofleet.vehicles.solids import distances
 
-_SEARCH_PARTS = 5  # in a tick
-_MARGIN = 0.01  # of what robots keep under way beyond what the barrier keeps [m]
+_SEARCH_PARTS_PER_TICK = 5
+_MARGIN_M = 0.01  # of what robots keep under way beyond what the barrier keeps
 _CELLS_ACROSS = 3.8  # the distance under way
 _PUSHED_M = 0.10  # off its place, a robot needs another plan
 _LOST_TICKS = 30  # for which it was there
 _STUCK_S = 6.0  # without progress of anybody
 _RETRY_S = 1.0  # after no plan was found
 _MOST_FAILED = 10  # plans in a row: then the run is held
-_STILL_M = 0.004  # in a tick
+_STILL_M_PER_TICK = 0.004
 _STILL_TICKS = 6
 _THERE_TICKS = 15
 _OTHER_MOVED_M = 0.01  # at least
@@ -104,7 +104,7 @@ class GoTo(Behaviour):
         if settings.assignment == "nearest" and len(settings.goals) == len(team):
             self._goals = np.array([goal.pose for goal in settings.goals.values()])
         radius = max(body.radius for body in team.bodies)
-        ahead = 2 * team.keepout.ahead + _MARGIN
+        ahead = 2 * team.keepout.ahead + _MARGIN_M
         self._distance = max(apart(team.keepout, a, b) for a in team.bodies for b in team.bodies) + ahead
         self._beside_bodies = self._distance - radius  # of a centre from the edge of another body
         self._edge = max(from_edge(team.keepout, body) for body in team.bodies) + ahead / 2
@@ -156,7 +156,7 @@ class GoTo(Behaviour):
     def decide(self, now: Situation) -> Decision:
         self.rehearse()
         moved = np.hypot(*(now.poses - self._poses)[:, :2].T)
-        self._still = np.where(moved < _STILL_M * self.team.tick / 0.033, self._still + 1, 0)
+        self._still = np.where(moved < _STILL_M_PER_TICK * self.team.tick / 0.033, self._still + 1, 0)
         self._poses = now.poses.copy()
         if self._planned and self._wrong(now):
             self._drop()
@@ -191,7 +191,7 @@ class GoTo(Behaviour):
         if self._work is None:
             self._work = self._search(now)
         try:
-            for _ in range(_SEARCH_PARTS):
+            for _ in range(_SEARCH_PARTS_PER_TICK):
                 next(self._work)
         except StopIteration as done:
             self._work = None
@@ -251,7 +251,7 @@ class GoTo(Behaviour):
             return False
         ways = self._follower.rest()
         near = (
-            np.linalg.norm(ways[:, None] - others[None, :, :2], axis=2) < others[:, 2] + self._beside_bodies - _MARGIN
+            np.linalg.norm(ways[:, None] - others[None, :, :2], axis=2) < others[:, 2] + self._beside_bodies - _MARGIN_M
         )
         return bool(near.any())
 

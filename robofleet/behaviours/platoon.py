@@ -38,8 +38,8 @@ from robofleet.safety import starts
 from robofleet.safety.distances import apart, from_edge
 from robofleet.safety.starts import MOST_THROUGH, Ways, judge
 
-_PATH_POINTS = 400  # of the line that is drawn
-_START_POINTS = 100  # of a side, for judging a start
+_DRAWN_POINTS = 400
+_START_POINTS_PER_SIDE = 100  # for judging a start
 _FIGURES = (
     ("control_error", int(Column.CONTROL_ERROR)),
     ("estimated_path_error", int(Column.PATH_ERROR)),
@@ -154,7 +154,7 @@ class Platoon(Behaviour):
     def ways(self) -> Ways:
         """Return what a start is judged by."""
         sides, team, s = self._path.sides, self.team, self.settings
-        points = self._path.position(np.arange(sides * _START_POINTS) / _START_POINTS)
+        points = self._path.position(np.arange(sides * _START_POINTS_PER_SIDE) / _START_POINTS_PER_SIDE)
         gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
         k = np.arange(len(points))
         far = gaps[k[:, None], k[:, None] - k[None]] >= s.spacing_m  # [point, steps back]
@@ -239,7 +239,7 @@ class Platoon(Behaviour):
         )
 
     def shapes(self) -> Sequence[Line]:
-        lap = self._path.position(np.linspace(0.0, self._path.sides, _PATH_POINTS, endpoint=False))
+        lap = self._path.position(np.linspace(0.0, self._path.sides, _DRAWN_POINTS, endpoint=False))
         return (Line("path", lap, closed=True, directed=True),)
 
     # After a run

@@ -22,7 +22,7 @@ from robofleet.safety.distances import apart
 
 _ROUNDING = 1e-9
 _INNER = "wish_epoch", "wish"  # figures for replays, not for people
-_WAY_STEP = 0.005  # between two points of a way that are remembered [m]
+_WAY_STEP_M = 0.005  # between two points of a way that are remembered
 
 
 class Teleop(Behaviour):
@@ -133,7 +133,7 @@ class Teleop(Behaviour):
             return own
         if not way:
             way.append(own.copy())
-        if np.hypot(*(ahead - way[-1])) >= _WAY_STEP:
+        if np.hypot(*(ahead - way[-1])) >= _WAY_STEP_M:
             way.append(ahead.copy())
         left, newer = self.settings.spacing_m, ahead
         for k in range(len(way) - 1, -1, -1):

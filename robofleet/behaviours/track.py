@@ -37,9 +37,9 @@ from robofleet.core.arrays import Array
 from robofleet.core.settings import ROBOTS, Model, Name
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_point
 
-_STEP = 0.01  # between the instants of a reference that are looked at before a run [s]
-_SLOWEST = 0.05  # of the top speed: a unicycle's flow keeps v above that, where it can still choose its way
-_TRUSTED = 0.5  # of the way that is driven in a horizon: so far from its end a Newton step may lead
+_CHECK_STEP_S = 0.01  # between the instants of a reference that are looked at before a run
+_SLOWEST_SHARE = 0.05  # of the top speed: a unicycle's flow keeps v above that, where it can still choose its way
+_TRUSTED_SHARE = 0.5  # of the way that is driven in a horizon: so far from its end a Newton step may lead
 _TURN = 0.9 * math.pi  # over a horizon, at most: what lies behind is not on an arc [rad]
 
 
@@ -100,7 +100,7 @@ class Track(Behaviour):
         for i, way in enumerate(self._ways):
             robot = self.team.robots[i]
             reference, key = self.settings.references[robot], f"settings.references.{robot}"
-            t, v, omega, _ = demanded(way, self._ahead, _STEP)
+            t, v, omega, _ = demanded(way, self._ahead, _CHECK_STEP_S)
             where = partial(_where, t)
             yield from inside(self.team, i, f"{key}.{reference.kind}", way.position(t), where)
             yield from self._bends(i, reference, key)
@@ -168,7 +168,7 @@ class _Unicycles:
     def __init__(self, team: Team) -> None:
         self._ahead, self._horizon = team.point_ahead, team.flow.horizon
         self._psi = np.zeros(len(team))
-        self._slowest = [_SLOWEST * drive.max_speed for drive in team.drives]
+        self._slowest = [_SLOWEST_SHARE * drive.max_speed for drive in team.drives]
         self._flows = [
             self._made(team, drive, slowest) for drive, slowest in zip(team.drives, self._slowest, strict=True)
         ]
@@ -208,7 +208,7 @@ class _Unicycles:
             end = np.array(arc(x, y, psi, v + slip, omega + spin, self._horizon)[:2])
             missing = references[i] - end
             error[i] = math.hypot(*missing)
-            trusted = min(1.0, _TRUSTED * abs(v) * self._horizon / max(error[i], 1e-9))
+            trusted = min(1.0, _TRUSTED_SHARE * abs(v) * self._horizon / max(error[i], 1e-9))
             inputs[i] = flow.update(np.array([x, y, psi, slip, spin]), end + trusted * missing)
         return inputs, error
 

@@ -15,7 +15,7 @@ import zenoh
 from robofleet.bus.keys import ALIVE, key
 from robofleet.core.errors import RobofleetError
 
-_MOST_TOKENS = 16  # of one role; two are enough to believe nobody
+_MOST_TOKENS_OF_ROLE = 16  # two are enough to believe nobody
 
 
 class RoleTakenError(RobofleetError):
@@ -40,7 +40,7 @@ def alive_key(arena: str, role: str, session: zenoh.Session) -> str:
 def others(session: zenoh.Session, arena: str, role: str) -> list[Token]:
     replies = session.liveliness().get(key(arena, ALIVE, f"{role}/*/*"))
     tokens = [_token(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
-    return [token for token in tokens if token.zid != str(session.info.zid())][:_MOST_TOKENS]
+    return [token for token in tokens if token.zid != str(session.info.zid())][:_MOST_TOKENS_OF_ROLE]
 
 
 def roles(session: zenoh.Session, arena: str) -> set[str]:
@@ -74,7 +74,7 @@ class Living:
         token = _token(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.DELETE:
             self._tokens = self._tokens - {token}
-        elif len(self._tokens) < _MOST_TOKENS:
+        elif len(self._tokens) < _MOST_TOKENS_OF_ROLE:
             self._tokens = self._tokens | {token}
 
 

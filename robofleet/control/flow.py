@@ -40,7 +40,8 @@ from robofleet.control.flow_step import Slot, Status, compile_step, layout
 from robofleet.control.prediction import MAX_STEPS, Plant
 from robofleet.control.sensitivity import difference_jacobian
 from robofleet.core.arrays import Array
-from robofleet.core.kernels import UnknownMeaningError, kernel
+from robofleet.core.errors import UnknownMeaningError
+from robofleet.core.kernels import kernel
 
 __all__ = [
     "FlowError", "FlowSettings", "Integrator", "MemorylessFlow", "NewtonRaphsonFlow", "Plant",

@@ -27,9 +27,6 @@ from robofleet.control.sensitivity import (
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import model
 
-__all__ = ["MAX_STEPS", "Compiled", "Plant", "compile_plant", "compiled"]
-
-
 RK4_LIMIT, EULER_LIMIT = 2.7, 1.95  # |eigenvalue| * prediction step where the method becomes unstable
 RK4_CHOICE, EULER_CHOICE = 1.5, 0.02  # and where it is accurate: what is chosen
 MAX_STEPS = 20_000
@@ -51,17 +48,6 @@ class Plant:
         fused: The prediction by hand (RK4): x, u, T, steps, y, dg -> status. It writes g (m,) to y and dg/du (m, m) to
             dg, and returns 0, or the step k that was not finite, or -k where the eigenvalues met on the way need k
             steps.
-
-    Attributes:
-        f: TODO.
-        h: TODO.
-        n: TODO.
-        m: TODO.
-        f_x: TODO.
-        f_u: TODO.
-        h_x: TODO.
-        fastest_rate: TODO.
-        fused: TODO.
     """
 
     f: Callable[[Array, Array], Array]

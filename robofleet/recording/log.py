@@ -187,9 +187,8 @@ def _news(config: Config) -> dict[str, Callable[[bytes], object]]:
         latch, number = (UNIT_STATUS.column(payload, field) for field in ("latch", "latch_id"))
         return None if latch is None or number is None else latch.tobytes() + number.tobytes()
 
-    phase = RUN_STATE.span("phase", "cause")
     return {
-        key(arena, STATE): lambda payload: payload[phase],
+        key(arena, STATE): lambda payload: [RUN_STATE.head_of(payload, field) for field in ("phase", "cause")],
         **{key(arena, NEWS, camera): lambda payload: payload for camera in config.camera_names},
         **{key(arena, STATUS, unit): latches for unit in config.units},
     }

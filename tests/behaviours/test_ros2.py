@@ -23,9 +23,9 @@ SILENT_S = 0.15
 
 def decided(age: float, own: list[float], commanded: list[bool], kind: WishKind = WishKind.BODY) -> np.ndarray:
     values = np.column_stack([np.full(N, 0.1), np.full(N, 0.5), own])
-    told = np.array(commanded)
-    values = np.where(told[:, None], values, 0.0)
-    wish = Wish(kind=kind, values=values, told=told, order=0, age=age, epoch=1, seq=1)
+    is_commanded = np.array(commanded)
+    values = np.where(is_commanded[:, None], values, 0.0)
+    wish = Wish(kind=kind, values=values, told=is_commanded, order=0, age=age, epoch=1, seq=1)
     decision = Ros2(Ros2.Settings(), TEAM).decide(replace(SITUATION, wish=wish))
     assert decision.of == "body" and decision.hold is None
     return np.asarray(decision.velocities)

@@ -13,7 +13,9 @@ from robofleet.bus.layouts import Layout, ListLayout
 from robofleet.core.clock import SimulatedClock
 
 LAYOUTS: dict[str, Layout[Any] | ListLayout[Any]] = {
-    layout.describe()[0]: layout for layout in vars(messages).values() if isinstance(layout, Layout | ListLayout)
+    layout.describe()[0]: layout
+    for layout in vars(messages).values()
+    if isinstance(layout, ListLayout) or (isinstance(layout, Layout) and not layout.blob)
 }
 LISTS = {name: layout for name, layout in LAYOUTS.items() if isinstance(layout, ListLayout)}
 

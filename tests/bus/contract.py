@@ -73,14 +73,14 @@ class BusContract:
 
     def test_a_full_stream_drops_the_oldest_and_counts_them(self, bus: Joined) -> None:
         stream, publish = bus.b.stream(key("lab", COMMAND, "r9"), capacity=4), bus.a.publisher(COMMAND, "r9")
-        heard: list[bytes] = []
-        bus.b.listen(COMMAND, "r9", lambda _, payload: heard.append(payload))
+        received: list[bytes] = []
+        bus.b.listen(COMMAND, "r9", lambda _, payload: received.append(payload))
         probe = bus.b.newest(COMMAND, "r9")
         bus.until(probe.take, lambda: publish(b"route"))
         for k in range(30):
             publish(b"%d" % k)
-            bus.until(lambda: heard[-1] == b"%d" % k)  # noqa: B023
-        bus.until(lambda: len(heard) == stream.dropped + 4)
+            bus.until(lambda: received[-1:] == [b"%d" % k])  # noqa: B023
+        bus.until(lambda: len(received) == stream.dropped + 4)
         arrivals = stream.drain()
         assert [arrival.payload for arrival in arrivals] == [b"26", b"27", b"28", b"29"]
         assert {arrival.key for arrival in arrivals} == {"rf/lab/unit/r9/cmd"}

@@ -16,7 +16,7 @@ MakeBus = Callable[[int], MemoryBus]
 class TestMemoryBus(BusContract):
     @pytest.fixture
     def bus(self, memory_bus: MakeBus, clock: SimulatedClock) -> Joined:
-        one = memory_bus(100)
+        shared = memory_bus(100)
 
         def until(poll: Callable[[], R], say: Callable[[], object] = lambda: None) -> R:
             for _ in range(3):  # a request and its answer take the bus's time each
@@ -26,7 +26,7 @@ class TestMemoryBus(BusContract):
                     return answer
             raise AssertionError("nothing came")
 
-        return Joined(one, one, clock, until)
+        return Joined(shared, shared, clock, until)
 
 
 def test_a_message_arrives_after_the_delay_and_not_before(memory_bus: MakeBus, clock: SimulatedClock) -> None:

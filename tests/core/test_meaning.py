@@ -10,7 +10,8 @@ import numba
 import numpy as np
 import pytest
 
-from robofleet.core.kernels import UnknownMeaningError, model
+from robofleet.core.errors import UnknownMeaningError
+from robofleet.core.kernels import model
 
 
 class Gains(NamedTuple):
