@@ -31,7 +31,6 @@ class TruthHistory:
         self._samples = np.zeros((robots, capacity, 5))
         self._count = np.zeros(robots, np.int64)  # of all samples
         self.moving(np.zeros(robots, np.int64), 1)  # compiles, or loads
-        self.poses_at(np.zeros(robots, np.int64))
         self.reported_at(0)
         self.take(np.zeros(0, np.intp), 0, np.frombuffer(b"", UNIT_TRUTH.item_dtype))
 
@@ -48,15 +47,11 @@ class TruthHistory:
         take(self._stamps, self._samples, self._count, rows, stamp_ns, truths)
 
     def reported_at(self, instant_ns: int) -> Array:
-        """Return poses (N, 3) at one instant, each by the robot's own word; NaN where that was said long ago."""
-        return reported_at(self._stamps, self._samples, self._count, instant_ns)
+        """Return x, y [m], psi [rad] (N, 3) at one instant, before a robot's first sample that one's.
 
-    def poses_at(self, instants_ns: Instants) -> Array:
-        """Return x, y [m], psi [rad] (N, 3), each robot's at its own instant; before its first sample that one's.
-
-        NaN of a robot without a sample.
+        NaN where its newest sample is old, or there is none.
         """
-        return poses_at(self._stamps, self._samples, self._count, instants_ns)
+        return reported_at(self._stamps, self._samples, self._count, instant_ns)
 
     def moving(self, instants_ns: Instants, half_ns: int) -> tuple[Array, Array]:
         """Return the poses (N, 3) and velocities (N, 3) [m/s, rad/s] over so long before and after the instants."""
@@ -83,15 +78,6 @@ def take(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def poses_at(stamps: Instants, samples: Array, count: Instants, instants_ns: Instants) -> Array:
-    """See ``TruthHistory.poses_at``."""
-    poses = np.empty((len(stamps), 3))
-    for n in range(len(stamps)):
-        poses[n, 0], poses[n, 1], poses[n, 2] = _pose_at(stamps[n], samples[n], count[n], instants_ns[n])
-    return poses
-
-
-@kernel
 def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
     """See ``TruthHistory.reported_at``."""
     poses, capacity = np.full((len(stamps), 3), np.nan), stamps.shape[1]
@@ -109,8 +95,10 @@ def moving(
     poses, velocities = np.empty((len(stamps), 3)), np.empty((len(stamps), 3))
     per_s = 0.5e9 / half_ns
     for n in range(len(stamps)):
-        x, y, psi = _pose_at(stamps[n], samples[n], count[n], instants_ns[n] - half_ns)
-        x_late, y_late, psi_late = _pose_at(stamps[n], samples[n], count[n], instants_ns[n] + half_ns)
+        x = y = psi = x_late = y_late = psi_late = 0.0
+        for instant_ns in (instants_ns[n] - half_ns, instants_ns[n] + half_ns):
+            x, y, psi = x_late, y_late, psi_late
+            x_late, y_late, psi_late = _pose_at(stamps[n], samples[n], count[n], instant_ns)
         d_x, d_y, turned = x_late - x, y_late - y, _remainder(psi_late - psi)
         # The middle of an arc lies beside that of its chord.
         poses[n, 0] = x + d_x / 2.0 + 0.125 * turned * d_y
@@ -153,4 +141,4 @@ def _remainder(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-KERNELS = (poses_at, reported_at, moving, take)  # that are called from Python
+KERNELS = (reported_at, moving, take)  # that are called from Python

@@ -1,7 +1,6 @@
 import math
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
 
 from robofleet.simulation.arena import TruthHistory
@@ -21,7 +20,7 @@ class History:
         self._both.add(1, stamp_ns, (x, y, psi, v, omega))
 
     def pose_at(self, stamp_ns: int) -> tuple[float, ...] | None:
-        nobody, pose = self._both.poses_at(np.full(2, stamp_ns)).tolist()
+        nobody, pose = self._both.reported_at(stamp_ns).tolist()
         assert all(map(math.isnan, nobody))
         return None if math.isnan(pose[0]) else tuple(pose)
 
