@@ -1,5 +1,6 @@
 """Messages while kernels are compiled: which, the progress, and the time left."""
 
+import gc
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from robofleet.core.kernels import reached
 
 _MARK = "compiling"
 _LINE_EVERY_NS = 5 * S  # where it is not drawn
+_COLLECTED_EVERY = 100_000  # objects; compiling makes many, hardly any of them garbage: a tenth of its time was lost
 
 
 class Progress(NamedTuple):
@@ -68,8 +70,13 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
                 done.add(code)
                 spread()
 
-    with event.install_listener("numba:compile", Listener()):
-        yield
+    thresholds = gc.get_threshold()
+    gc.set_threshold(_COLLECTED_EVERY)
+    try:
+        with event.install_listener("numba:compile", Listener()):
+            yield
+    finally:
+        gc.set_threshold(*thresholds)
 
 
 def on_stderr() -> Say:

@@ -84,7 +84,7 @@ class Launcher:
         self._state_key = key(self._arena, STATE)
         started = table.started_by("run", config)
         self._trackers = tuple(config.trackers) if len(config.trackers) > 1 else ()  # one of them may die
-        # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
+        # ended last: the recorder keeps how the others end, a twin answers until its driver is closed
         self._first = [process for process in started if process.row.first]
         self._others = [process for process in started if not process.row.first]
         self._phase = "starting"
@@ -128,7 +128,8 @@ class Launcher:
 
     def _start(self, fleet: Children) -> None:
         for process in self._first:
-            fleet.start(process.name, *process.command)
+            if process.row is not table.RECORDER:
+                fleet.start(process.name, *process.command)
         self._start_companions(fleet)
 
         def wait() -> None:
@@ -138,6 +139,7 @@ class Launcher:
             self._show("compiling" if compiling else "starting", words)
 
         fleet.wait_ready(self._clock, wait)
+        fleet.start(table.RECORDER.name, table.RECORDER.name)  # it may compile kernels, too
         for process in self._others:
             taking = ["--takeover"] if self._take_over and process.row is table.CONTROLLER else []
             fleet.start(process.name, *process.command, *taking)

@@ -12,6 +12,7 @@ import shutil
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -145,11 +146,11 @@ def _recorder(edges: Edges) -> Node:
 
     assert edges.folder is not None
     file = edges.folder / FILE
+    log = partial(RunLog, file, edges.config, epoch_ns=epoch_ns())
     try:
-        log = RunLog(file, edges.config, epoch_ns=epoch_ns())
+        return Recorder(edges.config, edges.bus, edges.rng, log, edges.last_word)
     except OSError as error:
         raise RefusedError(f"{file}: {error.strerror}: a run is recorded in a folder of its own") from error
-    return Recorder(edges.config, edges.bus, edges.rng, log, edges.last_word)
 
 
 def _twins(edges: Edges) -> Node:

@@ -112,8 +112,10 @@ def moving(
     poses, velocities = np.empty((len(stamps), 3)), np.empty((len(stamps), 3))
     per_s = 0.5e9 / half_ns
     for n in range(len(stamps)):
-        x, y, psi = _pose_at(stamps[n], samples[n], count[n], instants_ns[n] - half_ns)
-        x_late, y_late, psi_late = _pose_at(stamps[n], samples[n], count[n], instants_ns[n] + half_ns)
+        x = y = psi = x_late = y_late = psi_late = 0.0
+        for instant_ns in (instants_ns[n] - half_ns, instants_ns[n] + half_ns):
+            x, y, psi = x_late, y_late, psi_late
+            x_late, y_late, psi_late = _pose_at(stamps[n], samples[n], count[n], instant_ns)
         d_x, d_y, turned = x_late - x, y_late - y, _remainder(psi_late - psi)
         # The middle of an arc lies beside that of its chord.
         poses[n, 0] = x + d_x / 2.0 + 0.125 * turned * d_y

@@ -19,7 +19,7 @@ BODY, BUILD, COMING = row_type(Body), row_type(Build), row_type(Coming)
 _CALLS = 32  # after so many the random numbers are counted anew
 
 advance, measured = kernel_of_plain(plant.advance), kernel_of_plain(plant.measured)
-_command = kernel_of_plain(plant.command)
+command = kernel_of_plain(plant.command)
 
 
 class Sensors(NamedTuple):
@@ -132,4 +132,4 @@ def advance_all(bodies, builds, coming, noise, now_ns):  # type: ignore[no-untyp
 def write(b, p, coming, noise, left, right, now_ns):  # type: ignore[no-untyped-def]
     """Command a robot's wheels from an instant on [rad/s]."""
     advance(b, p, coming, noise, now_ns)
-    _command(b, p, coming, left, right, now_ns + WATCHDOG_NS)
+    command(b, p, coming, left, right, now_ns + WATCHDOG_NS)

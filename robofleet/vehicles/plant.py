@@ -155,12 +155,12 @@ def advance(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float],
 
     Time is cut at the instants at which commands act.
     """
-    if now_ns >= b.off_ns:
-        _pass(b, p, coming, noise, b.off_ns)
-        if b.reached_ns < b.off_ns:
+    while True:  # with one call of _pass: of every call the compiler makes a copy
+        off = now_ns >= b.off_ns
+        _pass(b, p, coming, noise, b.off_ns if off else now_ns)
+        if not off or b.reached_ns < b.off_ns:
             return
         command(b, p, coming, 0.0, 0.0, NEVER_NS)
-    _pass(b, p, coming, noise, now_ns)
 
 
 def _pass(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float], now_ns: int) -> None:

@@ -51,7 +51,7 @@ class Stand:
         self.bench, self.stream, self.folder = Bench(config), Everything(), folder
         self.log = RunLog(folder / FILE, config)
         self.bench.bus.stream = lambda *_, **__: self.stream  # type: ignore[method-assign]
-        self.node = Recorder(config, self.bench.bus, np.random.default_rng(1), self.log, lambda: b"")
+        self.node = Recorder(config, self.bench.bus, np.random.default_rng(1), lambda: self.log, lambda: b"")
 
     def say(self, full: str, payload: bytes) -> None:
         self.stream.waiting.append(Arrival(self.bench.now_ns, full, payload))
@@ -211,7 +211,7 @@ def test_a_flood_of_keys_that_nobody_knows_is_not_recorded_and_kills_nobody(
         stack.callback(recorder_bus.close)
         stack.callback(saying.close)
         log = RunLog(tmp_path / FILE, config)
-        recorder = Recorder(config, recorder_bus, np.random.default_rng(1), log, lambda: b"")
+        recorder = Recorder(config, recorder_bus, np.random.default_rng(1), lambda: log, lambda: b"")
         stack.callback(log.close)
         tick = saying.publisher(TICK)
 

@@ -25,6 +25,7 @@ from robofleet.safety.latches import GateStatus
 from robofleet.simulation import bodies as simulated
 from robofleet.simulation.bodies import Bodies
 from robofleet.vehicles.interface import DriverContext
+from robofleet.vehicles.plant import WATCHDOG_NS
 
 LINK = row_type(Link)
 _NO_COMMAND = np.ndarray((1,), UNIT_COMMAND.head_dtype, bytes(64)), np.ndarray((0,), UNIT_COMMAND.item_dtype, b"0")
@@ -34,7 +35,9 @@ _NOTHING = np.array([astuple(Inputs())], INPUT)
 _put_command, _put_permission = kernel_of_plain(link.put_command), kernel_of_plain(link.put_permission)
 _look_at, _pass_to_gate = kernel_of_plain(link.look), kernel_of_plain(link.pass_on)
 _settle, _fill_status = kernel_of_plain(link.settle), kernel_of_plain(link.fill_status)
-_advance, _measured, _write_wheels = simulated.advance, simulated.measured, simulated.write
+_advance, _command, _measured, _write_wheels = (
+    simulated.advance, simulated.command, simulated.measured, simulated.write
+)  # fmt: skip
 
 
 class SimulatedRobots(Robots):
@@ -183,7 +186,8 @@ def _look(g, l, b, p, coming, noise, now_ns, world_ns):  # type: ignore[no-untyp
     l.left_angle, l.right_angle, l.left_speed, l.right_speed, l.battery = _measured(b, p)
     l.faults = b.faults
     if _look_at(g, l, now_ns):
-        _write(l, b, p, coming, noise, 0.0, 0.0, world_ns)
+        _command(b, p, coming, 0.0, 0.0, world_ns + WATCHDOG_NS)
+        l.left_written, l.right_written = 0.0, 0.0
 
 
 @kernel

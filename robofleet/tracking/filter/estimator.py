@@ -147,6 +147,16 @@ class FleetFilter:
 
 
 @kernel
+def _correct(x: Array, p: Array, moved: Array, innovation: Array, w: Array, gate: float, room: Array) -> bool:
+    """As ``correct``; a robot whose measurement is an outlier may be held up."""
+    for trial in range(2):  # one call: a second one would be compiled once more
+        prior = p if trial == 0 else held_up(p, moved, room[8:])
+        if correct(x, p, prior, innovation, w, gate, room[:8]):
+            return True
+    return False
+
+
+@kernel
 def _observe(
     state: Array, covariance: Array, wheels: Array, instants_ns: Instants, exposures_ns: Instants, ticks_ns: Instants,
     delays_ns: Instants, commands: Array, motion: Array, drift: Array, wander: Array, variance: Array, gate: float,
@@ -181,10 +191,7 @@ def _observe(
         covariance_of(measured[i], variance, r)
         whitening(r, w)
         known = measured_ns[i] > 0
-        if known and (
-            correct(x, p, p, innovation, w, gate, room[:8])
-            or correct(x, p, held_up(p, moved[i], room[8:]), innovation, w, gate, room[:8])
-        ):
+        if known and _correct(x, p, moved[i], innovation, w, gate, room):
             outliers[i] = 0
             used[i] = USED
         else:
