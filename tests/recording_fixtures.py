@@ -130,23 +130,8 @@ class Story:
             numbers += self._numbers(error, self._reference(at))
         phase, run_tick = (Phase.RUNNING, k) if k >= 0 else (Phase.ARMED, -1)
         exposure_ns = self.stamp(k) - 18 * MS
-        head = (
-            1,
-            1,
-            k + 10,
-            run_tick,
-            self.stamp(k),
-            1,
-            1,
-            exposure_ns,
-            1,
-            1,
-            0,
-            phase,
-            0,
-            max(k, 0) // 10 + 7,
-            1000 * (k + 10),
-        )
+        overruns, lateness_ns = max(k, 0) // 10 + 7, 1000 * (k + 10)
+        head = 1, 1, k + 10, run_tick, self.stamp(k), 1, 1, exposure_ns, 1, 1, 0, phase, 0, overruns, lateness_ns
         return TickRecord(*head, 50_000, tuple(items), tuple(numbers))
 
     def _numbers(self, error: float, reference: float) -> list[float]:

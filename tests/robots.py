@@ -9,31 +9,13 @@ from robofleet.vehicles.interface import Imperfections
 __all__ = ["CREATE2", "CREATE2_IDEAL", "GTERNAL", "IDEAL", "WORN", "stalls"]
 
 IDEAL = Imperfections(
-    motor_lag=0.0,
-    speed_quantum=0.0,
-    loop_period=0.01,
-    deadband=0.0,
-    breakaway=0.0,
-    wheel_gain_spread=0.0,
-    wheel_base_spread=0.0,
-    slip=0.0,
-    slip_noise=0.0,
-    top_speed_sag=0.0,
-    battery_life=1e9,
-)
+    motor_lag=0.0, speed_quantum=0.0, loop_period=0.01, deadband=0.0, breakaway=0.0, wheel_gain_spread=0.0,
+    wheel_base_spread=0.0, slip=0.0, slip_noise=0.0, top_speed_sag=0.0, battery_life=1e9,
+)  # fmt: skip
 WORN = Imperfections(
-    motor_lag=0.08,
-    speed_quantum=0.2244,
-    loop_period=0.01,
-    deadband=0.5,
-    breakaway=0.7,
-    wheel_gain_spread=0.03,
-    wheel_base_spread=0.01,
-    slip=0.02,
-    slip_noise=0.2,
-    top_speed_sag=0.1,
-    battery_life=2400.0,
-)
+    motor_lag=0.08, speed_quantum=0.2244, loop_period=0.01, deadband=0.5, breakaway=0.7, wheel_gain_spread=0.03,
+    wheel_base_spread=0.01, slip=0.02, slip_noise=0.2, top_speed_sag=0.1, battery_life=2400.0,
+)  # fmt: skip
 CREATE2 = DifferentialDrive(
     wheel_radius=0.036,
     wheel_base=0.235,

@@ -12,7 +12,6 @@ import shutil
 import sys
 import tomllib
 from collections.abc import Iterator
-from importlib import import_module
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -48,8 +47,7 @@ SHELL = {  # what a system has; a path of the project that it is given must be t
     "tar", "udevadm", "usermod", "apt",
 }  # fmt: skip
 PROGRAMS = {*SHELL, "robofleet", "python", "python3", "pip", "pytest", "ruff", "mypy", "lint-imports", "calibrate.py"}
-LABORATORY = {"calibrate": "measure", "sheet": "sheet"}  # commands with commands of their own: their module
-SCRIPTS = {"calibrate.py": "calibrate", "tag_sheet.py": "sheet"}  # of tools/: the same
+SCRIPTS = {"calibrate.py": "calibrate", "tag_sheet.py": "sheet"}  # of tools/: the command that each is
 SHOWN = (  # blocks that show what something looks like, by their beginning
     "running ", "robot ", "core <", "camera ->", "script ->", "# yaml-language-server", "ros2 launch ",
 )  # fmt: skip
@@ -172,37 +170,37 @@ def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         return
     name, *rest = arguments
     group: Any = get_command(cli.app)
-    if name in LABORATORY:
-        laboratory(name, rest)
-        return
     if name.startswith("--"):
         assert name in {"--help", *(option for parameter in group.params for option in parameter.opts)}
         return
-    mention = not rest  # `robofleet run` names a command; it needs no arguments there
+    command = group.commands[name].loaded
+    if rest and hasattr(command, "commands"):
+        (command, *_), rest = [command.commands[part] for part in rest[0].split("|")], rest[1:]
     if name in {"schema", "init", "check"} and rest and "lab.yaml" not in "".join(rest):
         assert CliRunner().invoke(cli.app, arguments).exit_code == 0
     elif "--lockstep" in rest and "tracker.source=truth" in rest:  # images take long
         run_shortly(arguments, monkeypatch)
-    elif not (mention and name in group.commands):
-        values = parsed(group.commands[name].loaded, rest)
-        if "config" in values and values["config"] is not None:
+    elif rest:  # `robofleet run` names a command; it needs no arguments there
+        values = parsed(command, rest)
+        for config in filter(None, (values.get("config"), values.get("live"))):
             changes, faults = [*(values.get("overrides") or ())], values.get("faults")
             if values.get("lockstep"):
-                load_checked(values["config"], changes, faults, lockstep=True)
+                load_checked(config, changes, faults, lockstep=True)
             else:  # there may be no such camera, no such port here
-                load_config(values["config"], changes, faults)
+                load_config(Path(config), changes, faults)
         if name == "sweep" and "sweep" in values:
             load_sweep(values["sweep"], lambda sweep: bar("checks", sweep))
         if name == "paper":
             assert values["experiment"] in {"all", *EXPERIMENTS}
         if name != "web":  # its run is an arena, as a rule
             there([str(values[run]) for run in ("run", "other") if values.get(run) is not None])
+        there([str(values[file]) for file in ("camera", "survey") if isinstance(values.get(file), Path)])
 
 
 def run_shortly(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a lockstep command, without its report and for a moment only."""
     with monkeypatch.context() as patched:
-        patched.setattr(Ending, "_report", lambda _: None)
+        patched.setattr(Ending, "write_report", lambda _: None)
         done = CliRunner().invoke(cli.app, [*arguments, "--duration=0.2", "--quiet", "--out=tried"])
     shutil.rmtree("tried", ignore_errors=True)
     assert done.exit_code == 0, done.output
@@ -228,23 +226,9 @@ def script(path: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> 
     file = ROOT / path
     assert file.is_file(), f"there is no {path}"
     if file.name in SCRIPTS:
-        laboratory(SCRIPTS[file.name], arguments)
+        robofleet([SCRIPTS[file.name], *arguments], monkeypatch)
     else:
         argparse_only(file, None, arguments, monkeypatch)
-
-
-def laboratory(name: str, arguments: list[str]) -> None:
-    """Parse a command of ``robofleet calibrate`` or ``robofleet sheet``, and load the configuration that it names."""
-    group: Any = get_command(import_module(f"robofleet.calibration.commands.{LABORATORY[name]}").app)
-    if not arguments:
-        return
-    command = group.commands[arguments[0]]
-    if arguments[1:] or name == "sheet":
-        values = parsed(command, arguments[1:])
-        for config in ("live", "config"):
-            if values.get(config) is not None:
-                load_config(Path(values[config]), [*(values.get("overrides") or ())])
-        there([str(values[file]) for file in ("camera", "survey") if isinstance(values.get(file), Path)])
 
 
 def argparse_only(file: Path, name: str | None, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from robofleet.core.errors import RobofleetError
+from robofleet.core.errors import BadInputError
 
 _RUNTIME = Path("/run/user")  # where the system gives each user a folder
 
 
-class PlaceError(RobofleetError, OSError):
+class PlaceError(BadInputError, OSError):
     """Raised where a folder or an endpoint cannot be used. The message is a line that says how to mend it."""
 
 

@@ -29,7 +29,7 @@ MIRRORED = (
 def images(path: Path) -> Iterator[Named]:
     try:
         yield from files.images(path)
-    except files.ImageFileError as error:
+    except CameraError as error:
         raise CalibrationError(str(error)) from error
 
 

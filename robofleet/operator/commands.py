@@ -303,19 +303,21 @@ def web(
 
     need_extra("lab", *WEB_PACKAGES)
     if lifeline is not None:
-        from robofleet.operator.page import process  # noqa: PLC0415
+        from robofleet.operator.page.process import of_run  # noqa: PLC0415
 
         assert run is not None
         tree = _for_one_process(Path(run))
         socket, keys = listening(host, port, "--host"), page_keys(tree.arena.name, host, "--host")
-        process.of_run(tree, Path(run).absolute().parent, lifeline, socket, host, keys)
+        of_run(tree, Path(run).absolute().parent, lifeline, socket, host, keys)
         return
-    from robofleet.operator.page import command  # noqa: PLC0415
+    from robofleet.operator.page.command import there  # noqa: PLC0415
 
-    page_run = command.there(run, _for_one_process)
+    page_run = there(run, _for_one_process)
     with listening(host, port, "--host") as socket:
         keys = page_keys(page_run.config.arena.name, host, "--host")
-        done, line = command.serve(page_run, socket, host, keys, browser=not no_browser)
+        from robofleet.operator.page.process import by_hand  # noqa: PLC0415 - the server's packages take their time
+
+        done, line = by_hand(page_run, socket, host, keys, browser=not no_browser)
     if line:
         raise typer.Exit(direct.answered(done, line))
 

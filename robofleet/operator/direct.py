@@ -1,7 +1,8 @@
 """The commands for which an operator is in a hurry: they need no Typer, which takes longer to load than they take.
 
 A command line that has nothing but the command and an arena's name is done by ``run``. Typer reads all others (options,
-help, mistakes, a shell's completions), and then calls the same functions. Each of them returns an exit code.
+help, mistakes, a shell's completions), and then calls the same functions. Each of them returns an exit code; bad
+input raises BadInputError.
 """
 
 import gc
@@ -9,6 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 
+from robofleet.core.errors import BadInputError
 from robofleet.core.log_lines import never_raise
 from robofleet.core.valid_json import dumps
 from robofleet.operator.terminal.plain_terminal import speak_its_language
@@ -31,39 +33,31 @@ def run(words: Sequence[str]) -> int | None:
     except KeyboardInterrupt:
         print(file=sys.stderr)
         return 1
+    except BadInputError as error:
+        print(error, file=sys.stderr)
+        return 2
 
 
 def stop(arena: str | None) -> int:
     """Ask for the emergency stop of an arena, or of every run of this user."""
     from robofleet.operator import requests  # noqa: PLC0415
 
-    try:
-        answers = requests.stop_all(arena)
-    except requests.NoArenaError as error:
-        return _refused(error)
-    return max(answered(done, what) for done, what in answers)
+    return max(answered(done, what) for done, what in requests.stop_all(arena))
 
 
 def request(what: str, arena: str | None) -> int:
-    """Ask the supervisor of an arena."""
     from robofleet.operator import requests  # noqa: PLC0415
 
-    try:
-        done, answer = requests.ask(requests.joined_arena(arena) or requests.chosen(arena), what)
-    except requests.NoArenaError as error:
-        return _refused(error)
+    done, answer = requests.ask(requests.joined_arena(arena) or requests.chosen(arena), what)
     then = _THEN.get(what)
     return answered(done, f"{answer}: {then}" if done and then else answer)
 
 
 def status(arena: str | None, *, as_json: bool = False) -> int:
-    """Show the state of an arena."""
     from robofleet.operator import requests  # noqa: PLC0415
 
     try:
         found = requests.status(requests.chosen(arena))
-    except requests.NoArenaError as error:
-        return _refused(error)
     except requests.UnreachableError as error:
         return answered(False, str(error))
     if as_json:
@@ -82,11 +76,6 @@ def answered(done: bool, what: str) -> int:
     """Print what came of a command, and return its exit code."""
     print(what, file=sys.stdout if done else sys.stderr)
     return 0 if done else 1
-
-
-def _refused(error: Exception) -> int:
-    print(error, file=sys.stderr)
-    return 2
 
 
 _COMMANDS: dict[str, Callable[[str | None], int]] = {"stop": stop, "status": status}

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from rich.console import Console
 
@@ -10,22 +11,47 @@ from robofleet.config.files.yamlfile import printable
 from robofleet.config.tree import Config
 from robofleet.core.files import write_text
 from robofleet.core.valid_json import dumps
-from robofleet.operator.run import Result
+from robofleet.recording.log import FILE
 from robofleet.recording.reading import RecordingError
+from robofleet.recording.run import Recording, Run
 from robofleet.reports import after, junit
 from robofleet.reports.bounds import complaints
+from robofleet.reports.metrics import summary
+from robofleet.reports.sampled import look
 from robofleet.reports.tables import summary_table
+
+
+class Result(NamedTuple):
+    """What a run left."""
+
+    summary: dict[str, Any]
+    columns: Run  # of its file
+
+
+def columns_of(config: Config, folder: Path) -> Run:
+    """Return what is in the run's file, whatever became of the recorder; nothing, if it never came to write."""
+    try:
+        return look(folder, groups.own(config).__contains__)
+    except RecordingError as error:
+        if (folder / FILE).exists() or not folder.exists():  # a run that never began has a folder and no file
+            print(error, file=sys.stderr)
+        return Run(Recording(config))
+
+
+def result_of(columns: Run, **ended: Any) -> Result:
+    """Return the result of a run; ``ended``: how it ended, as ``metrics.summary`` takes it."""
+    return Result(summary(columns.recording, run=columns, **ended), columns)
 
 
 class Ending:
     """The end of a run whose summary is made; results that cannot be kept are in ``lost``, a line each."""
 
-    def __init__(self, config: "Config", folder: Path, result: "Result", *, as_json: bool) -> None:
-        self._config, self._folder, self._as_json = config, folder, as_json
+    def __init__(self, config: Config, folder: Path, result: Result) -> None:
+        self._config, self._folder = config, folder
         self._summary, self._columns = result
         self.lost: list[str] = []
 
-    def tell(self) -> None:
+    def tell(self, *, as_json: bool) -> None:
         """Say why the run ended, then what it measured; write summary and report."""
         summary, completed = self._summary, self._summary["outcome"] == "completed"
         if not completed:
@@ -33,20 +59,19 @@ class Ending:
         if dropped := summary["recording"]["dropped"]:
             many = f"{dropped:,} message{'s' * (dropped > 1)} of the run"
             self._lose(self._folder / "run.mcap", f"it lacks {many}: make room, and run it again")
-        kept = self._write_summary()
-        if self._as_json or not kept:
+        kept = self.write_summary("it is printed instead")
+        if as_json or not kept:
             print(dumps(summary))
         elif completed or summary["ticks"]:
             Console().print(summary_table(summary, self._config))
-        page = self._report()
-        for file in () if self._as_json else (self._folder / "summary.json" if kept else None, page):
+        page = self.write_report()
+        for file in () if as_json else (self._folder / "summary.json" if kept else None, page):
             if file is not None:
                 print(printable(str(file)))
         for line in complaints(summary):
             print(line, file=sys.stderr)
 
     def write_junit(self, file: Path) -> None:
-        """Write the bounds for a CI."""
         try:
             junit.write(self._summary, self.lost, file)
         except OSError as error:
@@ -61,16 +86,17 @@ class Ending:
         self.lost.append(printable(f"results are lost: {file}: {why}"))
         print(self.lost[-1], file=sys.stderr)
 
-    def _write_summary(self) -> bool:
+    def write_summary(self, instead: str) -> bool:
+        """Return whether it could be written; ``instead``: where it is, if not."""
         file = self._folder / "summary.json"
         try:
             write_text(file, dumps(self._summary, indent=1) + "\n")
         except OSError as error:
-            self._lose(file, f"cannot be written: {error.strerror}: it is printed instead")
+            self._lose(file, f"cannot be written: {error.strerror}: {instead}")
             return False
         return True
 
-    def _report(self) -> Path | None:
+    def write_report(self) -> Path | None:
         """Write the run's report; where that fails, the run and its summary are there all the same."""
         if not self._summary["recording"]["messages"]:  # the operator ended it before it began
             return None

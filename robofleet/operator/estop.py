@@ -36,14 +36,12 @@ class Stopped(NamedTuple):
     silent: tuple[str, ...]  # robots that did not acknowledge in time; the supervisor, where nobody else knows them
 
     def describe(self) -> str:
-        """Return it in words."""
         if not self.silent:
             return f"every robot has latched its gate, the last one after {self.last_ms:.0f} ms"
         return f"NOT acknowledged within {_WITHIN_NS // MS} ms by {', '.join(self.silent)}: stop them by hand"
 
     @property
     def last_ms(self) -> float:
-        """When the last robot acknowledged."""
         return max(self.after_ms.values(), default=0.0)
 
 

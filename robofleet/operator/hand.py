@@ -33,11 +33,6 @@ class Stick(NamedTuple):
     turn: float  # to the left, -1 to 1
     held: bool  # the dead-man's button
 
-    @property
-    def sound(self) -> bool:
-        """Whether it can be one: its numbers are finite."""
-        return math.isfinite(self.forward) and math.isfinite(self.turn)
-
 
 def driven(config: Config) -> tuple[str, ...]:
     """Return the groups that a person drives."""
@@ -63,18 +58,18 @@ class Hand:
         self._held: tuple[WishKind, int] | None = None  # what the button is held for, and of which robot
         self._spent = True  # the button may be held for something else, and was not seen let go since
 
-    def drive(self, stick: Stick, tick: int) -> None:
-        """Command what the stick says by a tick that the person's computer has seen; the release, once."""
-        self._do(WishKind.BODY, 0, stick, tick)
+    def drive(self, stick: Stick, tick: int, out: str | None = None) -> bool:
+        """Command what the stick says by a tick that the person's computer has seen; the release, once.
 
-    def drive_out(self, robot: str, stick: Stick, tick: int) -> bool:
-        """Command one robot of a held run, as ``drive``; returns whether it is one of the group's."""
-        if robot not in self._ids:
+        ``out``: the robot that is driven out of a held run. Returns whether it is one of the group's.
+        """
+        if out is not None and out not in self._ids:
             return False
-        self._do(WishKind.RESCUE, self._ids.index(robot), stick, tick)
+        kind, row = (WishKind.BODY, 0) if out is None else (WishKind.RESCUE, self._ids.index(out))
+        self._command(kind, row, stick, tick)
         return True
 
-    def _do(self, kind: WishKind, row: int, stick: Stick, tick: int) -> None:
+    def _command(self, kind: WishKind, row: int, stick: Stick, tick: int) -> None:
         self._tick = max(self._tick, tick)
         if not stick.held:
             if self._spent:
@@ -119,14 +114,10 @@ class Hands:
 
     def drive(self, group: str, stick: Stick, tick: int, out: str | None = None) -> bool:
         """Command a group, or drive its robot ``out`` of a held run; returns whether that made sense."""
-        if group not in self._hands or not stick.sound or not 0 <= tick < _MOST_TICKS:
-            return False
-        if out is not None:
-            return self._hands[group].drive_out(out, stick, tick)
-        self._hands[group].drive(stick, tick)
-        return True
+        finite = math.isfinite(stick.forward) and math.isfinite(stick.turn)
+        sound = group in self._hands and finite and 0 <= tick < _MOST_TICKS
+        return sound and self._hands[group].drive(stick, tick, out)
 
     def let_go(self) -> None:
-        """Let all of them stand."""
         for hand in self._hands.values():
             hand.let_go()

@@ -102,7 +102,6 @@ def _state(statuses: list[UnitStatus], *, daemon: bool, answers: bool) -> str:
 
 
 def table(found: dict[str, Any]) -> "Table":
-    """Return what a terminal shows."""
     shown = Table(title=f"the computers of {found['arena']}", box=None, header_style="bold")
     for name in ("unit", "state", "host", "version", "certificate", "round trip", "loss", "battery", "since"):
         shown.add_column(name)

@@ -21,10 +21,11 @@ from robofleet.bus.keys import STATE, STATUS
 from robofleet.bus.messages import RunState
 from robofleet.bus.observer import Observer, RobotObserved, robots_observed
 from robofleet.bus.permissions import OPERATOR, UNIT
-from robofleet.bus.requests import SAFE, SAFE_WORDS, asked
+from robofleet.bus.requests import SAFE, SAFE_WORDS
 from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.core.clock import MS, WallClock
 from robofleet.core.errors import BadInputError, RobofleetError
+from robofleet.operator.asking import ask_supervisor
 from robofleet.operator.estop import SUPERVISOR, Stopped, emergency_stop, urgent
 from robofleet.recording.causes import halt_cause, named
 from robofleet.safety.advice import WAY_OUT
@@ -188,8 +189,7 @@ def ask(arena: Arena, what: str) -> tuple[bool, str]:
         return False, f"{who}, who may ask for {SAFE_WORDS}: {what} is an operator's"
     try:
         with reached(arena, clock) as bus:
-            answer = asked(bus, clock, SUPERVISOR, what.encode(), role=role).decode(errors="replace")
-            return answer.startswith("ok"), answer
+            return ask_supervisor(bus, clock, what, role)
     except (UnreachableError, TimeoutError) as error:
         if isinstance(arena, JoinedArena):
             return False, f"{error}: see at the computer of {arena.arena} whether a run is on"

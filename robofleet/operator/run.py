@@ -1,23 +1,19 @@
 """A run as the operator sees it: the live view, the terminal's keys, and the summary in the end."""
 
-import sys
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
-from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import WallClock, utc_now
 from robofleet.core.refusal import RefusedError
+from robofleet.operator.ending import Result, columns_of, result_of
 from robofleet.operator.terminal.live import LiveView
 from robofleet.operator.terminal.terminal import Terminal, hangup_interrupts
 from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import FILE
-from robofleet.recording.reading import RecordingError
 from robofleet.recording.run import SHOWN, Recording, Run, Watch
-from robofleet.reports.metrics import summary
-from robofleet.reports.sampled import look
 from robofleet.runs.companion import PageWanted
 from robofleet.runs.launcher import Launcher
 from robofleet.vehicles.interface import DriverError
@@ -26,15 +22,7 @@ if TYPE_CHECKING:
     from robofleet.runs.lockstep import Lockstep
 
 
-class Result(NamedTuple):
-    """What a run left."""
-
-    summary: dict[str, Any]
-    columns: Run  # of its file
-
-
 def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> Result:
-    """Run on a simulated clock."""
     from robofleet.runs.lockstep import Lockstep  # noqa: PLC0415 - it loads all that its processes need
 
     began = _now()
@@ -51,9 +39,9 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> Resu
 
         outcome, cause = driven(run, watch)
         log.end(run.recording.ending())
-    columns = _look(config, folder)
+    columns = columns_of(config, folder)
     columns.recording.dropped = log.dropped
-    return _result(columns, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
+    return result_of(columns, name=name, mode="lockstep", outcome=outcome, cause=cause, began=began)
 
 
 def driven(run: "Lockstep", watch: Watch) -> tuple[str, str | None]:
@@ -72,7 +60,6 @@ def _now() -> str:
 
 
 def _first(raised: BaseException) -> str:
-    """Return the first complaint of a group."""
     while isinstance(raised, BaseExceptionGroup):
         raised = raised.exceptions[0]
     return str(raised)
@@ -82,27 +69,12 @@ def in_real_time(
     config: Config, name: str, folder: Path, *, quiet: bool, reset: bool, take_over: bool, web: PageWanted | None,
     viewers: Mapping[str, str] | None = None,
 ) -> Result:  # fmt: skip
-    """Run with real processes."""
     began = _now()
     with Terminal() as terminal, LiveView(config, WallClock(), terminal, quiet=quiet) as view:
         run = Launcher(
             config, folder, view, terminal, reset=reset, take_over=take_over, web=web, viewers=viewers
         )  # fmt: skip
         outcome, cause = run.run()
-    columns = _look(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
+    columns = columns_of(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
     columns.recording.elapsed_s = run.recording.elapsed_s
-    return _result(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
-
-
-def _result(columns: Run, **ended: Any) -> Result:
-    return Result(summary(columns.recording, run=columns, **ended), columns)
-
-
-def _look(config: Config, folder: Path) -> Run:
-    """Return what is in the run's file, whatever became of the recorder; nothing, if it never came to write."""
-    try:
-        return look(folder, groups.own(config).__contains__)
-    except RecordingError as error:
-        if (folder / FILE).exists() or not folder.exists():  # a run that never began has a folder and no file
-            print(error, file=sys.stderr)
-        return Run(Recording(config))
+    return result_of(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)

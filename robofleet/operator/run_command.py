@@ -4,8 +4,7 @@ import math
 import re
 import shlex
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,9 +12,8 @@ import typer
 from rich.console import Console
 from typer.core import TyperCommand
 
-from robofleet.bus.arena_file import ArenaBusyError, claimed
+from robofleet.bus.arena_file import claimed
 from robofleet.bus.endpoint import check_router, settled
-from robofleet.bus.private_folder import PlaceError
 from robofleet.config.files.yamlfile import printable
 from robofleet.config.load import Typed
 from robofleet.config.tree import Config
@@ -25,10 +23,10 @@ from robofleet.hosts.network import network
 from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.operator import viewer_address as viewers
 from robofleet.operator.config_commands import ConfigFile, Overrides
-from robofleet.operator.ending import Ending
+from robofleet.operator.ending import Ending, Result
 from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.page_address import LOOPBACK, listening
-from robofleet.operator.run import Result, in_lockstep, in_real_time
+from robofleet.operator.run import in_lockstep, in_real_time
 from robofleet.operator.terminal.outlet import unhindered
 from robofleet.operator.terminal.plain_terminal import as_shown
 from robofleet.reports.tables import proofs_table
@@ -69,7 +67,6 @@ class RunCommand(TyperCommand):
     """``run``, whose options --foxglove and --rerun may stand without a value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Add the values that were left out."""
         return super().parse_args(ctx, viewers.completed(args))
 
 
@@ -146,13 +143,15 @@ def run(
             if tree.run.attended and not sys.stdin.isatty():
                 raise RefusedError("run.attended: stdin is not a terminal: start the run in one, or set it to false")
             _refuse_forgetful(tree)
-            tree = _settled(tree)
-            held.enter_context(_claimed(tree, folder))
+            network(tree)  # refuses keys that are missing, before anything starts
+            tree = settled(tree, listen=True)
+            held.enter_context(claimed(tree, folder))
+            check_router(tree)
         new_folder(folder)
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
         result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
-    ending = Ending(tree, folder, result, as_json=as_json)
-    ending.tell()
+    ending = Ending(tree, folder, result)
+    ending.tell(as_json=as_json)
     if junit is not None:
         ending.write_junit(junit)
     if ending.bad(strict=strict):
@@ -204,7 +203,6 @@ def _page(web: bool, host: str | None, *, browser: bool, lockstep: bool) -> Page
 
 
 def _refuse_viewers(shown: dict[str, str], tree: Config, *, lockstep: bool) -> None:
-    """Refuse viewers that could not see the run."""
     for viewer, at in shown.items():
         option = viewers.option(viewer)
         if lockstep:
@@ -221,27 +219,6 @@ def _refuse_forgetful(tree: Config) -> None:
             FileStateStore(tree.arena.name).try_place(here)
         except OSError as error:
             raise unkept(error) from error
-
-
-@contextmanager
-def _claimed(tree: Config, folder: Path) -> Iterator[None]:
-    """Let the run be reached by others, and refuse a second one on the same arena."""
-    with ExitStack() as held:
-        try:
-            held.enter_context(claimed(tree, folder))
-            check_router(tree)
-        except (ArenaBusyError, PlaceError) as error:
-            raise RefusedError(str(error)) from error
-        yield
-
-
-def _settled(tree: Config) -> Config:
-    """Choose where the processes meet; what is in use is refused."""
-    network(tree)  # refuses keys that are missing, before anything starts
-    try:
-        return settled(tree, listen=True)
-    except PlaceError as error:
-        raise RefusedError(str(error)) from error
 
 
 def _result(tree: Config, name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> Result:

@@ -60,6 +60,5 @@ def _place(param: Any) -> str:
 
 
 def _example(ctx: Any) -> str:
-    """Return the first example of a command's help."""
     found = _EXAMPLE.search((ctx.command.help if ctx is not None else None) or "")
     return "" if found is None else found[1]

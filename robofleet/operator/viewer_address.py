@@ -22,12 +22,10 @@ _FAMILIES = socket.AF_INET, socket.AF_INET6
 
 
 def option(viewer: str) -> str:
-    """Return the option of `run` that serves a viewer."""
     return f"--{viewer}"
 
 
 def need(viewer: str) -> None:
-    """Refuse where a viewer's library is missing."""
     need_extra(viewer, viewer)  # its module, and the extra that brings it, have its name
     need_extra("lab", *LAB_MODULES)
 
@@ -94,5 +92,4 @@ class Address(NamedTuple):
         return f"{'wss' if self.secured else 'ws'}://{host}:{port}"
 
     def __str__(self) -> str:
-        """Return HOST:PORT."""
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"

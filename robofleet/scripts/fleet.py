@@ -462,7 +462,6 @@ class Fleet:
         return float(_NUMBER.unpack_from(self._record, self._items_at + 8 * (self._count * _COLUMNS + index))[0])
 
     def _read(self, record: bytes) -> None:
-        """Take a tick's record."""
         self._record = record
         self._tick: int = TICK_RECORD.head_of(record, "tick")
         self._run_tick: int = TICK_RECORD.head_of(record, "run_tick")
@@ -549,7 +548,6 @@ class Fleet:
         return SCRIPT_WISH.encode_array((self._epoch, self._seq, kind, self._order, self._tick), self._setpoint)
 
     def _stand(self) -> None:
-        """Command the robots to stand until the next command."""
         self._kind = WishKind.STAND
         with suppress(FleetError):  # the run is over
             self._send()

@@ -34,6 +34,9 @@ class Link(Protocol):
     def tick(self) -> bytes:
         """The newest tick's record."""
 
+    def begin(self) -> None:
+        """Wait until the robots may drive; FleetError where the run ends before."""
+
     def next_tick(self) -> bytes:
         """Wait for the next tick, and return its record; FleetError where none comes any more."""
 
@@ -98,10 +101,8 @@ def ended(status: RunStatus, config: Config) -> FleetError:
 
 
 def held(status: RunStatus, config: Config) -> FleetError:
-    """Return why the fleet stands."""
     return FleetError(f"the run is held: {status.describe(config.ids)}: `fleet.resume()` goes on")
 
 
 def refuse(answer: str, what: bytes) -> NoReturn:
-    """Raise what the supervisor answered."""
     raise FleetError(f"{what.decode()} was refused: {answer.removeprefix('refused: ')}")

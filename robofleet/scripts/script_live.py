@@ -20,11 +20,11 @@ from robofleet.bus.keys import NOTE, SENSORS, STATE, STATUS, TICK, WISH, Topic
 from robofleet.bus.messages import RUN_STATE, TICK_RECORD
 from robofleet.bus.observer import Observer, Source
 from robofleet.bus.permissions import SCRIPT
-from robofleet.bus.requests import asked
 from robofleet.config import groups
 from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, WallClock
+from robofleet.operator.asking import ask_supervisor
 from robofleet.reports.after import SUMMARY
 from robofleet.runs.children import ended_by
 from robofleet.safety.supervisor import Phase, RunStatus
@@ -63,7 +63,7 @@ class LiveLink:
         try:
             self._ticks = Observer(self._bus, wake=self._wake)
             self._ticks.declare([TICK], self._own_tick)
-            self._observer = Observer(self._bus)
+            self._observer = Observer(self._bus)  # its messages need not wake anybody
             self._observer.declare([STATE], _status)
             units = [(STATUS, unit) for unit in config.units] + [(SENSORS, unit) for unit in config.sensing]
             self._observer.declare(units, bytes)
@@ -82,7 +82,6 @@ class LiveLink:
             raise
 
     def begin(self) -> None:
-        """Wait until the robots may drive; FleetError where the run ends before."""
         while self.status.phase is not Phase.RUNNING:
             self._check()
             if self.status.phase in (Phase.FAULT, Phase.ESTOP):
@@ -93,12 +92,10 @@ class LiveLink:
 
     @property
     def status(self) -> RunStatus:
-        """Where the run is."""
         return self._newest(STATE) or RunStatus()
 
     @property
     def tick(self) -> bytes:
-        """The newest tick's record."""
         self._has_new_tick()
         return bytes(self._ticks[TICK])
 
@@ -113,17 +110,15 @@ class LiveLink:
         return tick
 
     def newest(self, topic: Topic, unit: str) -> bytes | None:
-        """Return the newest message of a unit."""
         payload: bytes | None = self._newest((topic, unit))
         return payload
 
     def ask(self, what: bytes) -> None:
-        """Ask the supervisor."""
         try:
-            answer = asked(self._bus, self._clock, "supervisor", what, role=SCRIPT).decode(errors="replace")
+            done, answer = ask_supervisor(self._bus, self._clock, what.decode(), SCRIPT)
         except TimeoutError as error:
             raise FleetError(f"{what.decode()}: {error}") from error
-        if not answer.startswith("ok"):
+        if not done:
             refuse(answer, what)
 
     def done(self, parting: bytes) -> dict[str, Any] | None:
@@ -202,9 +197,12 @@ class OwnRun:
         os.close(theirs)
 
     def check(self) -> None:
-        """Raise FleetError where it has ended."""
+        """Raise FleetError with what it said last, where it has ended."""
         if self.over:
-            raise FleetError(self.why())
+            self._stderr.seek(0)
+            lines = self._stderr.read().decode(errors="replace").strip().splitlines()[-5:]
+            code = self._process.returncode
+            raise FleetError("\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"]))
 
     def joinable(self, arena: str) -> ArenaFile:
         """Wait until its processes can be reached, and return where; FleetError where it ends before."""
@@ -217,15 +215,7 @@ class OwnRun:
 
     @property
     def over(self) -> bool:
-        """Whether it has ended."""
         return self._process.poll() is not None
-
-    def why(self) -> str:
-        """Return what it said last."""
-        self._stderr.seek(0)
-        lines = self._stderr.read().decode(errors="replace").strip().splitlines()[-5:]
-        code = self._process.returncode
-        return "\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"])
 
     def interrupt(self) -> None:
         """End it as Ctrl-C does: a controlled stop."""
@@ -269,7 +259,6 @@ class OwnRunLink(LiveLink):
         self._run.check()
 
     def begin(self) -> None:
-        """Wait until the robots may drive."""
         try:
             super().begin()
         except BaseException:
@@ -277,7 +266,6 @@ class OwnRunLink(LiveLink):
             raise
 
     def done(self, parting: bytes) -> dict[str, Any] | None:
-        """End the run."""
         with suppress(FleetError):
             self._part(parting, lambda: self._run.over or self.status.phase in _OVER, _OVER_WITHIN_S)
         return self._end()
@@ -288,7 +276,6 @@ class OwnRunLink(LiveLink):
         return self._end()
 
     def _end(self) -> dict[str, Any] | None:
-        """End the run, where it has not ended."""
         if self.status.phase not in _OVER:
             self._run.interrupt()
         summary = self._run.summary()

@@ -1,24 +1,17 @@
 """A script's run in lockstep, in the script's own process: the simulated clock waits for the script."""
 
 import gc
-import sys
 import threading
 from pathlib import Path
 from typing import Any
 
 from robofleet.bus.keys import NOTE, TICK, WISH, Topic, key
-from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, stopwatch_ns, utc_now
-from robofleet.core.files import write_text
-from robofleet.core.valid_json import dumps
+from robofleet.operator.ending import Ending, columns_of, result_of
 from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.reading import RecordingError
-from robofleet.recording.run import SHOWN, Recording, Run
-from robofleet.reports.after import SUMMARY, report
-from robofleet.reports.metrics import summary
-from robofleet.reports.sampled import look
+from robofleet.recording.run import SHOWN, Run
 from robofleet.runs.lockstep import Lockstep
 from robofleet.runs.readiness import why
 from robofleet.safety.supervisor import Phase, RunStatus
@@ -72,12 +65,10 @@ class LockstepLink:
 
     @property
     def status(self) -> RunStatus:
-        """Where the run is."""
         return self.run.status
 
     @property
     def tick(self) -> bytes:
-        """The newest tick's record."""
         return self._ticks[-1]
 
     def next_tick(self) -> bytes:
@@ -93,7 +84,6 @@ class LockstepLink:
         return ticks[-1]
 
     def newest(self, topic: Topic, unit: str) -> bytes | None:
-        """Return the newest message of a unit."""
         payloads = self._messages.get(key(self.config.arena.name, topic, unit))
         return payloads[-1] if payloads else None
 
@@ -112,7 +102,6 @@ class LockstepLink:
         self.run.advance(2 * self.config.controller.tick_s)
 
     def done(self, parting: bytes) -> dict[str, Any]:
-        """End the run."""
         run = self.run
         if run.status.phase is Phase.RUNNING:
             self.wish(parting)
@@ -123,7 +112,6 @@ class LockstepLink:
         return self.end("stopped" if phase is Phase.HOLD else "fault", run.status.describe(self.config.ids))
 
     def failed(self, parting: bytes, why: str) -> dict[str, Any]:
-        """End the run."""
         phase = self.run.status.phase
         self.wish(parting)
         return self.end("fault" if phase in (Phase.FAULT, Phase.ESTOP) else "stopped", why)
@@ -140,30 +128,15 @@ class LockstepLink:
             recording.outcome, recording.cause = outcome, cause
             recording.elapsed_s = (stopwatch_ns() - self._began_ns) / S
             self._close_log(recording.ending())
-        columns = Run(recording) if self.folder is None else self._look(self.folder)
+        columns = Run(recording) if self.folder is None else columns_of(self.config, self.folder)
         columns.recording.dropped = recording.dropped
-        made = summary(
-            columns.recording, name=self._name, mode="lockstep", outcome=outcome, cause=cause, began=self._began,
-            run=columns,
-        )  # fmt: skip
+        how = {"mode": "lockstep", "outcome": outcome, "cause": cause, "began": self._began}
+        result = result_of(columns, name=self._name, **how)
         if self.folder is not None:
-            self._keep(self.folder, made, columns)
-        return made
-
-    def _look(self, folder: Path) -> Run:
-        try:
-            return look(folder, groups.own(self.config).__contains__)
-        except RecordingError as error:
-            print(f"results are lost: {error}", file=sys.stderr)
-            return Run(Recording(self.config))
-
-    def _keep(self, folder: Path, made: dict[str, Any], columns: Run) -> None:
-        """Write what a run leaves beside its recording; what cannot be written is said."""
-        try:
-            write_text(folder / SUMMARY, dumps(made, indent=1) + "\n")
-            report(folder, imports=groups.own(self.config).__contains__, columns=columns)
-        except (OSError, RecordingError) as error:
-            print(f"results are lost: {folder}: {error}", file=sys.stderr)
+            ending = Ending(self.config, self.folder, result)
+            ending.write_summary("it is in `fleet.summary` alone")
+            ending.write_report()
+        return result.summary
 
     def _close_log(self, ending: bytes) -> None:
         if self._log is not None:

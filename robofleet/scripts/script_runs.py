@@ -32,10 +32,18 @@ def opened(
                 raise FleetError(f"{where}: the run of an arena is as it is: name a configuration, {where}.yaml")
             return _joined(str(where), group, copy)
         config = load_checked(file, changes, lockstep=lockstep, change=lambda tree: scripted(first(tree, robots)))
-        mine = group_of(config, group)
+        mine, folder = group_of(config, group), _folder(out, file.stem)
+        link: Link
         if lockstep:
-            return _in_lockstep(config, mine, file.stem, _folder(out, file.stem))
-        return _in_real_time(config, mine, file.stem, _folder(out, file.stem))
+            from robofleet.scripts.script_lockstep import LockstepLink  # noqa: PLC0415 - it loads all of a run
+
+            link = LockstepLink(config, mine, file.stem, folder)
+        else:
+            from robofleet.scripts.script_live import OwnRunLink  # noqa: PLC0415 - it loads Zenoh
+
+            link = OwnRunLink(config, mine, file.stem, folder)
+        link.begin()
+        return link
     except (RefusedError, DriverError, NoArenaError) as error:
         raise FleetError(str(error)) from None  # the words say all, and a chain of tracebacks hides them
 
@@ -59,22 +67,6 @@ def _folder(out: Out, name: str) -> Path | None:
     folder = Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}" if out is None else Path(out)
     new_folder(folder, "out")
     return folder
-
-
-def _in_lockstep(config: Config, group: str, name: str, folder: Path | None) -> Link:
-    from robofleet.scripts.script_lockstep import LockstepLink  # noqa: PLC0415 - it loads all that a run needs
-
-    link = LockstepLink(config, group, name, folder)
-    link.begin()
-    return link
-
-
-def _in_real_time(config: Config, group: str, name: str, folder: Path | None) -> Link:
-    from robofleet.scripts.script_live import OwnRunLink  # noqa: PLC0415 - it loads Zenoh
-
-    link = OwnRunLink(config, group, name, folder)
-    link.begin()
-    return link
 
 
 def _joined(arena: str, group: str | None, copy: str | Path | None) -> Link:

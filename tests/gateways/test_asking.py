@@ -37,7 +37,7 @@ class Broken(MemoryBus):
 
 def test_the_emergency_stop_waits_for_no_other_request() -> None:
     bus = Hanging()
-    ask = Asking(bus, WallClock(), CONFIG)
+    ask = Asking(bus, WallClock(), CONFIG.units)
     others = [ask(what) for what in ("hold", "resume", "reset")]
     try:
         done, answer = ask("stop").result(WITHIN_S)
@@ -53,6 +53,6 @@ def test_the_emergency_stop_waits_for_no_other_request() -> None:
 @pytest.mark.parametrize("what", ["hold", "stop"])
 def test_who_asks_is_told_what_went_wrong(what: str) -> None:
     clock = WallClock()
-    ask = Asking(Broken(CONFIG.arena.name, clock, 0), clock, CONFIG)
+    ask = Asking(Broken(CONFIG.arena.name, clock, 0), clock, CONFIG.units)
     assert ask(what).result(WITHIN_S) == (False, "the session is closed")
     ask.close()

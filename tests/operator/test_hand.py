@@ -3,6 +3,7 @@
 import math
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -144,17 +145,6 @@ def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_sta
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0), ending
 
 
-def test_a_gamepad_that_comes_with_its_button_held_drives_after_a_new_press(page: Seen, stand: WebStand) -> None:
-    wished = Wished(stand)
-    page.run("pad.axes = [0, -1, 0, 0]; pad.buttons[4].pressed = true; pads = [pad]")
-    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
-    assert wished.newest() is None
-    page.run("pad.buttons[4].pressed = false")
-    page.becomes(lambda: wished.is_(WishKind.STAND))
-    page.run("pad.buttons[4].pressed = true")
-    page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
-
-
 def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> None:
     """As where a page's link breaks and opens again under a finger that was never lifted."""
     config = load_config(TELEOP)
@@ -204,17 +194,26 @@ def _closed(receive: Callable[[float], object]) -> bool:
     return False
 
 
+@contextmanager
+def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tuple[PipedDevice, Wished]]:
+    """Drive by a gamepad of this computer, or the robot ``out`` of a held run; it stands when that is ended."""
+    wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
+    arguments = EventPad(pad), stand.config, stand._bus, CLOCK, GROUP, over.is_set, out
+    thread = threading.Thread(target=command.drive, args=arguments)
+    with Fleet(stand).alive() as fleet:
+        fleet.phase = phase
+        thread.start()
+        yield pad, wished
+        over.set()
+        fleet.controlled = False
+        thread.join(10.0)
+    assert not thread.is_alive()
+    assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+
+
 @pytest.mark.slow
 def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(stand: WebStand) -> None:
-    wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
-    config, bus = stand.config, stand._bus
-
-    def drive() -> None:
-        command.drive(EventPad(pad), config, bus, CLOCK, GROUP, over.is_set)
-
-    thread = threading.Thread(target=drive)
-    with Fleet(stand).alive() as fleet:
-        thread.start()
+    with at_a_computer(stand, Phase.RUNNING) as (pad, wished):
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
         pad.happens((EV_ABS, ABS_Y, -32768), (EV_ABS, ABS_X, 0))
         pad.happens((EV_KEY, BTN_TR, 1))
@@ -223,11 +222,6 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
         pad.happens((EV_KEY, BTN_TR, 1))
         assert wait(lambda: wished.is_(WishKind.BODY, MOST_V, MOST_OMEGA), 5.0)
-        over.set()
-        fleet.controlled = False
-        thread.join(10.0)
-    assert not thread.is_alive()
-    assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
 
 
 def test_a_gamepad_at_a_computer_drives_no_robot_of_the_arenas_next_run() -> None:
@@ -303,15 +297,7 @@ def test_without_the_button_nothing_is_driven() -> None:
 
 @pytest.mark.slow
 def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand: WebStand) -> None:
-    wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
-
-    def drive() -> None:
-        command.drive(EventPad(pad), stand.config, stand._bus, CLOCK, GROUP, over.is_set, "r2")
-
-    thread = threading.Thread(target=drive)
-    with Fleet(stand).alive() as fleet:
-        fleet.phase = Phase.HOLD
-        thread.start()
+    with at_a_computer(stand, Phase.HOLD, "r2") as (pad, wished):
         pad.happens((EV_ABS, ABS_Y, 32767), (EV_ABS, ABS_X, 128), (EV_KEY, BTN_TR, 0))
 
         def out() -> bool:
@@ -324,11 +310,6 @@ def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand
             return wish.robots[1][:2] == pytest.approx((1, -CRAWL), abs=1e-3)
 
         assert wait(out, 5.0)
-        over.set()
-        fleet.controlled = False
-        thread.join(10.0)
-    assert not thread.is_alive()
-    assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
 
 
 def test_a_group_that_nobody_drives_by_hand_has_no_hand() -> None:

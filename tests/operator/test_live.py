@@ -5,11 +5,9 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
 import pytest
 from rich.console import Console
 
-from robofleet.behaviours import described
 from robofleet.bus.keys import BUSY, STATE, STATUS, TICK, key
 from robofleet.bus.messages import (
     BUSY_MACHINE,
@@ -34,6 +32,7 @@ from robofleet.safety.busy import TRACKER
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
+from tests.operator.page.webstand import told_numbers
 
 STANDING = RobotTick(*(0.0,) * len(RobotTick._fields))
 TWO = Path(__file__).with_name("two_groups.yaml")
@@ -60,16 +59,10 @@ class Stand:
 
     def tick(self, *robots: RobotTick, run_tick: int = -1, figures: dict[str, Sequence[float]] | None = None) -> None:
         """Say a tick; ``figures``: by their names, a value a robot of all groups."""
-        groups, first = self.recording.groups, 0
-        numbers = np.full(described.size(groups), np.nan)
-        for group, part in zip(groups, described.parts(groups, numbers[None]), strict=True):
-            rows = slice(first, first := first + len(group.robots))
-            for k, figure in enumerate(group.figures):
-                if figures is not None and figure.name in figures:
-                    part[0, :, 2 + k] = figures[figure.name][rows]
+        numbers = told_numbers(self.recording.groups, figures or {})
         items = robots or (STANDING,) * len(self._config.members)
         head = 1, 1, 9, run_tick, 1, *[0] * 6, Phase.RUNNING, *[0] * 4
-        self.recording.add(key(self.arena, TICK), TICK_RECORD.encode(TickRecord(*head, items, tuple(numbers.tolist()))))
+        self.recording.add(key(self.arena, TICK), TICK_RECORD.encode(TickRecord(*head, items, numbers)))
 
     def gate(self, robot: str, gate: int, latch: int) -> None:
         status = RobotStatus(1, 1, 1, 1, 1, 1, 1, 0, 0, 0, gate, latch, 1, 0, 0, -1, -1, *(0.0,) * 8, 1.0)

@@ -11,12 +11,11 @@ from typer.testing import CliRunner
 
 from robofleet.bus.keys import TICK, key
 from robofleet.cli import app
-from robofleet.core.clock import S
 from robofleet.nodes.unit.state_store import FileStateStore, StoredRobot
 from robofleet.recording.reading import read
 from robofleet.runs.replay import replay
 from robofleet.safety.latches import Latch
-from tests.runs.realrun import ALONE, CLOCK, GONE_WITHIN_S, PLATOON, RealRun, of_robots, own_folders, wait
+from tests.runs.realrun import ALONE, GONE_WITHIN_S, PLATOON, RealRun, of_robots, own_folders, wait
 
 Start = Callable[..., RealRun]
 
@@ -141,26 +140,6 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("frozen_s", [0.3, 1.2])
-def test_a_supervisor_that_wakes_after_a_stop_does_not_go_on(real_run: Start, frozen_s: float) -> None:
-    run = real_run(*ALONE)
-    run.wait_until_running()
-    (supervisor,) = run.children("supervisor")
-    supervisor.send_signal(signal.SIGSTOP)
-    stopping = run.begin("stop")
-    run.wait_for(lambda: run.latched() == {"r1": 2})
-    CLOCK.sleep_until(CLOCK.now_ns() + round(frozen_s * S))
-    supervisor.send_signal(signal.SIGCONT)
-    assert stopping.wait(20) == 0
-    assert run.ended() == 1
-    assert run.latched() == {"r1": 2}
-    assert run.summary["outcome"] == "stopped"
-    causes = "emergency stop requested", "r1: an emergency stop closed its gate without the supervisor: "
-    first = "at the gates; "  # the supervisor, or the launcher, names its silence before it hears of the stop
-    assert run.summary["cause"].startswith(tuple(f"emergency stop ({cause}" for cause in (*causes, first)))
-
-
-@pytest.mark.long
 def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run: Start) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()
@@ -180,13 +159,3 @@ def test_without_a_run_there_is_nothing_to_stop(tmp_path: Path) -> None:
         assert (done.exit_code, done.stdout) == (2, ""), command
         where = f"{tmp_path}/tmp/robofleet or {tmp_path}/rt/robofleet"
         assert done.stderr == f"no arena has a run in {where}: start one with `robofleet run CONFIG`\n", command
-
-
-def test_stop_waits_for_no_heavy_library() -> None:
-    import subprocess
-    import sys
-
-    heavy = "[n for n in ('numpy', 'numba', 'cv2', 'matplotlib', 'pydantic') if n in sys.modules]"
-    code = f"import sys, robofleet.cli, robofleet.operator.requests; print({heavy})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

@@ -144,7 +144,7 @@ with Terminal() as terminal:
 BLOCKED_RUN = """
 import os, sys
 from pathlib import Path
-from robofleet.cli import _settled
+from robofleet.bus.endpoint import settled
 from robofleet.config.load import load_config
 from robofleet.runs.launcher import Launcher
 from robofleet.operator.terminal.terminal import Terminal
@@ -155,7 +155,7 @@ def watch(recording, phase):
         print("ready", flush=True)
         os.read(os.pipe()[0], 1)
 
-config = _settled(load_config(Path(sys.argv[1]), sys.argv[3::2]))
+config = settled(load_config(Path(sys.argv[1]), sys.argv[3::2]), listen=True)
 with Terminal() as terminal:
     Launcher(config, Path(sys.argv[2]), watch, terminal).run()
 """

@@ -16,8 +16,8 @@ from robofleet.core.clock import MS, S, WallClock
 from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint
-from tests.runs.unlaunched import started, wait_ready
 from tests.shipped import PLATOON
+from tools.measure.runs.unlaunched import started, wait_ready
 
 CLOCK = WallClock()
 _WITHIN_S = 60.0

@@ -19,7 +19,6 @@ from robofleet.bus.private_folder import PlaceError
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.config import groups
-from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config, Group
 from robofleet.core.arrays import Array
 from robofleet.core.clock import S
@@ -130,7 +129,7 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
                 seen[pose.tag].append(((exposure_ns + pose.after_ns) / S, pose.x_m, pose.y_m, pose.psi_rad))
     drives = []
     for row, robot in enumerate(robots[:count]):
-        offset = TagOffset() if robot.calibration is None else robot.calibration.tag_offset
+        offset = robot.tag_offset
         poses = [(at_s, *tag_from_centre(x, y, psi, offset)) for at_s, x, y, psi in seen[robot.tag]]
         measured = np.array(sorted(poses)).reshape(-1, 4)
         measured = measured[np.unique(measured[:, 0], return_index=True)[1]]

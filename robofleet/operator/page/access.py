@@ -1,13 +1,12 @@
 """Who may do what at the page's server.
 
-On this computer a token stands in the address, and who has it is an operator. Beyond it an address carries a ticket
-that one browser takes; that browser has a cookie then, as long as this process lives. The terminal's addresses are for
-an operator and for a viewer, and an operator's page makes more of them.
+On this computer a token stands in the address, and who has it is an operator. Beyond it an address carries a one-time
+token, for which a browser gets a cookie as long as this process lives. The terminal has addresses for an operator
+and for a viewer, and an operator's page makes more of them.
 """
 
 import secrets
 from collections import deque
-from typing import Protocol
 
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -16,12 +15,12 @@ from starlette.types import Scope
 from robofleet.bus.permissions import OPERATOR, VIEWER
 from robofleet.bus.requests import SAFE
 from robofleet.operator.page.certificate import PageKeys
+from robofleet.operator.page.one_time_token import OneTimeToken, Taker
 from robofleet.operator.page.page_address import Addresses
-from robofleet.operator.page.refused import LOGIN, TEMPLATES, TICKET, TOKEN, USED, Words
-from robofleet.operator.page.ticket import OneTimeToken, Taker
+from robofleet.operator.page.refused import LOGIN, ONCE, TEMPLATES, TOKEN, USED
 
 ROLES = OPERATOR, VIEWER
-OPEN = "/open"  # takes a ticket
+OPEN = "/open"  # takes a one-time token
 _MOST_INVITED = 16  # addresses that no browser has opened yet; the oldest ends
 _SEE_OTHER = 303
 _POLICY = "default-src 'none'; img-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
@@ -32,38 +31,22 @@ def permits(role: str, what: str) -> bool:
     return role == OPERATOR or (role == VIEWER and what.encode() in SAFE)
 
 
-class Access(Protocol):
-    """How the guard learns the role of a request."""
-
-    scheme: str
-    stranger: Words  # what somebody reads who opens a page without the right to
-    used: Words  # ... who opens an address whose ticket is taken
-
-    def addresses(self) -> Addresses:
-        """Return what the terminal shows."""
-
-    def role(self, scope: Scope) -> str | None:
-        """Return the role in which something is asked; None: a stranger asks."""
-
-    def open(self, scope: Scope, shown: str) -> Response | None:
-        """Return the answer to who shows a ticket; None where it is not good."""
-
-
 class TokenAccess:
     """On this computer: who has the token is the operator."""
 
-    scheme, stranger, used = "http", TOKEN, TICKET
+    scheme = "http"
+    stranger, used = TOKEN, ONCE  # what a stranger reads, and who opens an address whose token is taken
 
     def __init__(self, root: str, port: int) -> None:
         self._root, self._port = root, port
-        self._token, self._ticket = new_secret(), OneTimeToken()
+        self._token, self._once = new_secret(), OneTimeToken()
 
     def addresses(self) -> Addresses:
         """Return the address with the token, and the one for a browser's command line."""
-        return Addresses(f"{self._root}/?token={self._token}", _with_ticket(self._root, self._ticket))
+        return Addresses(f"{self._root}/?token={self._token}", _opening(self._root, self._once))
 
     def role(self, scope: Scope) -> str | None:
-        """Return the operator's role for the token: of a POST in its header, else in its address."""
+        """Return the operator's role for the token, of a POST in its header, else in its address; None: a stranger."""
         connection = HTTPConnection(scope)
         posted = scope["type"] == "http" and scope["method"] == "POST"
         tokens = connection.headers.getlist("x-token") if posted else connection.query_params.getlist("token")
@@ -71,16 +54,17 @@ class TokenAccess:
         return OPERATOR if fits else None
 
     def open(self, scope: Scope, shown: str) -> Response | None:
-        """Send a browser with the ticket to the page."""
-        if not self._ticket.take(shown, scope.get("client"), self._port):
+        """Return the answer to who shows a one-time token: on to the page; None where it is not good."""
+        if not self._once.take(shown, scope.get("client"), self._port):
             return None
         return RedirectResponse(f"/?token={self._token}", _SEE_OTHER)
 
 
 class CookieAccess:
-    """Beyond this computer: a ticket gives a cookie, and the cookie is a role."""
+    """Beyond this computer: a one-time token gives a cookie, and the cookie is a role."""
 
-    scheme, stranger, used = "https", LOGIN, USED
+    scheme = "https"
+    stranger, used = LOGIN, USED  # as above
 
     def __init__(self, root: str, port: int, keys: PageKeys) -> None:
         self._root, self._port, self._keys = root, port, keys
@@ -95,29 +79,31 @@ class CookieAccess:
 
     def addresses(self) -> Addresses:
         """Return an operator's address, the one for a browser's command line, and a viewer's."""
-        operator, viewer, once = (_with_ticket(self._root, ticket) for ticket in self._printed)
+        operator, viewer, once = (_opening(self._root, token) for token in self._printed)
         return Addresses(operator, once, viewer, self._keys.fingerprint)
 
     def invite(self, role: str) -> str:
         """Return a new address, which opens the page in one browser in this role."""
         self._invited.append(OneTimeToken(role, Taker.ANYBODY))
-        return _with_ticket(self._root, self._invited[-1])
+        return _opening(self._root, self._invited[-1])
 
     def role(self, scope: Scope) -> str | None:
-        """Return the role of the cookie."""
         return self._sessions.get(HTTPConnection(scope).cookies.get(self._name, ""))
 
     def open(self, scope: Scope, shown: str) -> Response | None:
         """Give a browser its cookie; one that has its cookie may open its address again."""
         # Not a redirection: a browser that came from another site would send no cookie of ours along.
         page = HTMLResponse(TEMPLATES.get_template("entering.html").render(), 200, {"Content-Security-Policy": _POLICY})
-        for ticket in (*self._printed, *self._invited):
-            if ticket.take(shown, scope.get("client"), self._port):
+        for token in (*self._printed, *self._invited):
+            if token.take(shown, scope.get("client"), self._port):
                 session = new_secret()
-                self._sessions[session] = ticket.role
+                self._sessions[session] = token.role
                 page.set_cookie(self._name, session, secure=True, httponly=True, samesite="strict")
                 return page
         return page if self.role(scope) is not None else None
+
+
+Access = TokenAccess | CookieAccess
 
 
 def new_secret() -> str:
@@ -125,5 +111,5 @@ def new_secret() -> str:
     return secrets.token_hex(16)
 
 
-def _with_ticket(root: str, ticket: OneTimeToken) -> str:
-    return f"{root}{OPEN}?ticket={ticket.secret}"
+def _opening(root: str, token: OneTimeToken) -> str:
+    return f"{root}{OPEN}?once={token.secret}"

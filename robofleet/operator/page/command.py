@@ -1,28 +1,18 @@
-"""``robofleet web``: finds the run that is meant, joins it, and serves its page until it is over."""
+"""``robofleet web``: which run is meant, and whether it is over."""
 
-import socket
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
-
-from rich.console import Console
+from typing import NamedTuple
 
 from robofleet.bus.arena_file import ArenaFile, Search, running
 from robofleet.bus.endpoint import listens
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, WallClock
 from robofleet.core.refusal import RefusedError
-from robofleet.operator.page.browser import open_page
-from robofleet.operator.page.page_address import Addresses, address_lines
 from robofleet.operator.page.verdict import REPORT, verdict_of
 from robofleet.operator.requests import chosen
-from robofleet.operator.terminal.qr_code import qr_code
-
-if TYPE_CHECKING:  # whether a run has ended is said without the server's packages: they take their time
-    from robofleet.operator.page.certificate import PageKeys
 
 _CONFIG = "config.yaml"
-_ANSWERS_WITHIN_S, _BEGINS_WITHIN_S = 1.5, 15.0  # a bus that nobody has started here; one that a launcher brings now
 _POLL_NS = S // 4
 
 
@@ -53,44 +43,6 @@ def there(named: str | None, load: Callable[[Path], Config]) -> There:
     return There(config, folder, None)
 
 
-def serve(
-    page_run: There, listening: socket.socket, host: str, keys: "PageKeys | None", *, browser: bool
-) -> tuple[bool, str]:
-    """Serve the page; returns whether it could be, and the last words. ``keys``: None on this computer."""
-    from robofleet.bus.joining import joined  # noqa: PLC0415
-    from robofleet.operator.page.process import by_hand  # noqa: PLC0415
-
-    config, folder, run = page_run
-    over = Over(page_run)
-
-    def still_there() -> None:
-        if over():
-            raise RefusedError(_ended(config, folder))
-
-    def announce(at: Addresses) -> str:
-        console = Console(stderr=True)
-        opened = browser and console.is_terminal and open_page(at.once)
-        if at.viewer and (code := qr_code(at.page, console)) is not None:
-            console.print(code)
-        return address_lines(at, opened=opened)
-
-    clock, arena, endpoint = WallClock(), config.arena.name, config.bus.endpoint
-    within_s = _ANSWERS_WITHIN_S if run is None else _BEGINS_WITHIN_S
-    try:
-        bus = joined(arena, endpoint, "web", clock, within_s, still_there)
-    except TimeoutError as error:
-        if run is not None:
-            return False, f"the bus of {arena} at {endpoint} does not answer: end the run with `kill {run.pid}`"
-        raise RefusedError(
-            f"no run of {arena} answers at {endpoint}: start one with `robofleet run CONFIG --web`"
-        ) from error
-    try:
-        ending = by_hand(config, folder, bus, listening, host, keys, over, announce)
-    finally:
-        bus.close()
-    return True, "" if ending.frame is None else _ended(config, folder)
-
-
 class Over:
     """Whether a run's launcher is gone, or its router: that is the last process it ends."""
 
@@ -110,7 +62,8 @@ class Over:
         return self._over
 
 
-def _ended(config: Config, folder: Path) -> str:
+def how_ended(config: Config, folder: Path) -> str:
+    """Return how a run ended, and where it is kept, in a line."""
     verdict = verdict_of(folder)
     how = f": {verdict.headline}" if verdict is not None else ""
     return f"the run of {config.arena.name} has ended{how}{_report(folder)}"

@@ -46,19 +46,15 @@ class Ending:
         return self.frame != before
 
     @property
-    def watched(self) -> bool:
-        """Whether somebody looks, or has just looked."""
-        return self._looked_ns is not None and self._clock.now_ns() - self._looked_ns <= _RELOAD_NS
-
-    @property
     def done(self) -> bool:
-        """Whether the page is needed no more."""
         if not self._over_ns:
             return False
-        since_ns = self._clock.now_ns() - self._over_ns
+        now_ns = self._clock.now_ns()
+        since_ns = now_ns - self._over_ns
         if self._patient and self.verdict is None and since_ns <= _SUMMARY_WITHIN_NS:
             return False
-        return not self.watched or since_ns > STAYS_MIN * 60 * S
+        watched = self._looked_ns is not None and now_ns - self._looked_ns <= _RELOAD_NS
+        return not watched or since_ns > STAYS_MIN * 60 * S
 
 
 def _verdict_of_state(state: RunState | None, robots: tuple[str, ...]) -> Verdict:

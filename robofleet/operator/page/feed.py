@@ -46,7 +46,6 @@ class Diary:
         return list(self._lines)[-new:] if new > 0 else []
 
     def look(self, hearing: Hearing, news: list[tuple[str, TrackerNews]]) -> None:
-        """Add a line for each change."""
         lines: list[Line] = []
         if hearing.state is not None:
             lines += state_lines(self._state, hearing.state, self._robots)
@@ -85,7 +84,7 @@ class Feed:
 
     def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, progress: Callable[[], str]) -> None:
         """``progress`` says what the launcher does, for as long as the supervisor has not spoken."""
-        self.config, self.bus, self._clock, self._progress = config, bus, clock, progress
+        self.config, self.bus, self.now_ns, self._progress = config, bus, clock.now_ns, progress
         self.folder = folder
         self.ended: Frame | None = None  # how the run did, once it has
         self._loop, self._woken = asyncio.get_running_loop(), asyncio.Event()
@@ -122,7 +121,7 @@ class Feed:
     def tick(self) -> str:
         """Return the newest tick, made once for all pages."""
         if self._tick[0] != self.seq:
-            now_ns = self._clock.now_ns()
+            now_ns = self.now_ns()
             frame = frames.tick(self.hearing, self.config, self._groups, self.seq, now_ns, self._progress())
             self._tick = self.seq, dumps(frame, compact=True)
         return self._tick[1]
@@ -137,26 +136,18 @@ class Feed:
         return before
 
     def shapes(self) -> str:
-        """Return what is drawn on the floor now."""
         return dumps(frames.shapes(self._groups, [marks.shapes for marks in self._marks]), compact=True)
 
     def _mark(self) -> None:
-        """Take the scripts' new marks."""
         marks = {group.name: own for group, own in zip(self._groups, self._marks, strict=True)}
         self.marked += sum(marks[group].take(note.mark) for group, note in self.hearing.notes if note.mark is not None)
 
     def beat(self) -> str:
-        """Return the ages of the newest words."""
-        return dumps(frames.beat(self.hearing, self._clock.now_ns()))
+        return dumps(frames.beat(self.hearing, self.now_ns()))
 
     @property
     def phase(self) -> str:
-        """The run's phase."""
         return phase_name(self.hearing.state)
-
-    def now_ns(self) -> int:
-        """Return the clock's instant."""
-        return self._clock.now_ns()
 
     @cached_property
     def _outlines(self) -> dict[str, TagOutlines]:
@@ -168,7 +159,7 @@ class Feed:
             self._loop.call_soon_threadsafe(self._woken.set)
 
     def _look(self) -> None:
-        now_ns, before = self._clock.now_ns(), self.hearing.record
+        now_ns, before = self.now_ns(), self.hearing.record
         new = self.hearing.hear()
         if not new and now_ns - self._looked_ns < _IDLE_POLL_NS:
             return
@@ -202,11 +193,9 @@ class Page:
         self.wants_picture = ""  # the camera's name; empty: none
 
     def wake(self) -> None:
-        """Wake the task that sends."""
         self._woken.set()
 
     def tell(self, frame: Frame) -> None:
-        """Send an answer."""
         self._answers.append(frame)
         self.wake()
 

@@ -21,7 +21,7 @@ from robofleet.operator.hand import driven
 from robofleet.operator.page.hearing import Hearing, Shown
 from robofleet.operator.page.words import phase_name, what_next
 from robofleet.operator.terminal import live_figures
-from robofleet.operator.terminal.on_the_way import OnTheWay
+from robofleet.operator.terminal.on_the_way import WAYS, OnTheWay
 from robofleet.recording.causes import named, own_state
 from robofleet.recording.state_words import state_words
 from robofleet.safety.distances import apart
@@ -42,8 +42,6 @@ _FIGURE_DIGITS = 6
 
 def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
     """Return what does not change in a run."""
-    camera = config.camera
-    seen = config.tracker.source == "camera"
     bounds = config.run.bounds.model_dump(exclude_none=True)
     return {
         "type": "hello",
@@ -71,12 +69,12 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         ],
         "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
         "places": {named(Phase, phase): _places(places) for phase, places in OnTheWay(config).places.items()},
+        "ways": {named(Phase, phase): {"goal": way.goal, "there": way.there} for phase, way in WAYS.items()},
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
-        "camera": {"width": camera.width, "height": camera.height} if seen else None,
         "cameras": [
             {"name": view.camera.name, "width": view.camera.width, "height": view.camera.height}
-            for view in (config.views if seen else ())
+            for view in (config.views if config.tracker.source == "camera" else ())
         ],
         "config": str(folder / "config.yaml"),
         "folder": str(folder),
@@ -156,7 +154,6 @@ def event(at_s: float | None, level: str, text: str) -> Frame:
 
 
 def answer(to: str, ok: bool, text: str) -> Frame:
-    """Return what came of something that the page asked for."""
     return {"type": "answer", "to": to, "ok": ok, "text": text}
 
 

@@ -12,7 +12,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from robofleet.operator.page.access import OPEN, Access
-from robofleet.operator.page.places import Complaints
+from robofleet.operator.page.connection_limiter import Complaints
 from robofleet.operator.page.refused import HOST, RefusedPage, Words
 
 _LARGEST_BODY = 1024  # [bytes]
@@ -43,14 +43,13 @@ class Guard:
         self._socket = "wss" if access.scheme == "https" else "ws"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request, or one WebSocket."""
         headers = Headers(scope=scope)
         answer = self._app
         wrong = self._wrong(scope, headers)
         if wrong is None and scope["type"] == "http" and scope["method"] == "GET" and scope["path"] == OPEN:
-            shown = QueryParams(scope["query_string"]).get("ticket", "")
+            shown = QueryParams(scope["query_string"]).get("once", "")
             entering = self._access.open(scope, shown)
-            wrong = _Wrong("ticket", self._access.used) if entering is None else None
+            wrong = _Wrong("one-time token", self._access.used) if entering is None else None
             answer = entering or answer
         if wrong is not None:
             self._log(scope, wrong.what)
@@ -75,7 +74,7 @@ class Guard:
         if acts and [origin.lower() for origin in headers.getlist("origin")] != [own]:
             return _Wrong(f"Origin {headers.getlist('origin')}", None)
         if opens and scope["path"] == OPEN:
-            return None  # its ticket is looked at
+            return None  # its one-time token is looked at
         if acts or not scope["path"].endswith(_WITHOUT_TOKEN):
             scope["role"] = self._access.role(scope)
             if scope["role"] is None:

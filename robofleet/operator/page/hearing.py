@@ -78,7 +78,7 @@ class Hearing:
 
     def __init__(self, config: Config, bus: Bus, clock: Clock, wake: Wake) -> None:
         robots, arena, driven = config.bodies, config.arena.name, len(config.members)
-        self._clock, self._tick_s = clock, config.controller.tick_s
+        self.now_ns, self._tick_s = clock.now_ns, config.controller.tick_s
         self.tags = {robot.tag: robot.id for robot in robots}
         self._units, self._ids = config.units, [robot.id for robot in robots]
         self.run = Observer(bus, [STATE, BUSY], wake)
@@ -104,7 +104,7 @@ class Hearing:
     def hear(self) -> bool:
         """Take what came of the tick and of the run's state; returns whether there is something new to show."""
         before, first = self.state, self.record is None
-        updated = self.run.update(self._clock.now_ns())
+        updated = self.run.update(self.now_ns())
         self.record, self.state, self.busy = self.run[TICK], self.run[STATE], self.run[BUSY]
         changed = TICK in updated
         if changed and self.record is not None:
@@ -118,7 +118,7 @@ class Hearing:
 
     def hear_the_rest(self) -> list[tuple[str, TrackerNews]]:
         """Take what else came: the robots' words, the images', a picture; returns each camera's news, with its name."""
-        now_ns = self._clock.now_ns()
+        now_ns = self.now_ns()
         if self._statuses.update(now_ns):
             self.robots = robots_observed(self._statuses, self._units, self._ids)
         news = []
@@ -132,13 +132,9 @@ class Hearing:
         self.notes = [(group, note) for group, note in came if note is not None]
         return news
 
-    def now_ns(self) -> int:
-        """Return the clock's instant."""
-        return self._clock.now_ns()
-
     def controller_silent(self) -> bool:
         """Whether what is known of the tick is of the past."""
-        return not self.run.alive(TICK, self._clock.now_ns())
+        return not self.run.alive(TICK, self.now_ns())
 
     def _own_tick(self, payload: bytes) -> TickRecord | None:
         """Return a tick of this configuration's robots."""

@@ -16,7 +16,7 @@ _ANY = "0.0.0.0", "::"
 class Addresses(NamedTuple):
     """Where the page is. Nobody else may see ``page`` and ``viewer``: they let in."""
 
-    page: str  # an operator's; on this computer with its token, beyond it with a ticket that one browser takes
+    page: str  # an operator's; on this computer with its token, beyond it with a token that one browser takes
     once: str  # for the command line of a browser, which others may see: it opens the page once, for this user
     viewer: str = ""  # the page of who may only look, hold and stop; none on this computer
     fingerprint: str = ""  # SHA-256 of the page's certificate, where it has one

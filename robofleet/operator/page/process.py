@@ -3,22 +3,29 @@
 import asyncio
 import os
 import socket
-from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
-from robofleet.bus.bus import Bus
+from rich.console import Console
+
 from robofleet.bus.joining import joined
+from robofleet.bus.permissions import PAGE
 from robofleet.config.tree import Config
 from robofleet.core.clock import WallClock
+from robofleet.core.refusal import RefusedError
 from robofleet.nodes.node import Lifeline
+from robofleet.operator.page.browser import open_page
 from robofleet.operator.page.certificate import PageKeys
-from robofleet.operator.page.ending import STAYS_MIN, Ending
-from robofleet.operator.page.page_address import Addresses
+from robofleet.operator.page.command import Over, There, how_ended
+from robofleet.operator.page.ending import STAYS_MIN
+from robofleet.operator.page.page_address import Addresses, address_lines
 from robofleet.operator.page.server import Served, serve
+from robofleet.operator.terminal.qr_code import qr_code
 from robofleet.runs.companion import STAYS
 
 _NICE = 5  # the page waits for the run, never the other way round
 _EXIT_WITHIN_S = STAYS_MIN * 60.0 + 5.0  # of the run's end, whatever happens
+_ANSWERS_WITHIN_S, _BEGINS_WITHIN_S = 1.5, 15.0  # a bus that nobody has started here; one that a launcher brings now
 _JOIN_WITHIN_S = 60.0  # the router is the first process of a run
 
 
@@ -37,30 +44,49 @@ def of_run(
         if lifeline.cut:
             raise SystemExit
 
-    bus = joined(config.arena.name, config.bus.endpoint, "web", clock, _JOIN_WITHIN_S, end_with_the_run)
+    bus = joined(config.arena.name, config.bus.endpoint, PAGE, clock, _JOIN_WITHIN_S, end_with_the_run)
     served = Served(
         config, folder, bus, clock, name, over=lambda: lifeline.cut, keys=keys, line=lambda: lifeline.newest_line,
         stays=lambda: lifeline.say(STAYS),
     )  # fmt: skip
-    try:
-        with lifeline.logged("web", config.arena.name):
-            asyncio.run(serve(served, listening, lambda at: lifeline.ready(at.line()), lambda: lifeline.by_signal))
-    finally:
-        bus.close()
+    with closing(bus), lifeline.logged("web", config.arena.name):
+        asyncio.run(serve(served, listening, lambda at: lifeline.ready(at.line()), lambda: lifeline.by_signal))
 
 
 def by_hand(
-    config: Config,
-    folder: Path,
-    bus: Bus,
-    listening: socket.socket,
-    name: str,
-    keys: PageKeys | None,
-    over: Callable[[], bool],
-    announce: Callable[[Addresses], str],
-) -> Ending:
-    """Serve the page of a run that is on until Ctrl-C, or until that run is over and nobody looks."""
-    os.nice(_NICE)
-    lifeline = Lifeline(None)
-    served = Served(config, folder, bus, WallClock(), name, over, keys, by_hand=True)
-    return asyncio.run(serve(served, listening, lambda at: lifeline.ready(announce(at)), lambda: lifeline.cut))
+    page_run: There, listening: socket.socket, host: str, keys: PageKeys | None, *, browser: bool
+) -> tuple[bool, str]:
+    """Join a run and serve its page until Ctrl-C, or until the run is over and nobody looks.
+
+    Returns whether it could be served, and the last words. ``keys``: None on this computer.
+    """
+    config, folder, run = page_run
+    over = Over(page_run)
+
+    def still_there() -> None:
+        if over():
+            raise RefusedError(how_ended(config, folder))
+
+    def announce(at: Addresses) -> str:
+        console = Console(stderr=True)
+        opened = browser and console.is_terminal and open_page(at.once)
+        if at.viewer and (code := qr_code(at.page, console)) is not None:
+            console.print(code)
+        return address_lines(at, opened=opened)
+
+    clock, arena, endpoint = WallClock(), config.arena.name, config.bus.endpoint
+    within_s = _ANSWERS_WITHIN_S if run is None else _BEGINS_WITHIN_S
+    try:
+        bus = joined(arena, endpoint, PAGE, clock, within_s, still_there)
+    except TimeoutError as error:
+        if run is not None:
+            return False, f"the bus of {arena} at {endpoint} does not answer: end the run with `kill {run.pid}`"
+        raise RefusedError(
+            f"no run of {arena} answers at {endpoint}: start one with `robofleet run CONFIG --web`"
+        ) from error
+    with closing(bus):
+        os.nice(_NICE)
+        lifeline = Lifeline(None)
+        served = Served(config, folder, bus, clock, host, over, keys, by_hand=True)
+        ending = asyncio.run(serve(served, listening, lambda at: lifeline.ready(announce(at)), lambda: lifeline.cut))
+    return True, "" if ending.frame is None else how_ended(config, folder)

@@ -21,7 +21,7 @@ TOKEN = (
     "Open the address that the newest run or <code>robofleet web</code> has printed, all of it; or scan its QR code.",
     _NEW_PAGE,
 )
-TICKET = (
+ONCE = (
     "This address has opened its page already",
     "The address by which a run opens a browser works once, for the user who started the run.",
     "Open the address that the terminal shows.",

@@ -9,6 +9,7 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+from weakref import WeakSet
 
 import segno
 import uvicorn
@@ -25,18 +26,19 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import Clock
 from robofleet.core.files import read_plain
 from robofleet.core.refusal import RefusedError
+from robofleet.operator.asking import ESTOP
 from robofleet.operator.hand import Hands, Stick
 from robofleet.operator.page.access import ROLES, Access, CookieAccess, TokenAccess, permits
 from robofleet.operator.page.certificate import PageKeys
-from robofleet.operator.page.controls import ESTOP, REQUESTS, Controls
+from robofleet.operator.page.connection_limiter import Complaints, Connection, ConnectionLimiter
+from robofleet.operator.page.controls import REQUESTS, Controls
 from robofleet.operator.page.ending import Ending
 from robofleet.operator.page.feed import Feed, Page
 from robofleet.operator.page.frames import answer
-from robofleet.operator.page.greeting import TlsHandshakes
 from robofleet.operator.page.guard import Guard, authorities
 from robofleet.operator.page.page_address import LOOPBACK, Addresses
-from robofleet.operator.page.places import Complaints, Connection, ConnectionLimiter
 from robofleet.operator.page.refused import TEMPLATES
+from robofleet.operator.page.tls_handshake import TlsHandshake
 from robofleet.operator.page.verdict import REPORT
 
 _PAGE = Path(__file__).parent / "static"
@@ -87,9 +89,10 @@ async def serve(
     controls = Controls(bus, clock, config.units)
     complaints = Complaints(clock)
     guard = Guard(application(feed, controls, access), authorities(names, port, scheme), access, complaints)
-    places = ConnectionLimiter(complaints)
-    secured = None if keys is None else TlsHandshakes(keys.context, places)
-    server = uvicorn.Server(_settings(guard, secured or partial(Connection, places)))
+    limiter = ConnectionLimiter(complaints)
+    secured = WeakSet[asyncio.Transport]()
+    protocol = partial(TlsHandshake, keys.context, limiter, secured) if keys else partial(Connection, limiter)
+    server = uvicorn.Server(_settings(guard, protocol))
     ending = Ending(folder, clock, served.over, patient=served.by_hand)
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
     try:
@@ -116,8 +119,8 @@ async def serve(
                 server.should_exit = True
                 await asyncio.shield(serving)
         server.should_exit = True
-        if secured is not None:
-            secured.close()
+        for transport in [*secured]:
+            transport.abort()  # without waiting for the other end's good-bye
         feeding.cancel()
         controls.close()
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from robofleet.bus.messages import RunState
 from robofleet.bus.observer import RobotObserved
 from robofleet.config.tree import Config
+from robofleet.operator.terminal.on_the_way import WAYS
 from robofleet.recording.causes import named
 from robofleet.recording.state_words import GOES_ON, StateWords
 from robofleet.safety.arming import Stage
@@ -17,14 +18,6 @@ _NEXT = {
     Phase.HOLD: "Look, mend what is wrong, then resume; or stop.",
     Phase.FAULT: "Every robot stands. Mend the cause, then reset.",
     Phase.ESTOP: "Every robot has latched its gate. Look at the robots, then reset.",
-}
-_UNDER_WAY = {
-    Phase.POSITIONING: ("The robots drive to their start by themselves", "Then the run begins."),
-    Phase.PARKING: ("The robots drive to where they are parked by themselves", "Then the run ends."),
-}
-_HELD = {
-    Phase.POSITIONING: "Every robot stands on its way to its start. Look, mend what is wrong, then resume; or stop.",
-    Phase.PARKING: "Every robot stands on its way to the park. Look, mend what is wrong, then resume; or stop.",
 }
 ENDED = (Phase.IDLE, Phase.FAULT, Phase.ESTOP)  # nothing moves, and nothing will by itself
 
@@ -51,10 +44,11 @@ def what_next(
         return f"The gate of {', '.join(latched)} is latched: look at the robots, then reset."
     following = next((following for phase, following in _NEXT.items() if phase == state.phase), "")
     if way is not None and state.phase == way:
-        goes, then = _UNDER_WAY[way]
-        following = f"{how_far[:1].upper()}{how_far[1:] or goes}. {then}"
+        how_far = how_far or f"the robots drive {WAYS[way].all} by themselves"
+        following = f"{how_far[0].upper()}{how_far[1:]}. Then {WAYS[way].then}."
     elif state.phase == Phase.HOLD:
-        following = f"{words.standing} {following}" if way is None else _HELD[way]
+        standing = words.standing if way is None else f"Every robot stands on its way to {WAYS[way].goal}."
+        following = f"{standing} {following}"
     elif state.phase == Phase.ARMED and state.stage == Stage.DONE:
         following = "Every check is passed: start the run, or stop."
     return GOES_ON if words.goes_on else following

@@ -52,13 +52,11 @@ class LiveView:
         self._noticed = False  # that the machine is busy
 
     def __enter__(self) -> Self:
-        """Start drawing."""
         if self._live is not None and not self._quiet:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop drawing."""
         if self._live is not None:
             self._live.stop()
 
@@ -125,7 +123,6 @@ class LiveView:
         return f"running {when}: {figures}"
 
     def picture(self, recording: Recording, phase: str) -> Group:
-        """Return what the terminal shows."""
         tick = self._tick(recording)
         duration_s = self._config.run.duration_s
         if tick is not None and tick.run_tick >= 0:
@@ -191,7 +188,6 @@ class LiveView:
         return table
 
     def _tracker(self, recording: Recording, camera: str) -> Text:
-        """Return how a camera's tracker does, and its news."""
         frames = [
             frame
             for payload in recording.messages.get(key(self._config.arena.name, POSES, camera), [])[-_WINDOW_TICKS:]

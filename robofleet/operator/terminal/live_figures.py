@@ -56,12 +56,10 @@ def told(groups: Sequence[Group], record: TickRecord | None) -> LiveFigures:
 
 
 def unit(figure: Figure) -> str:
-    """Return the unit in which a figure is shown."""
     return figure.shown or figure.unit
 
 
 def title(figure: Figure) -> str:
-    """Return a figure's name in words."""
     return figure.name.replace("_", " ")
 
 

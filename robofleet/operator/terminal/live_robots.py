@@ -97,13 +97,11 @@ def _table(rows: Sequence[Sequence[str | Text]], figures: Mapping[str, str]) -> 
 
 
 def _head(figure: Figure) -> str:
-    """Return a figure's name and unit in lines."""
     words = f"{live_figures.title(figure)} {live_figures.unit(figure)}".rstrip()
     return "\n".join(textwrap.wrap(words, _HEAD_WIDTH))
 
 
 def _common(item: RobotTick, status: RobotStatus | None) -> tuple[str, str, str]:
-    """Return what every robot has: its pose, its wheels and its battery."""
     pose = f"{item.x_m:z6.3f} {item.y_m:z6.3f} {math.degrees(item.psi_rad):z5.0f}"
     battery = _UNKNOWN if status is None or status.battery < 0.0 else f"{100 * status.battery:.0f}"
     return _UNKNOWN if item.lost else pose, f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}", battery

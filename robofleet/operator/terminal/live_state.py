@@ -8,7 +8,9 @@ from rich.text import Text
 
 from robofleet.bus.messages import RunState
 from robofleet.core.compiling import Progress
+from robofleet.operator.terminal.on_the_way import WAYS
 from robofleet.operator.terminal.terminal import Terminal
+from robofleet.recording.causes import named
 from robofleet.recording.state_words import GOES_ON, StateWords
 from robofleet.safety.supervisor import Event, Phase
 
@@ -18,14 +20,7 @@ WAITING = {
     "waiting": "everything is there: start it with key s, on the operator's page or by `robofleet start`",
     "armed": "every check is passed: start it with key s, on the operator's page or by `robofleet start`",
 }
-UNDER_WAY = {
-    "positioning": "every robot drives to its start",
-    "parking": "every robot drives to where it is parked",
-}
-_GOES_ON = {
-    Phase.POSITIONING: "the robots drive on to their start",
-    Phase.PARKING: "the robots drive on to where they are parked",
-}
+UNDER_WAY = {named(Phase, phase): f"every robot drives {way.each}" for phase, way in WAYS.items()}
 
 
 def banner(state: RunState, words: StateWords, *, by_key: bool, way: Phase | None = None) -> Panel | None:
@@ -37,7 +32,7 @@ def banner(state: RunState, words: StateWords, *, by_key: bool, way: Phase | Non
     if words.goes_on:
         return _panel("HOLD", cause, GOES_ON, "yellow")
     if state.phase == Phase.HOLD:
-        goes_on = "the run goes on" if way is None else _GOES_ON[way]
+        goes_on = "the run goes on" if way is None else f"the robots drive on {WAYS[way].all}"
         how = f"press r and {goes_on}; q ends the run" if by_key else "`robofleet resume` goes on; Ctrl-C ends the run"
         requested = state.cause == Event.HOLD_REQUESTED  # then there is nothing to mend
         what = f"{how[0].upper()}{how[1:]}" if requested else f"Look, mend it, then {how}"
@@ -52,12 +47,10 @@ def banner(state: RunState, words: StateWords, *, by_key: bool, way: Phase | Non
 
 
 def compiling_line(progress: Progress) -> Group:
-    """Return what is compiled, how far it is, and for how long still."""
     return Group(Text(progress.words(), "cyan"), ProgressBar(1.0, progress.share, width=50))
 
 
 def keys(terminal: Terminal, phase: str) -> Text:
-    """Return the keys, and what was answered to the last one."""
     text = Text()
     for line in [*terminal.addresses.values()]:  # a thread may add one
         text.append(f"\n{line}\n", "cyan")

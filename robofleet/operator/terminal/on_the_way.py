@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from robofleet.behaviours.interface import Pose
 from robofleet.bus.messages import RobotTick, TickRecord
@@ -10,10 +11,31 @@ from robofleet.config.tree import Config
 from robofleet.nodes.fleet import drives
 from robofleet.safety.supervisor import Phase
 
-_WHERE = {Phase.POSITIONING: "its start", Phase.PARKING: "the park"}
-_THERE = {Phase.POSITIONING: "at its start", Phase.PARKING: "parked"}
-_ALL_THERE = {Phase.POSITIONING: "at their start", Phase.PARKING: "parked"}
 _NEAR_M, _NEAR_RAD = 0.01, math.radians(3.0)  # who is nearer is there: a pose is estimated, and a robot settles
+
+
+@dataclass(frozen=True, kw_only=True)
+class WayWords:
+    """The words for a way; the run's phase is called after it."""
+
+    goal: str  # of a robot
+    each: str  # where each robot drives
+    all: str  # where they drive
+    there: str  # a robot is
+    all_there: str
+    then: str
+
+
+WAYS = {
+    Phase.POSITIONING: WayWords(
+        goal="its start", each="to its start", all="to their start", there="at its start", all_there="at their start",
+        then="the run begins",
+    ),
+    Phase.PARKING: WayWords(
+        goal="the park", each="to where it is parked", all="to where they are parked", there="parked",
+        all_there="parked", then="the run ends",
+    ),
+}  # fmt: skip
 
 
 class OnTheWay:
@@ -46,9 +68,8 @@ class OnTheWay:
         ]
 
     def robot_words(self, to_go_m: float) -> str:
-        """Return a robot's part of the way in words."""
         assert self.phase is not None
-        return f"{to_go_m:.2f} m to {_WHERE[self.phase]}" if to_go_m else _THERE[self.phase]
+        return f"{to_go_m:.2f} m to {WAYS[self.phase].goal}" if to_go_m else WAYS[self.phase].there
 
     def words(self, to_go_m: Sequence[float | None]) -> str:
         """Return how many are there, and who has the longest way; an empty string where they are on no way."""
@@ -57,11 +78,11 @@ class OnTheWay:
         left = [m or 0.0 for m in to_go_m]
         arrived = left.count(0.0)
         if arrived == len(left):
-            return f"every robot is {_THERE[self.phase]}"
+            return f"every robot is {WAYS[self.phase].there}"
         last = max(range(len(left)), key=lambda row: left[row])
         seconds = math.ceil(max(m / speed for m, speed in zip(left, self._speeds, strict=True)))
         farthest = f"{self._ids[last]} has {left[last]:.2f} m to go, at least {seconds} s"
-        return f"{_ALL_THERE[self.phase]}: {arrived} of {len(left)} robots; {farthest}"
+        return f"{WAYS[self.phase].all_there}: {arrived} of {len(left)} robots; {farthest}"
 
 
 def _to_go_m(record: RobotTick, goal: Pose | None) -> float | None:

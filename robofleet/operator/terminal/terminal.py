@@ -73,7 +73,6 @@ class Terminal:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Restore the terminal's mode."""
         if self._hearing is not None and self._end is not None:
             os.close(self._end[1])
             self._hearing.join()
@@ -94,11 +93,9 @@ class Terminal:
         return keys
 
     def interrupts(self) -> AbstractContextManager["Interrupts"]:
-        """Count the terminal's signals instead of ending by them."""
         return interrupts()
 
     def emergency_stop(self, bus: Bus, clock: Clock, units: Mapping[str, Sequence[str]]) -> Stopped:
-        """Stop every robot and latch its gate."""
         return emergency_stop(bus, clock, units)
 
     def page_found(self, addresses: str, *, browser: bool) -> None:
@@ -111,15 +108,12 @@ class Terminal:
         self.code = at.page if at.viewer else ""  # a phone cannot reach the others
 
     def page_gone(self) -> None:
-        """Show that the page's process has ended."""
         self.addresses[_PAGE], self.code = _PAGE_GONE, ""
 
     def viewers_found(self, viewer: str, line: str) -> None:
-        """Show where viewers of a kind find the run."""
         self.addresses[viewer] = line
 
     def viewers_gone(self, viewer: str, log: Path) -> None:
-        """Show that the process that serves these viewers has ended."""
         self.addresses[viewer] = _VIEWERS_GONE.format(viewer, log)
 
     def _hear(self, end: int) -> None:
@@ -158,7 +152,6 @@ class Interrupts:
         self.hung_up = False
 
     def __call__(self, number: int, _frame: object) -> None:
-        """Count a signal."""
         self.count += 1
         self.hung_up = self.hung_up or number == signal.SIGHUP
 

@@ -1,13 +1,20 @@
-"""A browser, and the page in it of the stand that a file of tests has."""
+"""A server of the page for each test, where a file of tests has none of its own; a browser, and the page in it."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from selenium.webdriver import Chrome
 
 from tests.operator.page.browser import chromium
 from tests.operator.page.openpage import Seen, opened
-from tests.operator.page.webstand import WebStand
+from tests.operator.page.webstand import WebStand, web_stand
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Iterator[WebStand]:
+    with web_stand(tmp_path, "tracker.source=truth") as stand:
+        yield stand
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from robofleet.operator.terminal.qr_code import qr_code
 
 SECRET = "0123456789abcdef" * 2
 PAGE = f"http://127.0.0.1:43210/?token={SECRET}"
-HERE = Addresses(PAGE, PAGE.replace("/?token", "/open?ticket"))
-PHONE_PAGE = "https://192.168.100.105:43210/open?ticket=m3Zk0Qv7TtY5c1WnR8aJxA"
+HERE = Addresses(PAGE, PAGE.replace("/?token", "/open?once"))
+PHONE_PAGE = "https://192.168.100.105:43210/open?once=m3Zk0Qv7TtY5c1WnR8aJxA"
 THERE = Addresses(PHONE_PAGE, f"{PHONE_PAGE}-once", f"{PHONE_PAGE}-viewer", ":".join(["AB"] * 32))
 BY_PYTHON = [sys.executable, "-P", "-m", "webbrowser"]
 DESKTOP = {"DISPLAY": ":0"}

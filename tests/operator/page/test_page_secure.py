@@ -74,7 +74,7 @@ def test_an_operator_has_all_controls_and_invites_a_phone(operator: Seen, browse
     browser.find_element(By.CSS_SELECTOR, "[data-invite=viewer]").click()
     operator.becomes(lambda: operator.shown("invite-shown"))
     address = operator.text("invite-address")
-    assert address.startswith(f"https://{operator.stand.authority}/open?ticket=")
+    assert address.startswith(f"https://{operator.stand.authority}/open?once=")
     operator.becomes(lambda: operator.run("return document.getElementById('invite-code').naturalWidth > 0"))
     show_as(browser, TALL)
     code = browser.find_element(By.ID, "invite-code").screenshot_as_png

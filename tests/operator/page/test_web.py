@@ -2,7 +2,6 @@
 
 import base64
 import json
-from collections.abc import Iterator
 from math import nan
 from pathlib import Path
 
@@ -21,12 +20,6 @@ from tests.operator.page.webstand import CLOCK, Frame, OpenPage, WebStand, place
 from tests.runs.realrun import wait
 
 TRUTH = "tracker.source=truth"
-
-
-@pytest.fixture
-def stand(tmp_path: Path) -> Iterator[WebStand]:
-    with web_stand(tmp_path, TRUTH) as stand:
-        yield stand
 
 
 def row(hello: Frame, tick: Frame, robot: str) -> Frame:
@@ -52,7 +45,7 @@ def test_a_newcomer_sees_the_fleet_at_once_and_what_is_not_known_is_null(stand: 
     control = next(figure for figure in hello["figures"] if figure["key"] == "control_error_mm")
     assert (control["title"], control["unit"], control["robots"]) == ("control error", "mm", stand.robots)
     assert control["bounds"] == {"mean": 1.0, "max": None}
-    assert (hello["camera"], hello["duration_s"], hello["tick_ms"]) == (None, 88, 33)
+    assert (hello["cameras"], hello["duration_s"], hello["tick_ms"]) == ([], 88, 33)
     assert (tick["phase"], tick["t_s"], tick["cause"]) == ("starting", None, None)
     assert set(tick["health"].values()) == {None}
     nothing = dict.fromkeys(hello["columns"]) | {"figures": [None] * len(hello["figures"])}
@@ -276,7 +269,7 @@ def test_a_change_of_phase_comes_also_to_a_page_that_draws_nothing(stand: WebSta
 
 def test_a_picture_comes_only_to_who_asked_with_the_tags_where_they_were_seen(tmp_path: Path) -> None:
     with web_stand(tmp_path) as stand, stand.page() as page, stand.page() as other:
-        assert page.next("hello")["camera"] == {"width": 1280, "height": 720}
+        assert page.next("hello")["cameras"] == [{"name": "overhead", "width": 1280, "height": 720}]
         page.say(picture="overhead")
         page.say(do="hold")
         page.next("answer")

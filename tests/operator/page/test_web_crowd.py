@@ -4,24 +4,17 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
 
 import httpx
 import pytest
 
 from robofleet.core.clock import MS
-from robofleet.operator.page.places import MOST
-from tests.operator.page.webstand import CLOCK, WebStand, web_stand
+from robofleet.operator.page.connection_limiter import MOST
+from tests.operator.page.webstand import CLOCK, WebStand
 from tests.runs.realrun import wait
 
 ANSWERED_WITHIN_S = 5.0  # the page's own patience; an emergency stop that nobody acknowledges takes two
 GONE_WITHIN_S = 20.0
-
-
-@pytest.fixture
-def stand(tmp_path: Path) -> Iterator[WebStand]:
-    with web_stand(tmp_path, "tracker.source=truth") as stand:
-        yield stand
 
 
 def connected(stand: WebStand) -> socket.socket:
@@ -50,13 +43,13 @@ def is_closed(client: socket.socket) -> bool:
 
 
 @contextmanager
-def crowd(stand: WebStand, count: int, greeting: bytes = b"") -> Iterator[list[socket.socket]]:
+def crowd(stand: WebStand, count: int, opening: bytes = b"") -> Iterator[list[socket.socket]]:
     """Open connections that say something and wait."""
     with ExitStack() as opened:
         clients = [opened.enter_context(connected(stand)) for _ in range(count)]
         for client in clients:
-            if greeting:
-                client.sendall(greeting)
+            if opening:
+                client.sendall(opening)
         yield clients
 
 
@@ -69,9 +62,9 @@ SAID = {"nothing": b"", "half a head": HALF, "half a body": BODY, "no page": KEY
 
 
 @pytest.mark.slow_after_first
-@pytest.mark.parametrize("greeting", SAID, ids=str)
-def test_a_crowd_that_waits_does_not_delay_the_emergency_stop(stand: WebStand, greeting: str) -> None:
-    with crowd(stand, 200, SAID[greeting]):
+@pytest.mark.parametrize("opening", SAID, ids=str)
+def test_a_crowd_that_waits_does_not_delay_the_emergency_stop(stand: WebStand, opening: str) -> None:
+    with crowd(stand, 200, SAID[opening]):
         assert httpx.get(stand.url, timeout=ANSWERED_WITHIN_S).status_code == 200
         with stand.page() as page:
             page.say(do="hold")
@@ -128,9 +121,9 @@ def meanwhile(act: Callable[[], None]) -> Iterator[None]:
 
 
 @pytest.mark.slow_after_first
-@pytest.mark.parametrize("greeting", [b"", HALF, SAID["garbage"]])
+@pytest.mark.parametrize("opening", [b"", HALF, SAID["garbage"]])
 def test_a_crowd_that_keeps_coming_does_not_delay_the_emergency_stop(
-    stand: WebStand, greeting: bytes, capsys: pytest.CaptureFixture[str]
+    stand: WebStand, opening: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept: list[socket.socket] = []
 
@@ -138,7 +131,7 @@ def test_a_crowd_that_keeps_coming_does_not_delay_the_emergency_stop(
         kept.append(connected(stand))
         if len(kept) > 400:
             kept.pop(0).close()
-        kept[-1].sendall(greeting)
+        kept[-1].sendall(opening)
 
     capsys.readouterr()
     began_ns = CLOCK.now_ns()

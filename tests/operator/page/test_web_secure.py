@@ -12,15 +12,14 @@ import httpx
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from robofleet.operator.page import ticket
+from robofleet.operator.page import one_time_token
 from robofleet.operator.page.certificate import PageKeys
-from robofleet.operator.page.places import MOST
+from robofleet.operator.page.connection_limiter import MOST
 from tests.operator.page.secureweb import HOST, Visitor, keys_in, trusting
 from tests.operator.page.webstand import WebStand, web_stand
 
 ANSWERED_WITHIN_S = 5.0
 GONE_WITHIN_S = 20.0
-MOVING = "arm", "start", "resume", "stop", "reset"
 USED = "This address has opened its page already"
 STRANGER = "This browser is not logged in"
 COOKIE = r"__Host-robofleet-(\d+)=([0-9a-f]{32}); HttpOnly; Path=/; SameSite=strict; Secure"
@@ -103,15 +102,15 @@ def test_an_older_tls_is_refused(stand: WebStand, folder: Path, version: ssl.TLS
 
 
 @pytest.mark.parametrize(
-    "greeting", [b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n", b"\x00" * 100, b"\x16\x03\x01\x00\x05hello"]
+    "opening", [b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\n", b"\x00" * 100, b"\x16\x03\x01\x00\x05hello"]
 )
 def test_what_is_not_tls_gets_a_closed_connection_and_disturbs_nobody(
-    stand: WebStand, comes: Comes, greeting: bytes, capfd: pytest.CaptureFixture[str]
+    stand: WebStand, comes: Comes, opening: bytes, capfd: pytest.CaptureFixture[str]
 ) -> None:
     visitor = comes(stand.addresses.viewer)
     capfd.readouterr()
     with visitor.page() as page, socket.create_connection(end_of(stand), timeout=GONE_WITHIN_S) as client:
-        client.sendall(greeting.replace(b"{host}", stand.authority.encode()))
+        client.sendall(opening.replace(b"{host}", stand.authority.encode()))
         assert client.recv(4096) == b""
         page.say(do="hold")
         assert page.next("answer")["ok"]
@@ -120,7 +119,7 @@ def test_what_is_not_tls_gets_a_closed_connection_and_disturbs_nobody(
     assert lines[0].startswith("refused (1 so far): a connection of 127.0.0.1: no TLS: ")
 
 
-def test_half_open_greetings_delay_nobody_and_are_closed_and_a_page_that_has_left_is_missed_by_nobody(
+def test_half_open_handshakes_delay_nobody_and_are_closed_and_a_page_that_has_left_is_missed_by_nobody(
     stand: WebStand, comes: Comes, caplog: pytest.LogCaptureFixture
 ) -> None:
     visitor = comes(stand.url)
@@ -132,7 +131,7 @@ def test_half_open_greetings_delay_nobody_and_are_closed_and_a_page_that_has_lef
             for _ in range(MOST + 50)
         ]
         for client in clients[::2]:
-            client.sendall(b"\x16\x03\x01\x02\x00\x01\x00")  # the first bytes of a greeting, and no more
+            client.sendall(b"\x16\x03\x01\x02\x00\x01\x00")  # the first bytes of a handshake, and no more
         for _ in range(3):
             fresh = comes()
             assert fresh.client.get("/page.js", timeout=ANSWERED_WITHIN_S).status_code == 200
@@ -162,19 +161,16 @@ def test_no_address_gives_a_session_away(stand: WebStand, comes: Comes) -> None:
     ((_, session),) = visitor.client.cookies.items()
     assert not any(session in address for address in stand.addresses)
     stranger = comes()
-    for query in (f"?token={session}", f"?ticket={session}", f"?token={stand.url.partition('ticket=')[2]}"):
+    for query in (f"?token={session}", f"?once={session}", f"?token={stand.url.partition('once=')[2]}"):
         assert is_worded(stranger.client.get(f"/{query}"), STRANGER)
     stranger.client.cookies.set(f"__Host-robofleet-{end_of(stand)[1]}", session[:-1], domain=HOST)
     assert is_worded(stranger.client.get("/"), STRANGER)
 
 
-@pytest.mark.parametrize("path", ["/", "/index.html", "/report"])
-def test_without_a_cookie_there_is_no_page(stand: WebStand, comes: Comes, path: str) -> None:
-    assert is_worded(comes().client.get(path), STRANGER)
-
-
-def test_a_stranger_can_ask_for_nothing(stand: WebStand, comes: Comes) -> None:
+def test_without_a_cookie_there_is_no_page_and_a_stranger_can_ask_for_nothing(stand: WebStand, comes: Comes) -> None:
     stranger = comes()
+    for path in ("/", "/index.html", "/report"):
+        assert is_worded(stranger.client.get(path), STRANGER)
     assert is_bare(stranger.post("/estop"))
     assert is_bare(stranger.post("/invite/operator"))
     with pytest.raises(InvalidStatus) as refused, stranger.page():
@@ -188,7 +184,7 @@ def test_the_address_for_a_browsers_command_line_is_for_this_user_only(
 ) -> None:
     for owner in (None, os.geteuid() + 1):  # from another computer; another user's
         with monkeypatch.context() as patched:
-            patched.setattr(ticket, "owner", lambda *_, owner=owner: owner)
+            patched.setattr(one_time_token, "owner", lambda *_, owner=owner: owner)
             assert is_worded(comes().enter(stand.once), USED)
     assert comes(stand.once).client.get("/").status_code == 200
 
@@ -213,20 +209,17 @@ def test_another_name_is_refused(stand: WebStand, comes: Comes) -> None:
     assert visitor.client.get("/", headers={"host": f"localhost:{end_of(stand)[1]}"}).status_code == 403
 
 
-@pytest.mark.parametrize("what", MOVING)
-def test_a_viewer_moves_nothing(stand: WebStand, comes: Comes, what: str) -> None:
-    with comes(stand.addresses.viewer).page() as page:
-        page.say(do=what)
-        answer = page.next("answer")
-    assert (answer["to"], answer["ok"]) == (what, False)
-    assert answer["text"].startswith("refused (403): a viewer may hold the run and press the emergency stop")
-    assert stand.requests == []
-
-
-def test_a_viewer_sees_holds_and_stops(stand: WebStand, comes: Comes) -> None:
+def test_a_viewer_sees_holds_stops_moves_nothing_and_invites_nobody(stand: WebStand, comes: Comes) -> None:
     visitor = comes(stand.addresses.viewer)
+    assert is_bare(visitor.post("/invite/viewer"))
     with visitor.page() as page:
         assert page.heard_one()["type"] == "hello"
+        for what in ("arm", "start", "resume", "stop", "reset"):
+            page.say(do=what)
+            answer = page.next("answer")
+            assert (answer["to"], answer["ok"]) == (what, False)
+            assert answer["text"].startswith("refused (403): a viewer may hold the run and press the emergency stop")
+        assert stand.requests == []
         page.say(do="hold")
         assert page.next("answer")["ok"]
         page.say(do="estop")
@@ -244,10 +237,6 @@ def test_viewers_leave_places_for_operators(stand: WebStand, comes: Comes) -> No
         with pytest.raises(InvalidStatus), viewer.page():
             pass
         assert opened.enter_context(operator.page()).heard_one()["type"] == "hello"
-
-
-def test_a_viewer_invites_nobody(stand: WebStand, comes: Comes) -> None:
-    assert is_bare(comes(stand.addresses.viewer).post("/invite/viewer"))
 
 
 def test_an_operator_does_everything_and_invites_others(stand: WebStand, comes: Comes) -> None:

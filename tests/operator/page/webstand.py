@@ -36,6 +36,17 @@ _LOOPBACK = "127.0.0.1"
 Frame = dict[str, Any]
 
 
+def told_numbers(groups: Sequence[described.Group], figures: Mapping[str, Sequence[float]]) -> tuple[float, ...]:
+    """Return what groups tell in a tick: figures by their names, and references' ``x`` and ``y``, a value a robot."""
+    numbers, first = np.full(described.size(groups), np.nan), 0
+    for group, part in zip(groups, described.parts(groups, numbers[None]), strict=True):
+        rows = slice(first, first := first + len(group.robots))
+        for k, name in enumerate(("x", "y", *(figure.name for figure in group.figures))):
+            if name in figures:
+                part[0, :, k] = figures[name][rows]
+    return tuple(numbers.tolist())
+
+
 class WebStand:
     """``url`` is what an operator is given; ``asked`` is what came to the supervisor."""
 
@@ -80,16 +91,7 @@ class WebStand:
         items = robots or tuple(placed(0.1 * row, 0.0) for row in range(len(self.robots)))
         timing = overruns, lateness_ns, 250_000
         head = (7, 0, self._seq, run_tick, CLOCK.now_ns(), 0, 0, 0, 0, 0, 0, phase, 0, *timing)
-        self._tick(messages.TICK_RECORD.encode(TickRecord(*head, items, self._numbers(figures or {}))))
-
-    def _numbers(self, figures: Mapping[str, Sequence[float]]) -> tuple[float, ...]:
-        numbers, first = np.full(described.size(self.groups), np.nan), 0
-        for group, part in zip(self.groups, described.parts(self.groups, numbers[None]), strict=True):
-            rows = slice(first, first := first + len(group.robots))
-            for k, name in enumerate(("x", "y", *(figure.name for figure in group.figures))):
-                if name in figures:
-                    part[0, :, k] = figures[name][rows]
-        return tuple(numbers.tolist())
+        self._tick(messages.TICK_RECORD.encode(TickRecord(*head, items, told_numbers(self.groups, figures or {}))))
 
     def say_state(
         self, phase: Phase, cause: Event = Event.NOTHING, robot: int = NOBODY, halted: Event = Event.NOTHING

@@ -17,8 +17,8 @@ import numpy as np
 from robofleet.core.clock import MS
 from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
-from tests.runs.serialstand import MOTION, commanded, ticks
 from tools.measure.program import program
+from tools.measure.runs.serialstand import MOTION, commanded, ticks
 
 _WHEELS = WheelSpeeds(2.0, 2.5), WheelSpeeds(2.1, 2.4)  # in turn: what is no news need not be said
 _SETTLED = 20  # commands until it drives

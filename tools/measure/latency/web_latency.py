@@ -41,10 +41,10 @@ from tests.nodes.longfleet import fleet_of
 from tests.operator.page.browser import chromium
 from tests.operator.page.webstand import WebStand
 from tests.runs.realrun import own_folders
-from tests.runs.unlaunched import start_all
 from tests.shipped import PLATOON
 from tools.measure.program import program
 from tools.measure.runs.recorder_cost import heard
+from tools.measure.runs.unlaunched import start_all
 
 CLOCK = WallClock()
 _ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole

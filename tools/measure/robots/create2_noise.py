@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 
-from robofleet.core.clock import MS
+from robofleet.core.clock import MS, S
 from robofleet.simulation.faulty_line import cut, garbled
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
-from tests.drivers.create2_bench import MM_S, Bench
+from tests.drivers.line_bench import MM_S, create2
 from tools.measure.program import program
 
 _STEP_NS = 11 * MS  # a third of a tick
@@ -44,26 +44,23 @@ def drive(seed: int, share: float, count: Count) -> str:
                 line = trouble(line, rng)
         return line
 
-    bench = Bench()
-    try:
+    with create2() as bench:
         bench.open()
         bench.to_robot = bench.to_driver = spoil
         commands: dict[tuple[int, int], int] = {}
-        for tick in range(_TICKS):
-            wheels = WheelSpeeds(5.0 + 2.0 * math.sin(0.033 * tick), 5.0 + 2.0 * math.cos(0.023 * tick))
-            bench.write(*wheels)
-            commands[_mm_s(wheels)] = tick
-            for _ in range(3):
-                bench.let_pass(_STEP_NS)
-                if bench.read().faults:
-                    return f"run {seed}: fault {bench.read().faults}"
-                now = bench.hardware.command
-                count.look(now != STOP and commands.get(_mm_s(now), -_REMEMBERED) <= tick - _REMEMBERED)
-    except DriverError as error:
-        return f"run {seed}: {error}"
-    finally:
-        bench.to_robot = bench.to_driver = bytes
-        bench.close()
+        try:
+            for tick in range(_TICKS):
+                wheels = WheelSpeeds(5.0 + 2.0 * math.sin(0.033 * tick), 5.0 + 2.0 * math.cos(0.023 * tick))
+                bench.write(*wheels)
+                commands[_mm_s(wheels)] = tick
+                for _ in range(3):
+                    bench.let_pass(_STEP_NS / S)
+                    if bench.read().faults:
+                        return f"run {seed}: fault {bench.read().faults}"
+                    now = bench.hardware.command
+                    count.look(now != STOP and commands.get(_mm_s(now), -_REMEMBERED) <= tick - _REMEMBERED)
+        except DriverError as error:
+            return f"run {seed}: {error}"
     return ""
 
 

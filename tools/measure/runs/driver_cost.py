@@ -13,8 +13,8 @@ import psutil
 from robofleet.core.clock import S
 from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
-from tests.runs.serialstand import CLOCK, MOTION, commanded, ticks
 from tools.measure.program import program
+from tools.measure.runs.serialstand import CLOCK, MOTION, commanded, ticks
 
 _WHEELS = WheelSpeeds(2.0, 2.5)
 _SETTLED_S = 2.0

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from robofleet.bus.keys import QUERIES, RECORDER, TOPICS, Topic, key
-from robofleet.bus.layouts import VERSION, BlobLayout, Layout
+from robofleet.bus.layouts import VERSION, Layout
 from robofleet.bus.messages import RECORDER_STATUS, RecorderStatus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
@@ -74,7 +74,7 @@ class Forge:
         else:
             self._spoil(heads, self._rng.choice((0.0, 0.1, 0.3)))
         heads["version"] = VERSION
-        if isinstance(topic.layout, BlobLayout):
+        if isinstance(topic.layout, Layout) and topic.layout.blob:
             blob = rest if self._rng.random() < 0.5 else self._rng.bytes(int(self._rng.integers(200)))
             return heads.tobytes() + blob
         if isinstance(topic.layout, Layout):

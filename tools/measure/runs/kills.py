@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from robofleet.core.clock import MS, S
-from tests.runs import struck_runs
 from tools.measure.fleet import CLOCK, Fleet, pair
 from tools.measure.program import program
+from tools.measure.runs import struck_runs
 
 VICTIMS = ("controller", "router", "supervisor", "tracker")
 TARGET_MS, OUTPUT_MS = 130.0, 230.0

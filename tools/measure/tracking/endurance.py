@@ -11,6 +11,7 @@ and nobody else has its id: not in the second after it was carried, uncovered or
 
 import math
 from collections import defaultdict
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
 from robofleet.core.arrays import Array
-from robofleet.simulation.camera import Print, SceneRenderer, Shutter
+from robofleet.simulation.camera import Print, SceneRenderer
 from robofleet.simulation.effects import effects
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
@@ -117,10 +118,13 @@ def episode(trouble: Trouble, images: int, rng: np.random.Generator) -> tuple[in
         Print(Target(tag, SIDE, 0.0, 0.0), x, y, rng.uniform(-3.0, 3.0))
         for tag, (x, y) in zip(trouble.posters, (fleet.places[::4] + 0.17).tolist(), strict=False)
     ]
-    noise, shutter = rng.uniform(2.0, 5.0), Shutter(trouble.exposure, trouble.line_time)
-    bright = renderer = SceneRenderer(eye, SIZE, targets, noise, rng, shutter=shutter, prints=prints)
+    made = partial(
+        SceneRenderer, eye, SIZE, targets, rng.uniform(2.0, 5.0), rng,
+        exposure_s=trouble.exposure, line_time_s=trouble.line_time, prints=prints,
+    )  # fmt: skip
+    bright = renderer = made()
     if trouble.light < 1.0:
-        renderer = SceneRenderer(eye, SIZE, targets, noise, rng, shutter=shutter, prints=prints, light=trouble.light)
+        renderer = made(light=trouble.light)
     chain = effects(trouble.settings, SIZE, rng)
     tracker = TagTracker(eye, SIZE, targets, trouble.line_time)
     excused = np.full(ROBOTS, 5)  # images for which a tag need not be measured

@@ -95,7 +95,7 @@ def evaluate(configs: dict[str, Config], turn_deg: Sequence[float], images: int)
     without = dict.fromkeys(configs, 0)
     for k, frame in enumerate(frames(config, turn_deg, images)):
         for name, sight in sights.items():
-            seen = [robot for robot in sight.see(frame.image, frame.exposure_ns).robots if robot.coasted_ns == 0]
+            seen = [robot for robot in sight.see(frame.image, frame.exposure_ns).poses if robot.coasted_ns == 0]
             if k >= COUNTS_FROM:
                 without[name] += not seen
                 errors[name] += [1e3 * math.dist((r.x, r.y), frame.poses[tags[r.tag], :2]) for r in seen]

@@ -6,9 +6,6 @@ export const HALTED = 2; // it alone stands still
 export const LOST = 3; // no image of it for too long
 export const LATCHED = 4; // somebody must look at it
 
-const THERE = { positioning: "at its start", parking: "parked" };
-const WHERE = { positioning: "its start", parking: "the park" };
-
 /** The robots of a tick: one object each, with its values by the names of the columns, `trouble` and `words`. */
 export function robotsOf(hello, tick) {
   return tick.robots.map((values, row) => {
@@ -16,15 +13,15 @@ export function robotsOf(hello, tick) {
     hello.columns.forEach((column, k) => (robot[column] = values[k]));
     [robot.trouble, robot.words] = assess(robot);
     robot.place = hello.places[tick.way]?.[row] ?? null; // where it goes: x, y, psi
-    if (robot.trouble === FINE && robot.to_go_m !== null) robot.words = onTheWay(robot, tick.way);
+    if (robot.trouble === FINE && robot.to_go_m !== null) robot.words = onTheWay(robot, hello.ways[tick.way]);
     if (robot.reality === "simulated") robot.words += " (in no image: simulated)";
     return robot;
   });
 }
 
 function onTheWay({ gate, to_go_m: left }, way) {
-  if (left === 0) return THERE[way];
-  return `${gate === "open" ? "" : "stands, "}${left.toFixed(2)} m to ${WHERE[way]}`;
+  if (left === 0) return way.there;
+  return `${gate === "open" ? "" : "stands, "}${left.toFixed(2)} m to ${way.goal}`;
 }
 
 function assess({ driven, latch, lost, halted, gate, filtered }) {
