@@ -28,8 +28,8 @@ class WayWords:
 
 WAYS = {
     Phase.POSITIONING: WayWords(
-        goal="its start", each="to its start", all="to their start", arrived="at its start", all_arrived="at their start",
-        then="the run begins",
+        goal="its start", each="to its start", all="to their start", arrived="at its start",
+        all_arrived="at their start", then="the run begins",
     ),
     Phase.PARKING: WayWords(
         goal="the park", each="to where it is parked", all="to where they are parked", arrived="parked",
