@@ -1,5 +1,6 @@
 """Configurations, lockstep runs, and a bench: one process alone on a bus without delay."""
 
+import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -260,6 +261,23 @@ def stand(
     yield Stand(bench, node, fake_driver.instances)
     with suppress(ExceptionGroup):  # of robots that a test broke; nobody seeks them any more
         node.close()
+
+
+@pytest.fixture
+def disk_of(tmp_path: Path) -> Iterator[Callable[[str], Path]]:
+    """Return what mounts a small disk of its own, for example of ``256k``."""
+    disk = tmp_path / "disk"
+
+    def mount(size: str) -> Path:
+        disk.mkdir()
+        command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", disk]
+        if subprocess.run(command, capture_output=True, check=False).returncode:
+            pytest.skip("only root may mount a disk that fills up")
+        return disk
+
+    yield mount
+    if disk.is_mount():
+        subprocess.run(["umount", "--lazy", disk], check=True)
 
 
 @pytest.fixture

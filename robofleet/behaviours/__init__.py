@@ -21,21 +21,6 @@ from robofleet.behaviours.interface import (
 from robofleet.core.settings import Model as Settings
 
 __all__ = [
-    "Behaviour",
-    "Bound",
-    "Decision",
-    "Dots",
-    "Figure",
-    "Flow",
-    "Line",
-    "Measure",
-    "Past",
-    "Refusal",
-    "Settings",
-    "Shape",
-    "Situation",
-    "Start",
-    "Team",
-    "Wish",
-    "WishKind",
-]
+    "Behaviour", "Bound", "Decision", "Dots", "Figure", "Flow", "Line", "Measure", "Past", "Refusal", "Settings",
+    "Shape", "Situation", "Start", "Team", "Wish", "WishKind",
+]  # fmt: skip

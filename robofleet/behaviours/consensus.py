@@ -54,20 +54,17 @@ class Consensus(Behaviour):
     figures = (Figure("disagreement", "m", "mm", "Distance from the middle of the group."),)
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """Know who is whose neighbour."""
         super().__init__(settings, team)
         adjacency = settings.adjacency(team.robots)
         self._laplacian = np.diag(adjacency.sum(axis=1)) - adjacency
 
     def decide(self, now: Situation) -> Decision:
-        """Return the agreement protocol's velocities."""
         points = now.points(self.team.point_ahead)
         velocities = -self.settings.gain_per_s * self._laplacian @ points
         disagreement = np.linalg.norm(points - points.mean(axis=0), axis=1)
         return Decision(slowed(velocities, self.settings.speed_m_s), figures={"disagreement": disagreement})
 
     def bounds(self) -> Iterator[Bound]:
-        """Yield whether the wheels can do it."""
         yield from point_speeds(self.team, "settings.speed_m_s", self.settings.speed_m_s)
 
     def refusals(self) -> Iterator[Refusal]:

@@ -37,7 +37,6 @@ class Coverage(Behaviour):
     figures = (Figure("locational_cost", "m2", meaning="Mean squared distance from a place to the nearest robot."),)
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """Lay the grid, and weigh its cells."""
         super().__init__(settings, team)
         cell = max(team.arena) / settings.cells
         x, y = (side * ((np.arange(n) + 0.5) / n - 0.5) for side in team.arena for n in [max(1, round(side / cell))])
@@ -59,7 +58,6 @@ class Coverage(Behaviour):
         return Decision(velocities, references=middles, figures={"locational_cost": cost})
 
     def bounds(self) -> Iterator[Bound]:
-        """Yield whether the wheels can do it."""
         yield from point_speeds(self.team, "settings.speed_m_s", self.settings.speed_m_s)
 
     def shapes(self) -> list[Dots]:

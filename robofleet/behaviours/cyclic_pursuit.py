@@ -38,7 +38,6 @@ class CyclicPursuit(Behaviour):
     )
 
     def decide(self, now: Situation) -> Decision:
-        """Return velocities towards the next robot, turned outwards."""
         s, points = self.settings, now.points(self.team.point_ahead)
         chord, middle = 2 * s.radius_m * math.sin(math.pi / len(points)), points.mean(axis=0)
         to_next, out = np.roll(points, -1, axis=0) - points, points - middle
@@ -59,7 +58,6 @@ class CyclicPursuit(Behaviour):
             yield from on_a_circle(self.team, s.radius_m, s.speed_m_s, s.centre_m or (0.0, 0.0))
 
     def refusals(self) -> Iterator[Refusal]:
-        """Yield that nobody pursues itself."""
         if len(self.team) == 1:
             yield Refusal("robots", "a pursuit needs two robots or more: add one")
 

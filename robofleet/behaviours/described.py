@@ -30,7 +30,6 @@ class Group(NamedTuple):
         return 2 + len(self.figures)
 
     def plain(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
         shapes = [plain_shape(shape) for shape in self.shapes]
         figures = [figure._asdict() for figure in self.figures]
         return {**self._asdict(), "robots": list(self.robots), "figures": figures, "shapes": shapes}
@@ -44,7 +43,6 @@ class Group(NamedTuple):
 
 
 def plain_shape(shape: Shape) -> dict[str, Any]:
-    """Return a shape as JSON has it."""
     return {"kind": type(shape).__name__, **shape._asdict(), "points": np.round(shape.points, 6).tolist()}
 
 

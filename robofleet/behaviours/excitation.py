@@ -18,7 +18,7 @@ from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_f
 
 Pose = tuple[float, float, float]
 
-_SPIN, _STRAIGHT = 0.4, 0.5  # of what the wheels can do
+_SPIN_SHARE, _STRAIGHT_SHARE = 0.4, 0.5  # of what the wheels can do
 _SLOWEST, _FASTEST = 0.25, 0.6  # random wheel speeds, of the highest; slow ones would be lost in the dead band
 _SPIN_ANGLE = 1.1 * math.tau  # [rad]
 _REST_S = 0.5
@@ -26,7 +26,7 @@ _RANDOM_S = 20.0
 _LONGEST_LINE = 0.3  # [m]
 _LINE_STEP = 0.02
 _RANDOM_DISC = 0.08  # random motion stays so near [m]
-_KEPT_OUT = 0.03  # between bodies, and to the edge [m]
+_LEAST_GAP_M = 0.03  # between bodies, and to the edge
 _DIRECTIONS = 36
 _TURN_ACCURACY = 0.03  # [rad]
 
@@ -56,7 +56,6 @@ class Excitation(Behaviour):
     figures = (Figure("held", meaning="1: the robot would come too near to something, and is held", live=False),)
 
     def __init__(self, settings: Any, team: Team) -> None:
-        """Draw every robot's script."""
         super().__init__(settings, team)
         self._radii = tuple(body.radius for body in team.bodies)
         self._scripts = [list(_script(drive, team.tick, team.rng)) for drive in team.drives]
@@ -64,7 +63,6 @@ class Excitation(Behaviour):
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new run."""
         self._row, self._part = 0, 0
         self._heading = math.nan  # of the line; NaN: not turned towards it yet
         self._length = 0.0
@@ -117,7 +115,7 @@ class Excitation(Behaviour):
         left = math.remainder(self._heading - pose[2], math.tau)
         if abs(left) < _TURN_ACCURACY:
             return 0.0, 0.0
-        speed = math.copysign(_SPIN * min(1.0, max(0.2, abs(left) / 0.4)), left) * vehicle.max_wheel_speed
+        speed = math.copysign(_SPIN_SHARE * min(1.0, max(0.2, abs(left) / 0.4)), left) * vehicle.max_wheel_speed
         return -speed, speed
 
 
@@ -139,7 +137,7 @@ class _Surroundings(NamedTuple):
     def allow(self, now: Pose, then: Pose, anchor: tuple[float, float] | None) -> bool:
         """Return whether a motion keeps out of everything, or leads away from it, and stays near the anchor."""
         clear = self.clearance(*then[:2])
-        if clear < _KEPT_OUT and clear < self.clearance(*now[:2]):
+        if clear < _LEAST_GAP_M and clear < self.clearance(*now[:2]):
             return False
         if anchor is None:
             return True
@@ -155,7 +153,8 @@ class _Surroundings(NamedTuple):
             c, s = math.cos(psi + turn), math.sin(psi + turn)
             length = 0.0
             while (
-                length < _LONGEST_LINE and self.clearance(x + (length + 0.05) * c, y + (length + 0.05) * s) >= _KEPT_OUT
+                length < _LONGEST_LINE
+                and self.clearance(x + (length + 0.05) * c, y + (length + 0.05) * s) >= _LEAST_GAP_M
             ):
                 length += _LINE_STEP
             if length > best[1]:
@@ -166,7 +165,7 @@ class _Surroundings(NamedTuple):
 def _script(vehicle: DifferentialDrive, tick: float, rng: np.random.Generator) -> Iterator[Spell]:
     """Give the parts of one robot's script in their order."""
     radius, base, highest = vehicle.wheel_radius, vehicle.wheel_base, vehicle.max_wheel_speed
-    spin, straight = _SPIN * highest, _STRAIGHT * min(highest, vehicle.max_speed / radius)
+    spin, straight = _SPIN_SHARE * highest, _STRAIGHT_SHARE * min(highest, vehicle.max_speed / radius)
     omega = body_from_wheels(-spin, spin, radius, base)[1]
     plan = [(Act.SPIN, _SPIN_ANGLE / omega, -spin, spin), (Act.SPIN, _SPIN_ANGLE / omega, spin, -spin)]
     plan.append((Act.TURN, math.pi / omega + 1.0, 0.0, 0.0))

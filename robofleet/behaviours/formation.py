@@ -34,8 +34,8 @@ from robofleet.control.trajectory import Trajectory, demanded
 from robofleet.core.arrays import Array
 from robofleet.core.settings import ROBOTS, Coordinate, Degrees, within
 
-_STEP = 0.01  # between the instants that are looked at before a run [s]
-_SIDE_SAMPLES = 256  # of a side of the path, to turn it into ways of the robots
+_CHECK_STEP_S = 0.01  # between the instants that are looked at before a run
+_SAMPLES_PER_SIDE = 256  # of the path, to turn it into ways of the robots
 
 
 class Formation(Behaviour):
@@ -62,21 +62,17 @@ class Formation(Behaviour):
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """Make each robot's way."""
         super().__init__(settings, team)
         self._flow = PointFlow(len(team), team.flow.alpha, team.flow.horizon, team.tick, team.flow.integrator)
         self._frame = Trajectory.path(settings.path.path(), settings.path_rate, 0.0)
 
     def restart(self) -> None:
-        """Begin at rest."""
         self._flow.u[:] = 0.0
 
     def changed(self, velocities: Array) -> None:
-        """Go on from what the robots are really asked for."""
         self._flow.u[:] = velocities
 
     def decide(self, now: Situation) -> Decision:
-        """Return the flow's velocities."""
         points = now.points(self.team.point_ahead)
         here, ahead = self._at(np.array([now.t, now.t + self.team.flow.horizon])).transpose(1, 0, 2)
         u, error = self._flow.update(points, ahead, now.driving, now.disturbance)
@@ -95,7 +91,6 @@ class Formation(Behaviour):
         return [(x, y, heading) for (x, y), heading in zip(centres.tolist(), psi.tolist(), strict=True)]
 
     def refusals(self) -> Iterator[Refusal]:
-        """Yield places that are too few or too many."""
         if len(self.settings.offsets_m) != len(self.team):
             message = f"has {len(self.settings.offsets_m)} places for {len(self.team)} robots: write one for each"
             yield Refusal("settings.offsets_m", message)
@@ -109,9 +104,9 @@ class Formation(Behaviour):
         yield cusp
         if not cusp.holds:
             return
-        centres, step = [], _STEP
+        centres, step = [], _CHECK_STEP_S
         for i, way in enumerate(self._ways()):
-            t, v, omega, centre = demanded(way, self.team.point_ahead, _STEP)
+            t, v, omega, centre = demanded(way, self.team.point_ahead, _CHECK_STEP_S)
             centres.append(centre)
             where, step = partial(self._where, t), float(t[1] - t[0])
             yield from inside(self.team, i, "settings.path", way.position(t), where)
@@ -148,7 +143,7 @@ class Formation(Behaviour):
 
     def _ways(self) -> Iterator[Trajectory]:
         """Yield each robot's way: cubics through many of its places."""
-        t = np.linspace(0.0, self._frame.end, self.settings.path.path().sides * _SIDE_SAMPLES + 1)
+        t = np.linspace(0.0, self._frame.end, self.settings.path.path().sides * _SAMPLES_PER_SIDE + 1)
         near = 1e-4 * t[1]
         velocities = (self._at(t + near) - self._at(t - near)) / (2 * near)
         for points, velocity in zip(self._at(t), velocities, strict=True):

@@ -39,15 +39,15 @@ from robofleet.safety.distances import Body, apart, apart_at_rest, from_edge
 from robofleet.safety.supervisor import Event
 from robofleet.vehicles.solids import distances
 
-_SEARCH_PARTS = 5  # in a tick
-_MARGIN = 0.01  # of what robots keep under way beyond what the barrier keeps [m]
+_SEARCH_PARTS_PER_TICK = 5
+_MARGIN_M = 0.01  # of what robots keep under way beyond what the barrier keeps
 _CELLS_ACROSS = 3.8  # the distance under way
 _PUSHED_M = 0.10  # off its place, a robot needs another plan
 _LOST_TICKS = 30  # for which it was there
 _STUCK_S = 6.0  # without progress of anybody
 _RETRY_S = 1.0  # after no plan was found
 _MOST_FAILED = 10  # plans in a row: then the run is held
-_STILL_M = 0.004  # in a tick
+_STILL_M_PER_TICK = 0.004
 _STILL_TICKS = 6
 _THERE_TICKS = 15
 _OTHER_MOVED_M = 0.01  # at least
@@ -99,13 +99,12 @@ class GoTo(Behaviour):
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """See ``Behaviour``."""
         super().__init__(settings, team)
         self._goals = np.array([settings.goals[r].pose if r in settings.goals else (np.nan,) * 3 for r in team.robots])
         if settings.assignment == "nearest" and len(settings.goals) == len(team):
             self._goals = np.array([goal.pose for goal in settings.goals.values()])
         radius = max(body.radius for body in team.bodies)
-        ahead = 2 * team.keepout.ahead + _MARGIN
+        ahead = 2 * team.keepout.ahead + _MARGIN_M
         self._distance = max(apart(team.keepout, a, b) for a in team.bodies for b in team.bodies) + ahead
         self._beside_bodies = self._distance - radius  # of a centre from the edge of another body
         self._edge = max(from_edge(team.keepout, body) for body in team.bodies) + ahead / 2
@@ -129,7 +128,6 @@ class GoTo(Behaviour):
             self.rehearsed = True
 
     def restart(self) -> None:
-        """Begin from where the robots stand then."""
         n = len(self.team)
         self._work: Generator[None, None, Plan | None] | None = None
         self._planned = False
@@ -144,11 +142,9 @@ class GoTo(Behaviour):
         self._follower.begin(None, np.zeros((n, 3)), self._goals)
 
     def carried(self, robot: int) -> None:
-        """Make another plan."""
         self._drop()
 
     def changed(self, velocities: Array) -> None:
-        """See ``Behaviour``."""
         if np.isfinite(self._poses).all():
             self._follower.changed(velocities, self._poses)
 
@@ -158,10 +154,9 @@ class GoTo(Behaviour):
         return self._planned and bool((self._follower.state[:, State.THERE] >= _THERE_TICKS).all())
 
     def decide(self, now: Situation) -> Decision:
-        """See ``Behaviour``."""
         self.rehearse()
         moved = np.hypot(*(now.poses - self._poses)[:, :2].T)
-        self._still = np.where(moved < _STILL_M * self.team.tick / 0.033, self._still + 1, 0)
+        self._still = np.where(moved < _STILL_M_PER_TICK * self.team.tick / 0.033, self._still + 1, 0)
         self._poses = now.poses.copy()
         if self._planned and self._wrong(now):
             self._drop()
@@ -182,7 +177,6 @@ class GoTo(Behaviour):
         return Decision(velocities, "body", references if self._planned else None, figures, hold=hold)
 
     def _drop(self) -> None:
-        """Stand until there is another plan."""
         self._planned, self._work, self._pause = False, None, 0
         self._still[:] = 0
         self._follower.begin(None, self._poses, self._target)
@@ -197,7 +191,7 @@ class GoTo(Behaviour):
         if self._work is None:
             self._work = self._search(now)
         try:
-            for _ in range(_SEARCH_PARTS):
+            for _ in range(_SEARCH_PARTS_PER_TICK):
                 next(self._work)
         except StopIteration as done:
             self._work = None
@@ -210,7 +204,6 @@ class GoTo(Behaviour):
             self._follower.begin(done.value, now.poses, self._target)
 
     def _search(self, now: Situation) -> Generator[None, None, Plan | None]:
-        """Share out the goals, and look for a plan."""
         self._target = self._goals
         if self.settings.assignment == "nearest":
             ways = np.linalg.norm(now.poses[:, None, :2] - self._goals[None, :, :2], axis=2)
@@ -258,30 +251,25 @@ class GoTo(Behaviour):
             return False
         ways = self._follower.rest()
         near = (
-            np.linalg.norm(ways[:, None] - others[None, :, :2], axis=2) < others[:, 2] + self._beside_bodies - _MARGIN
+            np.linalg.norm(ways[:, None] - others[None, :, :2], axis=2) < others[:, 2] + self._beside_bodies - _MARGIN_M
         )
         return bool(near.any())
 
     # Before a run
 
     def refusals(self) -> Iterator[Refusal]:
-        """Yield goals and robots that do not belong together."""
         s, robots = self.settings, self.team.robots
         if s.assignment == "nearest":
             if len(s.goals) != len(robots):
-                yield Refusal(
-                    "settings.goals",
-                    f"{len(s.goals)} goals for {len(robots)} robots: give as many goals as the group has robots",
-                )
+                message = f"{len(s.goals)} goals for {len(robots)} robots: give as many goals as the group has robots"
+                yield Refusal("settings.goals", message)
             else:
                 yield from self._cut_off()
             return
         for name in s.goals:
             if name not in robots:
-                yield Refusal(
-                    f"settings.goals.{name}",
-                    f"{name} is not in the group: the group's robots are {', '.join(robots)}",
-                )
+                message = f"{name} is not in the group: the group's robots are {', '.join(robots)}"
+                yield Refusal(f"settings.goals.{name}", message)
         for robot in robots:
             if robot not in s.goals:
                 yield Refusal("settings.goals", f"{robot} has no goal: add `{robot}: {{x_m: ..., y_m: ...}}`")
@@ -305,16 +293,13 @@ class GoTo(Behaviour):
             return
         for row in planning.unreachable(problem):
             robot = self.team.robots[row]
-            yield Refusal(
-                f"settings.goals.{robot}",
-                f"no way leads from {robot}'s start to its goal past {self._named_solids()}: {mend}",
-            )
+            message = f"no way leads from {robot}'s start to its goal past {self._named_solids()}: {mend}"
+            yield Refusal(f"settings.goals.{robot}", message)
 
     def _named_solids(self) -> str:
         return ", ".join("the floor's edge" if solid.floor else solid.name for solid in self.team.keepout.solids[:5])
 
     def bounds(self) -> Iterator[Bound]:
-        """Yield what goals must keep, and the speed."""
         names = list(self.settings.goals)
         if self.settings.assignment == "labelled":
             names = [name for name in names if name in self.team.robots]
@@ -381,7 +366,6 @@ class GoTo(Behaviour):
         return (self.team.bodies[self.team.robots.index(name)],)
 
     def shapes(self) -> Sequence[Shape]:
-        """Return the goals."""
         return (Dots("goals", self._goals[:, :2]),)
 
     def summary(self, past: Past) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours import laps
 from robofleet.behaviours.interface import (
@@ -33,14 +32,14 @@ from robofleet.behaviours.interface import (
 from robofleet.behaviours.limits import inside, wheels
 from robofleet.behaviours.paths import PathFile
 from robofleet.control.platoon import INPUTS, REFERENCES, Column, PlatoonLaw, PlatoonSettings
-from robofleet.core.arrays import Array
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.settings import Model, within
 from robofleet.safety import starts
 from robofleet.safety.distances import apart, from_edge
 from robofleet.safety.starts import MOST_THROUGH, Ways, judge
 
-_PATH_POINTS = 400  # of the line that is drawn
-_START_POINTS = 100  # of a side, for judging a start
+_DRAWN_POINTS = 400
+_START_POINTS_PER_SIDE = 100  # for judging a start
 _FIGURES = (
     ("control_error", int(Column.CONTROL_ERROR)),
     ("estimated_path_error", int(Column.PATH_ERROR)),
@@ -75,7 +74,6 @@ class Platoon(Behaviour):
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """Put the law together."""
         super().__init__(settings, team)
         self._path = settings.path.path()
         flow = team.flow
@@ -97,7 +95,6 @@ class Platoon(Behaviour):
         return Decision(law_row[:, INPUTS], references=law_row[:, REFERENCES], figures=figures)
 
     def restart(self) -> None:
-        """Begin at the path's beginning, or where the leader stands."""
         self._law.restart()
 
     def changed(self, velocities: Array) -> None:
@@ -157,7 +154,7 @@ class Platoon(Behaviour):
     def ways(self) -> Ways:
         """Return what a start is judged by."""
         sides, team, s = self._path.sides, self.team, self.settings
-        points = self._path.position(np.arange(sides * _START_POINTS) / _START_POINTS)
+        points = self._path.position(np.arange(sides * _START_POINTS_PER_SIDE) / _START_POINTS_PER_SIDE)
         gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))
         k = np.arange(len(points))
         far = gaps[k[:, None], k[:, None] - k[None]] >= s.spacing_m  # [point, steps back]
@@ -242,8 +239,7 @@ class Platoon(Behaviour):
         )
 
     def shapes(self) -> Sequence[Line]:
-        """Return the path."""
-        lap = self._path.position(np.linspace(0.0, self._path.sides, _PATH_POINTS, endpoint=False))
+        lap = self._path.position(np.linspace(0.0, self._path.sides, _DRAWN_POINTS, endpoint=False))
         return (Line("path", lap, closed=True, directed=True),)
 
     # After a run
@@ -290,7 +286,7 @@ class Platoon(Behaviour):
             "spacing_m": gaps if known.any() else None,
         }
 
-    def _followed(self, past: Past) -> NDArray[np.bool_]:
+    def _followed(self, past: Past) -> Flags:
         """Return of whom the truth is known, and of the robot ahead as well (N,)."""
         return np.asarray(past.known & np.concatenate([[True], past.known[:-1]]))
 

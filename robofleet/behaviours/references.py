@@ -109,9 +109,8 @@ class Reference(Model):
     def _unsorted(self, key: str) -> Iterator[Refusal]:
         for k, (before, row) in enumerate(itertools.pairwise(self.csv or ())):
             if row[0] <= before[0]:
-                yield Refusal(
-                    f"{key}.{k + 1}.0", f"{row[0]:g} s does not come after {before[0]:g} s: sort the rows by time"
-                )
+                message = f"{row[0]:g} s does not come after {before[0]:g} s: sort the rows by time"
+                yield Refusal(f"{key}.{k + 1}.0", message)
                 return
 
     def _repeated(self, key: str) -> Iterator[Refusal]:

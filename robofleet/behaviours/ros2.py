@@ -29,7 +29,6 @@ class Ros2(Behaviour):
     figures = (Figure("command_age", "s", meaning="time since the robot's newest command was published"),)
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """See ``Behaviour``."""
         super().__init__(settings, team)
         self._stand = np.zeros((len(team), 2))
 

@@ -42,7 +42,6 @@ class Script(Behaviour):
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """See ``Behaviour``."""
         super().__init__(settings, team)
         self._rehearsed = False
         self._done = False
@@ -50,17 +49,14 @@ class Script(Behaviour):
         self._stand = np.zeros((len(team), 2))
 
     def restart(self) -> None:
-        """Wait for a script."""
         self._done = False
         self._journey = None
 
     def carried(self, robot: int) -> None:
-        """Make another plan."""
         if self._journey is not None:
             self._journey.carried(robot)
 
     def changed(self, velocities: Array) -> None:
-        """See ``Behaviour``."""
         if self._journey is not None:
             self._journey.changed(velocities)
 
@@ -70,7 +66,6 @@ class Script(Behaviour):
         return self._done
 
     def decide(self, now: Situation) -> Decision:
-        """Do what is wished; stand without a wish."""
         if not self._rehearsed:
             self._rehearsed = True
             journey(self.team, dict.fromkeys(self.team.robots, (0.0, 0.0, 0.0))).rehearse()

@@ -22,7 +22,7 @@ from robofleet.safety.distances import apart
 
 _ROUNDING = 1e-9
 _INNER = "wish_epoch", "wish"  # figures for replays, not for people
-_WAY_STEP = 0.005  # between two points of a way that are remembered [m]
+_WAY_STEP_M = 0.005  # between two points of a way that are remembered
 
 
 class Teleop(Behaviour):
@@ -55,12 +55,10 @@ class Teleop(Behaviour):
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """See ``Behaviour``."""
         super().__init__(settings, team)
         self.restart()
 
     def restart(self) -> None:
-        """Forget the ways."""
         self._ways = [deque[Array]() for _ in self.team.robots[1:]]  # of each robot that another one follows
 
     def carried(self, robot: int) -> None:
@@ -70,7 +68,6 @@ class Teleop(Behaviour):
                 self._ways[k].clear()
 
     def decide(self, now: Situation) -> Decision:
-        """Do what was commanded; follow."""
         points, n = now.points(self.team.point_ahead), len(self.team)
         velocities, references = np.zeros((n, 2)), np.full((n, 2), np.nan)
         ages, errors = np.full(n, np.nan), np.full(n, np.nan)
@@ -136,7 +133,7 @@ class Teleop(Behaviour):
             return own
         if not way:
             way.append(own.copy())
-        if np.hypot(*(ahead - way[-1])) >= _WAY_STEP:
+        if np.hypot(*(ahead - way[-1])) >= _WAY_STEP_M:
             way.append(ahead.copy())
         left, newer = self.settings.spacing_m, ahead
         for k in range(len(way) - 1, -1, -1):

@@ -37,9 +37,9 @@ from robofleet.core.arrays import Array
 from robofleet.core.settings import ROBOTS, Model, Name
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_point
 
-_STEP = 0.01  # between the instants of a reference that are looked at before a run [s]
-_SLOWEST = 0.05  # of the top speed: a unicycle's flow keeps v above that, where it can still choose its way
-_TRUSTED = 0.5  # of the way that is driven in a horizon: so far from its end a Newton step may lead
+_CHECK_STEP_S = 0.01  # between the instants of a reference that are looked at before a run
+_SLOWEST_SHARE = 0.05  # of the top speed: a unicycle's flow keeps v above that, where it can still choose its way
+_TRUSTED_SHARE = 0.5  # of the way that is driven in a horizon: so far from its end a Newton step may lead
 _TURN = 0.9 * math.pi  # over a horizon, at most: what lies behind is not on an arc [rad]
 
 
@@ -57,7 +57,6 @@ class Track(Behaviour):
     figures = (Figure("control_error", "m", "mm", "Distance of the prediction from the reference (|r - g|)."),)
 
     def __init__(self, settings: Settings, team: Team) -> None:
-        """Make the references and the law."""
         super().__init__(settings, team)
         self._ahead = team.point_ahead if settings.law == "point_ahead" else 0.0
         refused = any(self.refusals())
@@ -66,15 +65,12 @@ class Track(Behaviour):
         self._law = _Points(team) if settings.law == "point_ahead" else _Unicycles(team)
 
     def restart(self) -> None:
-        """Begin at rest."""
         self._law.restart()
 
     def changed(self, velocities: Array) -> None:
-        """Go on from what the robots are really asked for."""
         self._law.changed(velocities)
 
     def decide(self, now: Situation) -> Decision:
-        """Return the flow's velocities."""
         here, ahead = (np.array([way.at(t) for way in self._ways]) for t in (now.t, now.t + self.team.flow.horizon))
         velocities, error = self._law.update(now, ahead)
         return Decision(velocities, self._law.of, here, {"control_error": error})
@@ -104,14 +100,13 @@ class Track(Behaviour):
         for i, way in enumerate(self._ways):
             robot = self.team.robots[i]
             reference, key = self.settings.references[robot], f"settings.references.{robot}"
-            t, v, omega, _ = demanded(way, self._ahead, _STEP)
+            t, v, omega, _ = demanded(way, self._ahead, _CHECK_STEP_S)
             where = partial(_where, t)
             yield from inside(self.team, i, f"{key}.{reference.kind}", way.position(t), where)
             yield from self._bends(i, reference, key)
             yield from wheels(self.team, i, f"{key}.{reference.speed_key}", (v, omega), where, reference.slower)
 
     def shapes(self) -> list[Line]:
-        """Return each robot's way."""
         lines = []
         for robot, way in zip(self.team.robots, self._ways, strict=True):
             points = way.position(np.concatenate([way.instants(0.1, 1000), [way.end - way.begin]]))
@@ -173,7 +168,7 @@ class _Unicycles:
     def __init__(self, team: Team) -> None:
         self._ahead, self._horizon = team.point_ahead, team.flow.horizon
         self._psi = np.zeros(len(team))
-        self._slowest = [_SLOWEST * drive.max_speed for drive in team.drives]
+        self._slowest = [_SLOWEST_SHARE * drive.max_speed for drive in team.drives]
         self._flows = [
             self._made(team, drive, slowest) for drive, slowest in zip(team.drives, self._slowest, strict=True)
         ]
@@ -213,7 +208,7 @@ class _Unicycles:
             end = np.array(arc(x, y, psi, v + slip, omega + spin, self._horizon)[:2])
             missing = references[i] - end
             error[i] = math.hypot(*missing)
-            trusted = min(1.0, _TRUSTED * abs(v) * self._horizon / max(error[i], 1e-9))
+            trusted = min(1.0, _TRUSTED_SHARE * abs(v) * self._horizon / max(error[i], 1e-9))
             inputs[i] = flow.update(np.array([x, y, psi, slip, spin]), end + trusted * missing)
         return inputs, error
 

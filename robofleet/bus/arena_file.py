@@ -30,9 +30,9 @@ if TYPE_CHECKING:  # who looks for a run needs no configuration, and is in a hur
     from robofleet.config.tree import Config
 
 _LARGEST_FILE_BYTES = 65536
-_LONGEST_LINE = 4096  # of a path
+_LONGEST_PATH = 4096
 _TRIES = 10
-_MOST_FILES = 256  # of one other user, that are opened
+_MOST_FILES_OF_USER = 256  # that are opened of another user
 _FILE = re.compile(rf"({NAME_PATTERN.strip('^$')})\.(\d{{1,10}})\.json")
 _LOCK = struct.Struct("hhqqi4x")  # struct flock: kind, whence, start, length, process
 _REGISTER_MODE = 0o1777
@@ -62,7 +62,6 @@ class ArenaFile(NamedTuple):
 
     @property
     def user(self) -> str:
-        """Whose run it is, by name."""
         try:
             return pwd.getpwuid(self.uid).pw_name
         except KeyError:
@@ -135,9 +134,9 @@ class Search:
                     if (uid := file.lstat().st_uid) != self._uid and file.name.endswith(f".{uid}.json"):
                         of_users.setdefault(uid, []).append(file)
         for uid, files in of_users.items():
-            if len(files) > _MOST_FILES:
-                self._trouble(f"user {uid} has more than {_MOST_FILES} files of runs: name the arena")
-        for turn in zip_longest(*(files[:_MOST_FILES] for files in of_users.values())):
+            if len(files) > _MOST_FILES_OF_USER:
+                self._trouble(f"user {uid} has more than {_MOST_FILES_OF_USER} files of runs: name the arena")
+        for turn in zip_longest(*(files[:_MOST_FILES_OF_USER] for files in of_users.values())):
             for file in filter(None, turn):
                 yield from self._running(file)
 
@@ -317,7 +316,7 @@ def _checked(text: bytes, arena: str, uid: int) -> ArenaFile | None:
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
     lines = run.folder, run.started, run.endpoint
-    if not all(type(line) is str and line.isprintable() and len(line) <= _LONGEST_LINE for line in lines):
+    if not all(type(line) is str and line.isprintable() and len(line) <= _LONGEST_PATH for line in lines):
         return None
     if type(run.pid) is not int or run.pid <= 1 or run.arena != arena:
         return None

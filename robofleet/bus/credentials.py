@@ -28,7 +28,7 @@ KINDS = (
 )  # fmt: skip
 _RESERVED = tuple(Path(file).stem for file in (AUTHORITY, JOINED, REGISTER))
 _SERIAL, _ADDRESS = r"[1-9a-f][0-9a-f]{0,39}", r"[0-9A-Za-z.:%_-]{1,253}"
-_SHORT = 0.2  # of a certificate's life: then it is to be renewed
+_RENEWAL_SHARE = 0.2  # of a certificate's life is left: it is to be renewed
 _ZID = 16  # [bytes]
 
 
@@ -109,7 +109,7 @@ class Passport:
 
     def ends_soon(self, now: datetime) -> bool:
         """Return whether it is to be renewed."""
-        return self.not_after - now < _SHORT * (self.not_after - self.not_before)
+        return self.not_after - now < _RENEWAL_SHARE * (self.not_after - self.not_before)
 
 
 class Joined(NamedTuple):

@@ -5,10 +5,10 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from robofleet.bus import messages
-from robofleet.bus.layouts import BlobLayout, Layout, ListLayout
+from robofleet.bus.layouts import Layout, ListLayout
 from robofleet.core.patterns import OVERHEAD, TRACKER, driver_role, tracker_role
 
-AnyLayout = Layout[Any] | ListLayout[Any] | BlobLayout[Any]
+AnyLayout = Layout[Any] | ListLayout[Any]
 
 
 class Topic(NamedTuple):

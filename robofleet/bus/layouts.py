@@ -14,7 +14,6 @@ permission permits nothing, and a counter that is used up repeats its last value
 import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
-from itertools import accumulate
 from operator import itemgetter
 from struct import Struct, error
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
@@ -28,10 +27,10 @@ _NUMPY = {"B": "u1", "H": "<u2", "I": "<u4", "i": "<i4", "Q": "<u8", "q": "<i8",
 _BITS = {"B": 8, "H": 16, "I": 32, "Q": 64}
 _RANGES: dict[str, tuple[int, int]] = {letter: (0, 2**bits - 1) for letter, bits in _BITS.items()}
 _RANGES |= {letter: (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for letter, bits in (("i", 32), ("q", 64))}
-_FURTHEST_NS = 2**62 - 1  # of an instant
-_RANGES["q"] = -_FURTHEST_NS, _FURTHEST_NS
-_MOST = 1e300  # so many of them have a finite sum, by which decoding judges
-_FEW = 128  # floats: so many Python adds up before numpy has begun
+_FURTHEST_INSTANT_NS = 2**62 - 1
+_RANGES["q"] = -_FURTHEST_INSTANT_NS, _FURTHEST_INSTANT_NS
+_LARGEST_FLOAT = 1e300  # a list of them has a finite sum, by which decoding judges
+_FEW_FLOATS = 128  # so many Python adds up before numpy has begun
 _MOST_ITEMS = _RANGES["H"][1]
 _TOO_LARGE = (error, OverflowError)  # what packing raises
 
@@ -55,16 +54,10 @@ def _columns(make: type[Any], fields: str) -> list[tuple[str, str]]:
     return [(name, _NUMPY[letter]) for name, letter in zip(make._fields, fields, strict=False)]
 
 
-def _span(columns: list[tuple[str, str]], first: str, last: str) -> slice:
-    """Return the bytes from one column to another one, with both."""
-    names, ends = [name for name, _ in columns], [*accumulate(int(kind[-1]) for _, kind in columns)]
-    return slice(ends[names.index(first) - 1], ends[names.index(last)])
-
-
 def _nearest(letter: str, value: float) -> float:
     """Return the nearest number that a field can hold; for what is not a number, the least."""
     if letter == "d":
-        return min(max(-_MOST, value), _MOST)  # in this order: no comparison with NaN is true
+        return min(max(-_LARGEST_FLOAT, value), _LARGEST_FLOAT)  # in this order: no comparison with NaN is true
     low, high = _RANGES[letter]
     return int(min(max(low, value), high))
 
@@ -74,8 +67,11 @@ def _judge_instants(letters: str) -> Callable[[Sequence[Any]], bool]:
     fields = [k for k, letter in enumerate(letters) if letter == "q"]
     if not fields:
         return lambda values: True
-    instants_of = itemgetter(*fields, fields[0])  # of two at least it makes a tuple
-    return lambda values: max(map(abs, instants_of(values))) <= _FURTHEST_NS
+    if len(fields) == 1:
+        (only,) = fields
+        return lambda values: -_FURTHEST_INSTANT_NS <= values[only] <= _FURTHEST_INSTANT_NS
+    instants_of = itemgetter(*fields)
+    return lambda values: max(map(abs, instants_of(values))) <= _FURTHEST_INSTANT_NS
 
 
 def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:
@@ -83,16 +79,13 @@ def _fitted(letters: str, values: Iterable[float]) -> tuple[float, ...]:
 
 
 class Layout(Generic[M]):
-    """A fixed layout: version byte, then the fields of a named tuple; ``doubles`` of its last fields are floats."""
+    """A fixed layout: version byte, then the fields of a named tuple. ``blob``: its last field are all bytes behind."""
 
-    def __init__(self, make: type[M], fields: str, doubles: int) -> None:
-        self._make = make
-        self._fields = fields + "d" * doubles
-        self._struct, self._body = Struct(f"<B{self._fields}"), Struct(f"<x{self._fields}")
-        self._floats, self._near = slice(len(self._fields) - doubles, None), _judge_instants(self._fields)
-        self._columns = [("version", "u1"), *_columns(make, self._fields)]
-        self._doubles = doubles
-        self.size = self._struct.size
+    def __init__(self, make: type[M], fields: str, *, blob: bool = False) -> None:
+        self._make, self._letters, self.blob = make, fields, blob
+        self._struct, self._near = Struct(f"<B{fields}"), _judge_instants(fields)
+        self._columns = [("version", "u1"), *_columns(make, fields)]
+        self.size = self._struct.size  # without a blob
 
     @cached_property
     def dtype(self) -> "np.dtype[Any]":
@@ -101,36 +94,31 @@ class Layout(Generic[M]):
 
         return np.dtype(self._columns)
 
-    def span(self, first: str, last: str) -> slice:
-        """Return where neighbouring fields lie in a message."""
-        return _span(self._columns, first, last)
-
     def describe(self) -> Description:
-        """Return the message's name, and the numpy types of its parts."""
-        return self._make.__name__, {"fields": self._columns}
+        rest = {"rest": self._make._fields[-1]} if self.blob else {}
+        return self._make.__name__, {"fields": self._columns, **rest}
 
     def encode(self, message: M) -> bytes:
-        """Return the payload."""
+        values, rest = (message[:-1], bytes(message[-1])) if self.blob else (tuple(message), b"")
         try:
-            payload = self._struct.pack(VERSION, *message)
+            packed = self._struct.pack(VERSION, *values)
+            fits = self._sound(values)
         except _TOO_LARGE:
-            return self._struct.pack(VERSION, *_fitted(self._fields, message))
-        if self._sound(message):
-            return payload
-        return self._struct.pack(VERSION, *_fitted(self._fields, message))
+            fits = False
+        return (packed if fits else self._struct.pack(VERSION, *_fitted(self._letters, values))) + rest
 
-    def _sound(self, values: tuple[float, ...]) -> bool:
-        finite = not self._doubles or math.isfinite(sum(values[self._floats]))
-        return finite and self._near(values)
+    def _sound(self, values: Sequence[float]) -> bool:
+        return math.isfinite(sum(values)) and self._near(values)
 
     def decode(self, payload: bytes) -> M | None:
         """Return the message, or None where length, version, finiteness or an instant is wrong."""
-        if len(payload) != self.size or payload[0] != VERSION:
+        too_long = len(payload) > self.size and not self.blob
+        if len(payload) < self.size or too_long or payload[0] != VERSION:
             return None
-        values = self._body.unpack(payload)
+        _, *values = self._struct.unpack_from(payload)
         if not self._sound(values):
             return None
-        return tuple.__new__(self._make, values)  # the layout has as many as the message: no need to count
+        return self._make._make([*values, payload[self.size :]] if self.blob else values)
 
 
 class ListLayout(Generic[M]):
@@ -178,13 +166,8 @@ class ListLayout(Generic[M]):
         return np.dtype([*self._columns, ("items", self.item_dtype, (count,)), *rest])
 
     def describe(self) -> Description:
-        """Return the message's name, and the numpy types of its parts."""
         rest = {"rest": self._make._fields[-1]} if self._numbers else {}
         return self._make.__name__, {"fields": self._columns, "items": self._item_columns, **rest}
-
-    def span(self, first: str, last: str) -> slice:
-        """Return where neighbouring fields lie in a message's head."""
-        return _span(self._columns, first, last)
 
     def _fits(self, length: int, count: int) -> bool:
         """Return whether a message of this length can have so many items."""
@@ -245,9 +228,9 @@ class ListLayout(Generic[M]):
 
     @cached_property
     def _fields(self) -> dict[str, Struct]:
-        spans = {name: _span(self._columns, name, name) for name, _ in self._columns[1:]}
-        letters = dict(zip(spans, f"{self._head_letters}H", strict=True))
-        return {name: Struct(f"<{span.start}x{letters[name]}") for name, span in spans.items()}
+        at: dict[str, Any] = dict(self.head_dtype.fields or {})
+        letters = zip(self._columns[1:], f"{self._head_letters}H", strict=True)
+        return {name: Struct(f"<{at[name][1]}x{letter}") for (name, _), letter in letters}
 
     @cached_property
     def _reader(self) -> "_Reader":
@@ -289,7 +272,6 @@ class ListLayout(Generic[M]):
         return message, self._reader.array(count, self.item_dtype, payload, size)
 
     def encode(self, message: M) -> bytes:
-        """Return the payload."""
         *head, items = message[:-1] if self._numbers else message
         try:
             packed = b"".join([self._item.pack(*item) for item in items])
@@ -338,7 +320,7 @@ class ListLayout(Generic[M]):
         """Return whether all floats of the items that begin at a place in a payload are finite."""
         if not self.item_floats:
             return True
-        if count * self.item_floats <= _FEW:
+        if count * self.item_floats <= _FEW_FLOATS:
             return math.isfinite(sum(self._floats_of(count).unpack_from(payload, start)))
         if self._reader.small(self._tail(count, payload, start + self._floats_at)):
             return True
@@ -377,28 +359,4 @@ class _Reader:
 
     def small(self, floats: "NDArray[Any]") -> bool:
         """Return whether all, of one at least, are numbers whose sum is one."""
-        return bool(self._largest(self._abs(floats), None) <= _MOST)  # not so of NaN
-
-
-class BlobLayout(Generic[M]):
-    """A layout with bytes at its end: version byte, the head's fields, then whatever is left is the last field."""
-
-    def __init__(self, make: type[M], head: str) -> None:
-        self._make, self._head, self._letters = make, Struct(f"<B{head}"), head
-        self._columns, self._near = [("version", "u1"), *_columns(make, head)], _judge_instants(head)
-
-    def describe(self) -> Description:
-        """Return the message's name, and the numpy types of its parts."""
-        return self._make.__name__, {"fields": self._columns, "rest": self._make._fields[-1]}
-
-    def encode(self, message: M) -> bytes:
-        """Return the payload."""
-        *head, blob = message
-        return self._head.pack(VERSION, *_fitted(self._letters, head)) + bytes(blob)
-
-    def decode(self, payload: bytes) -> M | None:
-        """Return the message, or None where length, version or an instant is wrong."""
-        if len(payload) < self._head.size or payload[0] != VERSION:
-            return None
-        _, *head = self._head.unpack_from(payload)
-        return self._make._make([*head, payload[self._head.size :]]) if self._near(head) else None
+        return bool(self._largest(self._abs(floats), None) <= _LARGEST_FLOAT)  # not so of NaN

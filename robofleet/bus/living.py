@@ -15,14 +15,13 @@ import zenoh
 from robofleet.bus.keys import ALIVE, key
 from robofleet.core.errors import RobofleetError
 
-_MOST_TOKENS = 16  # of one role; two are enough to believe nobody
+_MOST_TOKENS_OF_ROLE = 16  # two are enough to believe nobody
 
 
 class RoleTakenError(RobofleetError):
     """Raised where another process has the role already. The message names it."""
 
     def __init__(self, arena: str, role: str, living: "Sequence[Token]") -> None:
-        """Say which."""
         which = ", ".join(f"process {token.pid}" for token in living)
         super().__init__(f"the arena {arena} has a {role} already ({which}): end that one first")
 
@@ -35,19 +34,16 @@ class Token(NamedTuple):
 
 
 def alive_key(arena: str, role: str, session: zenoh.Session) -> str:
-    """Return the key of a session's token."""
     return key(arena, ALIVE, f"{role}/{session.info.zid()}/{os.getpid()}")
 
 
 def others(session: zenoh.Session, arena: str, role: str) -> list[Token]:
-    """Return the other sessions that have a role."""
     replies = session.liveliness().get(key(arena, ALIVE, f"{role}/*/*"))
     tokens = [_token(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None]
-    return [token for token in tokens if token.zid != str(session.info.zid())][:_MOST_TOKENS]
+    return [token for token in tokens if token.zid != str(session.info.zid())][:_MOST_TOKENS_OF_ROLE]
 
 
 def roles(session: zenoh.Session, arena: str) -> set[str]:
-    """Return the roles that somebody has."""
     replies = session.liveliness().get(key(arena, ALIVE, "*/*/*"))
     return {str(reply.ok.key_expr).split("/")[-3] for reply in replies if reply.ok is not None}
 
@@ -64,7 +60,6 @@ class Living:
 
     @property
     def ids(self) -> set[str]:
-        """Their Zenoh IDs."""
         return {token.zid for token in tuple(self._tokens)}
 
     @property
@@ -79,7 +74,7 @@ class Living:
         token = _token(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.DELETE:
             self._tokens = self._tokens - {token}
-        elif len(self._tokens) < _MOST_TOKENS:
+        elif len(self._tokens) < _MOST_TOKENS_OF_ROLE:
             self._tokens = self._tokens | {token}
 
 

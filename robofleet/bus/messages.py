@@ -3,7 +3,7 @@
 from enum import IntEnum
 from typing import NamedTuple
 
-from robofleet.bus.layouts import BlobLayout, Layout, ListLayout
+from robofleet.bus.layouts import Layout, ListLayout
 
 
 class UnitCommand(NamedTuple):
@@ -375,14 +375,14 @@ UNIT_ENABLE = ListLayout(UnitEnable, "QQqB", Enable, "QBQd")
 UNIT_TRUTH = ListLayout(UnitTruth, "Qq", Truth, "H" + "d" * 5)
 UNIT_SENSORS = ListLayout(UnitSensors, "Qq", RobotSensors, "HBB", numbers=True)
 UNIT_LEASES = ListLayout(UnitLeases, "", LeaseAnswer, "BQQ")
-TRACKER_NEWS = Layout(TrackerNews, "IQqBH", 1)
+TRACKER_NEWS = Layout(TrackerNews, "IQqBHd")
 SCRIPT_WISH = ListLayout(ScriptWish, "IQBQQ", RobotWish, "B" + "d" * 3)
-NOTE = BlobLayout(Note, "IQQB")
-RECORDER_STATUS = Layout(RecorderStatus, "IQQQB", 0)
-HANDED = BlobLayout(Handed, "I")
-LEASE_REQUEST = Layout(LeaseRequest, "QB", 0)
+NOTE = Layout(Note, "IQQB", blob=True)
+RECORDER_STATUS = Layout(RecorderStatus, "IQQQB")
+HANDED = Layout(Handed, "I", blob=True)
+LEASE_REQUEST = Layout(LeaseRequest, "QB")
 FLEET_POSES = ListLayout(FleetPoses, "IQIqqQqqQ", TagPose, "Hii" + "d" * 9)
 TICK_RECORD = ListLayout(TickRecord, "IIQqqIQqIQQBBQqq", RobotTick, "d" * 15, numbers=True)
-PICTURE = BlobLayout(Picture, "IQqHH")
+PICTURE = Layout(Picture, "IQqHH", blob=True)
 BUSY_MACHINE = ListLayout(BusyMachine, "IQHBIIHd", Late, "Hqq")
 RUN_STATE = ListLayout(RunState, "IQBHHdB", RobotState, "BBHB")

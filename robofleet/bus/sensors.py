@@ -14,7 +14,6 @@ SensorMessage = tuple[NDArray[Any], NDArray[np.float64]]  # whose numbers they a
 
 
 def said(readings: Iterable[tuple[int, SensorReading]]) -> SensorMessage:
-    """Return what is said of the robots at these places of a unit."""
     robots, values = [], list[float]()
     for index, reading in readings:
         parts, distances, own = packed(reading)
@@ -24,7 +23,6 @@ def said(readings: Iterable[tuple[int, SensorReading]]) -> SensorMessage:
 
 
 def encoded(seq: int, stamp_ns: int, message: SensorMessage) -> bytes:
-    """Return the payload of a unit's message."""
     robots, values = message
     return UNIT_SENSORS.encode_array((seq, stamp_ns), robots, values.astype("<f8", copy=False).tobytes())
 

@@ -26,7 +26,6 @@ class TickFollower:
         self.newest_stamp_ns = 0  # its instant on the CONTROLLER's clock: a simulated trigger line, on one host
 
     def update(self) -> None:
-        """Take the newest record, if one came."""
         payload = self._ticks.take()
         head = None if payload is None else TICK_RECORD.decode_head(payload)
         if head is None:

@@ -34,13 +34,13 @@ from robofleet.core.clock import MS, Clock, S
 from robofleet.core.patterns import QUIC
 
 _ANSWER_WITHIN_NS = S
-_WAITING_REQUESTS = 16  # of them wait to be served, at most
-_ANSWERS = 16  # of different processes to one question
+_MOST_WAITING_REQUESTS = 16
+_MOST_ANSWERS = 16  # to one question
 _GONE_WITHIN_NS = S  # the token of a process that was killed, also where its host has to notice that
 _AGAIN_NS = 50 * MS
-_NOBODY_NS = 2 * S  # without a token of who is asked: its word was lost, or it is not there
+_NOBODY_SERVES_NS = 2 * S  # without a token of who is asked: its word was lost, or it is not there
 _QUESTIONS_HZ = 500.0  # of a client on a key; a flood of them reaches nobody, and costs the router the least
-_OPEN_FILES = 16384  # that the router may have, where the system allows it
+_MOST_OPEN_FILES = 16384  # of the router, where the system allows it
 _TRANSPORT = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
@@ -50,10 +50,7 @@ _TRANSPORT = {
     "transport/link/rx/max_message_size": LARGEST_MESSAGE,
 }
 # Beyond this computer: a link that is away for less goes on, and signs of life take less of the air.
-_FAR = {
-    "transport/link/tx/lease": 1000,
-    "transport/link/tx/keep_alive": 3,
-}
+_FAR = {"transport/link/tx/lease": 1000, "transport/link/tx/keep_alive": 3}
 # Who connects and says nothing, or nonsense, takes nobody's place: of Zenoh's own 100, each is held for 10 s.
 _DOOR = {
     "transport/unicast/accept_pending": 8192,
@@ -92,7 +89,7 @@ def open_router(endpoint: str, network: Network | None = None) -> zenoh.Session:
     With a ``network`` other hosts reach it too, each as far as its certificate permits.
     """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (min(_OPEN_FILES, most) if most >= 0 else _OPEN_FILES, most))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(_MOST_OPEN_FILES, most) if most >= 0 else _MOST_OPEN_FILES, most))
     umask = os.umask(0o077)  # the socket's mode
     try:
         return _open(router_settings(endpoint, network))
@@ -167,11 +164,7 @@ class ZenohBus:
                 "listen/endpoints": [],
                 "connect/timeout_ms": -1,
                 "connect/exit_on_failure": False,
-                "connect/retry": {
-                    "period_init_ms": 100,
-                    "period_max_ms": 500,
-                    "period_increase_factor": 1.5,
-                },
+                "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
             }
         )
         name = _THIS_USER if credentials is None else credentials.name
@@ -213,7 +206,6 @@ class ZenohBus:
         return publish
 
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
-        """Subscribe to a topic."""
         full = every_key(self._arena, topic, name)
         if wake is not None:
             return _Slot(self._declare(self._session.declare_subscriber), full, wake, self._clock)
@@ -221,7 +213,6 @@ class ZenohBus:
         return _Ring(ring, topic.largest)
 
     def newest_by_sender(self, topic: Topic, name: str) -> BySender:
-        """Subscribe to a topic that tells senders apart."""
         senders = BySender(_Newest)
         self.listen_by_sender(topic, name, senders.put)
         return senders
@@ -257,7 +248,7 @@ class ZenohBus:
 
     def serve(self, topic: Topic, name: str, wake: Wake | None = None) -> Callable[[], Request | None]:
         """Return the function that takes the next request on a topic; nothing takes the place of an emergency stop."""
-        stops, others = (deque[_ZenohRequest](maxlen=_WAITING_REQUESTS) for _ in range(2))
+        stops, others = (deque[_ZenohRequest](maxlen=_MOST_WAITING_REQUESTS) for _ in range(2))
 
         def put(query: zenoh.Query) -> None:
             if query.payload is not None and len(query.payload) > topic.largest:
@@ -294,13 +285,12 @@ class ZenohBus:
         """Return who has a role; who was not found for long is looked for anew: a busy machine loses the first word."""
         now_ns = self._clock.now_ns()
         living, since_ns = self._living.get(server, (None, 0))
-        if living is None or (not living.ids and now_ns - since_ns > _NOBODY_NS):
+        if living is None or (not living.ids and now_ns - since_ns > _NOBODY_SERVES_NS):
             living = Living(self._session, self._arena, server)
             self._living[server] = living, now_ns
         return living
 
     def roles(self) -> set[str]:
-        """Return the roles that somebody on this bus has."""
         return roles(self._session, self._arena)
 
     def part(self) -> "ZenohBus":
@@ -422,7 +412,7 @@ class _ZenohAnswer:
         """Keep it; called by Zenoh's own thread."""
         if reply.ok is None or reply.replier_id is None or len(reply.ok.payload) > self._most:
             return
-        if len(self._answers) < _ANSWERS:
+        if len(self._answers) < _MOST_ANSWERS:
             self._answers.setdefault(str(reply.replier_id.zid), bytes(reply.ok.payload))
 
     def take(self) -> bytes | None:
@@ -446,7 +436,6 @@ class _ZenohRequest:
         self.payload = b"" if query.payload is None else bytes(query.payload)
 
     def reply(self, payload: bytes) -> None:
-        """Answer it."""
         self._query.reply(self._query.key_expr, payload)
         self._query.drop()  # type: ignore[no-untyped-call] # the answer is delivered when the query ends
 

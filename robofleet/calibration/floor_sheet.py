@@ -78,7 +78,6 @@ def planned(config: Config, count: int, side_mm: float, first_id: int) -> Floor:
 
 
 def pages(config: Config, floor: Floor, paper: str, command: str) -> list[Page]:
-    """Return the sheet for the survey, then the tags."""
     sides = sorted({tag.side_m for tag in floor.tags})
     prints = [
         page

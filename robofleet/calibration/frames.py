@@ -27,10 +27,9 @@ MIRRORED = (
 
 
 def images(path: Path) -> Iterator[Named]:
-    """Return the images of a file, a folder or a video; CalibrationError at what cannot be read."""
     try:
         yield from files.images(path)
-    except files.ImageFileError as error:
+    except CameraError as error:
         raise CalibrationError(str(error)) from error
 
 
@@ -77,9 +76,8 @@ def from_camera(config: Config, count: int) -> list[Named]:
     try:
         return [(f"live image {i + 1}", camera.read().image.copy()) for i in range(count)]
     except EOFError:
-        raise CalibrationError(
-            f"{config.camera.source}: the camera ended before {count} images: name a longer recording"
-        ) from None
+        why = f"{config.camera.source}: the camera ended before {count} images: name a longer recording"
+        raise CalibrationError(why) from None
     except (CameraError, OSError) as error:
         raise CalibrationError(f"{config.camera.source}: {error}") from error
     finally:
@@ -87,7 +85,6 @@ def from_camera(config: Config, count: int) -> list[Named]:
 
 
 def refuse_other_sizes(images: Sequence[Named], model: CameraModel) -> None:
-    """Raise CalibrationError that names each image of another size than the camera's."""
     faults = [
         f"{name}: is {image.shape[1]} x {image.shape[0]} px, but the camera is calibrated for "
         f"{model.width} x {model.height}: take images of that size, or calibrate the lens for this one"
@@ -99,7 +96,6 @@ def refuse_other_sizes(images: Sequence[Named], model: CameraModel) -> None:
 
 
 def open_camera(config: Config) -> Camera:
-    """Return the camera of a configuration, outside of any run; CalibrationError if it cannot be opened."""
     clock = WallClock()
     bus = MemoryBus(config.arena.name, clock, 0)
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)

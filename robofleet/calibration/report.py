@@ -52,19 +52,15 @@ class Report(Page):
     """A page of today."""
 
     def __init__(self, title: str) -> None:
-        """Begin a page."""
         super().__init__(title, utc_now().isoformat(timespec="seconds"))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[object]], *, whole: bool = True) -> None:
-        """Add a table as wide as the page."""
         super().table(head, rows, whole=whole)
 
     def figures(self, figures: Mapping[str, float | None]) -> None:
-        """Add a table of figures, in words."""
         self.table(("figure", "value"), [(in_words(name), value) for name, value in figures.items()])
 
     def write(self, file: Path) -> None:
-        """Write the page; CalibrationError if it cannot be."""
         try:
             super().write(file)
         except OSError as error:

@@ -37,6 +37,10 @@ BOARD_RIM = 5.0
 HAIR, LABEL_PT = 0.15, 6.0
 
 
+Point = tuple[float, float]
+Segments = Sequence[Sequence[float]]  # x, y, x, y each
+
+
 class Page:
     """A sheet of paper; millimetres from its lower left corner, y up."""
 
@@ -50,13 +54,7 @@ class Page:
         placed = Affine2D().scale(scale).translate(x, y).transform_path(outline)
         self._add(PathPatch(placed, facecolor="black", linewidth=0, transform=self._to_paper, snap=False, gid=name))
 
-    def lines(
-        self,
-        segments: Sequence[Sequence[float]],
-        origin: tuple[float, float] = (0.0, 0.0),
-        quarters: int = 0,
-        name: str | None = None,
-    ) -> None:
+    def lines(self, segments: Segments, origin: Point = (0.0, 0.0), quarters: int = 0, name: str | None = None) -> None:
         """Draw hairlines from x, y to x, y, turned about the origin by quarters counter-clockwise."""
         path = Outline(np.reshape(segments, (-1, 2)), [Outline.MOVETO, Outline.LINETO] * len(segments))
         placed = Affine2D().rotate_deg(90 * quarters).translate(*origin).transform_path(path)
@@ -64,7 +62,6 @@ class Page:
         self._add(PathPatch(placed, **style, transform=self._to_paper, snap=False, gid=name))
 
     def text(self, x: float, y: float, text: str, **style: Any) -> None:
-        """Write a line."""
         self.figure.text(x / self.width, y / self.height, text, **{"fontsize": LABEL_PT, "color": INK, **style})
 
     def _add(self, artist: Artist) -> None:
@@ -110,7 +107,6 @@ def piece_side(side: float, family: FamilyName = "36h11") -> float:
 
 
 def tag_pages(ids: Sequence[int], side: float, paper: str, command: str, family: FamilyName = "36h11") -> list[Page]:
-    """Return sheets of tags whose square has that side [mm]."""
     square, piece = FAMILIES[family].square, piece_side(side, family)
     size, columns, rows = _grid(piece, paper)
     if columns * rows == 0:
@@ -207,7 +203,6 @@ def foot(page: Page, command: str, what: str) -> None:
 
 
 def write(pages: Sequence[Page], out: Path) -> list[Path]:
-    """Write the pages to one PDF, or each to an SVG; returns the files."""
     several = len(pages) > 1 and out.suffix.lower() == ".svg"
     files = [out.with_stem(f"{out.stem}-{k + 1}") for k in range(len(pages))] if several else [out]
     try:

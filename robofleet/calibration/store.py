@@ -25,7 +25,6 @@ class CalibrationError(BadInputError):
     """Raised where a measurement or a file cannot be used: one line for each fault, and how to mend it."""
 
     def __init__(self, faults: Iterable[str] | str) -> None:
-        """Keep the lines."""
         self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
         super().__init__("\n".join(self.faults))
 

@@ -11,7 +11,6 @@ from robofleet.safety.distances import Body, Keepout
 
 
 def keepout(config: Config) -> Keepout:
-    """Return what the barrier keeps."""
     c = config.controller
     b, pose_error_m = c.barrier, c.filter.gate_sigma * c.filter.position_noise_m  # an image further off is not used
     return Keepout(
@@ -21,5 +20,4 @@ def keepout(config: Config) -> Keepout:
 
 
 def body(config: Config, robot: Robot) -> Body:
-    """Return what the barrier must know of a robot."""
     return Body(slices.drive(robot), robot.vehicle.body_radius_m, slices.delay_ns(config, robot) / S)

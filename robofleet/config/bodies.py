@@ -7,8 +7,8 @@ from robofleet.config import units
 from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.tree import Config
 
-_MEASURED = 1.5  # a calibration that is this many times its vehicle's value, or less than its inverse, is wrong
-_HELD_BACK = 4.0  # a robot's wheels may be allowed less than its top speed takes, but not so much less
+_LARGEST_MEASURED_RATIO = 1.5  # of a calibrated value to its vehicle's, or the other way round
+_LARGEST_HELD_BACK_RATIO = 4.0  # of a robot's top speed to what its wheels are allowed
 _ROUNDING = 1e-9
 
 
@@ -38,16 +38,14 @@ def _shape(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
         )
     else:
         base = vehicle.wheel_base_m
-        yield (
-            "wheel_base_m",
-            f"wheels {base:g} m apart stand outside {disc}: mend one{units.meant(base, 2 * body, 'wheel_base_m')}",
-        )
+        message = f"wheels {base:g} m apart stand outside {disc}: mend one{units.meant(base, 2 * body, 'wheel_base_m')}"
+        yield "wheel_base_m", message
 
 
 def _speed(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
     """The wheels can give the top speed; one of them may be held back."""
     most = vehicle.max_wheel_speed_rad_s * vehicle.wheel_radius_m
-    if vehicle.max_speed_m_s > _HELD_BACK * most:
+    if vehicle.max_speed_m_s > _LARGEST_HELD_BACK_RATIO * most:
         request = f"{vehicle.max_speed_m_s:g} m/s is far more than these wheels give, {most:.3g} m/s"
         yield "max_speed_m_s", f"{request}: lower it, or mend max_wheel_speed_rad_s or wheel_radius_m"
 
@@ -58,6 +56,6 @@ def _measured(robot: Robot) -> Iterator[tuple[str, str]]:
         return
     for key in ("wheel_radius_m", "wheel_base_m"):
         measured, nominal = getattr(robot.calibration, key), getattr(robot.vehicle, key)
-        if measured is not None and not 1 / _MEASURED <= measured / nominal <= _MEASURED:
-            hint = units.meant(measured, _MEASURED * nominal, key)
+        if measured is not None and not 1 / _LARGEST_MEASURED_RATIO <= measured / nominal <= _LARGEST_MEASURED_RATIO:
+            hint = units.meant(measured, _LARGEST_MEASURED_RATIO * nominal, key)
             yield key, f"{measured:g} m was measured, its vehicle has {nominal:g}: mend one, or calibrate again{hint}"

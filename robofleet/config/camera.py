@@ -4,12 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robofleet.config.calibrated import (
-    CameraModel,
-    FloorTag,
-    Pixel,
-    TagOffset,
-)
+from robofleet.config.calibrated import CameraModel, FloorTag, Pixel, TagOffset
 from robofleet.core.patterns import OVERHEAD
 from robofleet.core.settings import MANY, Delay, Gray, Instant, Lasting, Model, Name, Named, Pixels, Text, within
 

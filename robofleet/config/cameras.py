@@ -71,10 +71,8 @@ def _model(config: Config, path: str, camera: CameraSettings) -> Iterator[Compla
         yield f"{path}.model.distortion", fault
     rolling, period = model.line_time_s * (model.height - 1), 1.0 / camera.rate_hz
     if rolling > period:
-        yield (
-            f"{path}.model.line_time_s",
-            f"all rows take {rolling:.3g} s, more than an image's {period:.3g} s: mend one",
-        )
+        message = f"all rows take {rolling:.3g} s, more than an image's {period:.3g} s: mend one"
+        yield f"{path}.model.line_time_s", message
     if model.T_world_camera is None:
         if config.tracker.source == "camera":
             yield f"{path}.model", "where the camera hangs is not known: run robofleet calibrate arena"

@@ -15,7 +15,7 @@ from robofleet.config.robots import UNTAGGED, PlantErrors, Robot, StartPose, Veh
 from robofleet.config.tree import Config
 
 CART = "robofleet.drivers.cart:Cart"
-_WHEEL, _BASE = 0.25, 1.0  # of the radius: wheels that it has not, inside its disc
+_WHEEL_PER_RADIUS, _BASE_PER_RADIUS = 0.25, 1.0  # wheels that it has not, inside its disc
 
 _IDEAL = PlantErrors(
     motor_lag_s=0.0, speed_quantum_rad_s=0.0, loop_period_s=0.01, deadband_rad_s=0.0, breakaway_rad_s=0.0,
@@ -86,9 +86,9 @@ def placed(config: Config) -> Config:
 
 
 def _robot(config: Config, moving: Moving) -> Robot:
-    wheel = _WHEEL * moving.radius_m
+    wheel = _WHEEL_PER_RADIUS * moving.radius_m
     vehicle = Vehicle(
-        wheel_radius_m=wheel, wheel_base_m=_BASE * moving.radius_m, body_radius_m=moving.radius_m,
+        wheel_radius_m=wheel, wheel_base_m=_BASE_PER_RADIUS * moving.radius_m, body_radius_m=moving.radius_m,
         max_wheel_speed_rad_s=moving.speed_m_s / wheel, max_speed_m_s=moving.speed_m_s,
         max_wheel_acceleration_rad_s2=1e3,
         motor_lag_s=0.0, simulated=_IDEAL,

@@ -249,10 +249,8 @@ def _units(config: Config) -> Iterator[Complaint]:
     taken = {crew[0].id for crew in config.crews}
     for i, robot in enumerate(config.robots):
         if robot.unit in taken:
-            yield (
-                f"robots.{i}.unit",
-                f"{robot.unit} is the unit of the robot {robot.unit} already: give it another name",
-            )
+            message = f"{robot.unit} is the unit of the robot {robot.unit} already: give it another name"
+            yield f"robots.{i}.unit", message
         if config.tracker.source == "camera" and robot.reality == "real" and robot.tag != UNTAGGED:
             yield from cameras.unknown_id(config, f"robots.{i}.tag", robot.tag)
 
@@ -307,15 +305,11 @@ def _troubles(config: Config) -> Iterator[Complaint]:
         if isinstance(fault, Late) and fault.p99_s <= fault.median_s:
             yield f"faults.{i}.p99_s", f"must be more than the median, {fault.median_s:g} s"
         if isinstance(fault, ClockStep) and (fault.process == "router" or fault.process.startswith("tracker")):
-            yield (
-                f"faults.{i}.process",
-                f"a simulated camera has no other clock than the {fault.process}'s: name another process",
-            )
+            message = f"a simulated camera has no other clock than the {fault.process}'s: name another process"
+            yield f"faults.{i}.process", message
         if fault.at_s is not None and fault.at_s >= config.run.duration_s:
-            yield (
-                f"faults.{i}.at_s",
-                f"the run ends after {config.run.duration_s:g} s: nothing would happen: make it earlier",
-            )
+            message = f"the run ends after {config.run.duration_s:g} s: nothing would happen: make it earlier"
+            yield f"faults.{i}.at_s", message
         topics = getattr(fault, "topics", ())
         if robot is not None and (of_all := [t for t in topics if t in ("poses", "state", "tick")]):
             yield f"faults.{i}.robot", f"{of_all[0]} is not sent to one robot: leave robot out, or {of_all[0]}"
@@ -346,10 +340,8 @@ def _endpoint(config: Config) -> Iterator[Complaint]:
     except ValueError:
         loopback = False
     if not loopback:
-        yield (
-            "bus.endpoint",
-            f"{host} can be reached from outside and TCP is not encrypted: leave it out, or write private",
-        )
+        message = f"{host} can be reached from outside and TCP is not encrypted: leave it out, or write private"
+        yield "bus.endpoint", message
     elif config.bus.insecure is None:
         yield (
             "bus.endpoint",

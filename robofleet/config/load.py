@@ -30,16 +30,7 @@ from robofleet.config.faults import (
 )
 from robofleet.config.files.csvfile import read_table
 from robofleet.config.files.names import SHIPPED, missing, nearest
-from robofleet.config.files.yamlfile import (
-    NUMBER_LIKE,
-    Mistake,
-    Node,
-    Position,
-    Source,
-    keys_of,
-    parse_yaml,
-    read_yaml,
-)
+from robofleet.config.files.yamlfile import NUMBER_LIKE, Mistake, Node, Position, Source, keys_of, parse_yaml, read_yaml
 from robofleet.config.groups import named
 from robofleet.config.tree import Config
 from robofleet.core.errors import BadInputError
@@ -114,7 +105,6 @@ class Typed(str):
     typed: str
 
     def __new__(cls, override: str, typed: str) -> Self:
-        """Keep both."""
         made = super().__new__(cls, override)
         made.typed = typed
         return made

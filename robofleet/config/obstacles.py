@@ -65,7 +65,6 @@ class Moving(Model):
 
 
 def title(index: int, obstacle: Obstacle) -> str:
-    """Return an obstacle's name."""
     return obstacle.name or f"obstacle{index + 1}"
 
 
@@ -95,7 +94,6 @@ class Arena(Model):
 
 
 def standing(arena: Arena) -> tuple[Solid, ...]:
-    """Return the obstacles."""
     return tuple(_solid(title(i, obstacle), obstacle) for i, obstacle in enumerate(arena.obstacles))
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, JsonValue
 
-from robofleet.config.calibrated import RobotCalibration
+from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.sensors import SensorSettings
 from robofleet.core.settings import (
     MANY,
@@ -146,3 +146,8 @@ class Robot(Model):
     def body_name(self) -> str:
         """The name of its body in the motion capture."""
         return self.body or self.id
+
+    @property
+    def tag_offset(self) -> TagOffset:
+        """Where its tag, or its body, sits, as it was measured; else at its centre."""
+        return TagOffset() if self.calibration is None else self.calibration.tag_offset

@@ -3,13 +3,9 @@
 import math
 import re
 
-_LEAST = 0.003  # of what a number may be: what is less in the other unit was not meant so
+_LEAST_SHARE = 0.003  # of what a number may be: what is less in the other unit was not meant so
 # by a key's last part: the units that people write instead, each with its size in the key's own
-_OTHERS = {
-    "m": {"cm": 0.01, "mm": 0.001},
-    "s": {"ms": 1e-3, "us": 1e-6},
-    "rad": {"degrees": math.pi / 180},
-}
+_OTHERS = {"m": {"cm": 0.01, "mm": 0.001}, "s": {"ms": 1e-3, "us": 1e-6}, "rad": {"degrees": math.pi / 180}}
 _SIZES = {
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
@@ -27,7 +23,7 @@ def meant(value: float, limit: float | None, key: str) -> str:
     before, _, unit = key.rpartition("_")
     is_rate = before.rpartition("_")[2] in ("m", "rad", "per")  # of speed_m_s
     sizes = {} if is_rate else _OTHERS.get(unit, {})
-    units = [unit for unit, size in sizes.items() if _LEAST <= value * size / limit <= 1.0]
+    units = [unit for unit, size in sizes.items() if _LEAST_SHARE <= value * size / limit <= 1.0]
     return f" (is {value:g} in {' or '.join(units)}?)" if units else ""
 
 

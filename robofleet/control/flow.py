@@ -40,7 +40,8 @@ from robofleet.control.flow_step import Slot, Status, compile_step, layout
 from robofleet.control.prediction import MAX_STEPS, Plant
 from robofleet.control.sensitivity import difference_jacobian
 from robofleet.core.arrays import Array
-from robofleet.core.kernels import UnknownMeaningError, kernel
+from robofleet.core.errors import UnknownMeaningError
+from robofleet.core.kernels import kernel
 
 __all__ = [
     "FlowError", "FlowSettings", "Integrator", "MemorylessFlow", "NewtonRaphsonFlow", "Plant",
@@ -285,12 +286,7 @@ def _memoryless_plant(g: Callable[[Array], Array], m: int, g_u: Callable[[Array]
         return 0 if finite(y) and all_finite(dg) else 1
 
     return Plant(
-        f=lambda x, u: np.zeros(1),
-        h=lambda x: np.zeros(m),
-        n=1,
-        m=m,
-        fastest_rate=lambda x, u: 0.0,
-        fused=predict,
+        f=lambda x, u: np.zeros(1), h=lambda x: np.zeros(m), n=1, m=m, fastest_rate=lambda x, u: 0.0, fused=predict
     )
 
 

@@ -19,12 +19,10 @@ from numpy.typing import NDArray
 from robofleet.control import planning, precedence
 from robofleet.control.flow import point_update
 from robofleet.control.precedence import Plan
+from robofleet.control.wheels import body_from_point
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.kernels import kernel
-from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
-
-_body_from_point = kernel(differential_drive.body_from_point)
 
 _TURN_SHARE = 0.65  # of the fastest turn: the rest is the feedback's
 _STRAIGHT_RAD = 0.35  # it turns by less than this while it drives
@@ -163,7 +161,7 @@ def _wrapped(angle: float) -> float:
 @kernel
 def _modelled(u: Array, poses: Array, limits: Array, l: float, tick: float, state: Array) -> None:
     for i in range(len(u)):
-        v, omega = _body_from_point(u[i, 0], u[i, 1], poses[i, 2], l)
+        v, omega = body_from_point(u[i, 0], u[i, 1], poses[i, 2], l)
         share = 1.0 - np.exp(-tick / limits[i, 4]) if limits[i, 4] > 0.0 else 1.0
         state[i, 5] += share * (v - state[i, 5])
         state[i, 6] += share * (omega - state[i, 6])
@@ -243,7 +241,7 @@ def _drive(
             px, py = s[0] + l * np.cos(s[2]), s[1] + l * np.sin(s[2])
             u_x = point_update(u[i, 0], x + T * w[i, 0], px + T * s[11], T, gain)
             u_y = point_update(u[i, 1], y + T * w[i, 1], py + T * s[12], T, gain)
-            v, omega = _body_from_point(u_x, u_y, poses[i, 2], l)
+            v, omega = body_from_point(u_x, u_y, poses[i, 2], l)
             out[i, 0], out[i, 1] = v, omega
             fastest = abs(v) + limits[i, 1] / 2.0 * abs(omega)  # of its wheels' rims [m/s]
             if waits and (s[13] > 0.0 or fastest < limits[i, 0] * accuracy[1, 2]):

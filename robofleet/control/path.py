@@ -13,7 +13,7 @@ import numpy as np
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import kernel
 
-_HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
+HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
 _CLEARLY_NEARER = 0.999  # of a squared distance: beyond any rounding
 _LAST_STEP = 1e-9  # of Newton: what is left is its square
 _ROUNDING = 1e-13  # of the largest coefficient
@@ -31,11 +31,10 @@ class Path:
     def hermite(cls, knots: Array, derivatives: Array) -> Self:
         """Return the cubics through ``knots`` (S, 2) [m] with ``derivatives`` (S, 2) [m a side]."""
         ends = np.stack([knots, np.roll(knots, -1, 0), derivatives, np.roll(derivatives, -1, 0)], axis=1)
-        return cls(np.ascontiguousarray(_HERMITE @ ends))
+        return cls(np.ascontiguousarray(HERMITE @ ends))
 
     @property
     def sides(self) -> int:
-        """Number of sides S."""
         return len(self.coefficients)
 
     def position(self, sigma: Array | float) -> Array:

@@ -22,11 +22,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.control import solid_ways
 from robofleet.control.solid_ways import SolidWays
-from robofleet.core.arrays import Array, Indices
+from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.kernels import kernel
 from robofleet.vehicles.solids import Solid
 
@@ -78,7 +77,7 @@ class _World(NamedTuple):
     at: Array  # (V + 2 N, 2) [m]
     near: Indices  # (V + 2 N, _NEAR): places of the grid that are one step away, then -1
     reach: Array  # (2 N,): of starts and goals, how far a step to or from them goes [m]
-    direct: NDArray[np.bool_]  # (N,) who can go from its start to its goal at once
+    direct: Flags  # (N,) who can go from its start to its goal at once
     radii: Array  # (N, V + 2 N): rho
     cost: Array  # (N, V + 2 N): way to the goal [m]
 
@@ -261,7 +260,7 @@ def rho(x: float, y: float, places: Array, radii: Array, most: float) -> float:
 
 
 @kernel
-def _direct(at: Array, n: int, reach: Array, standing: SolidWays, direct: NDArray[np.bool_]) -> None:
+def _direct(at: Array, n: int, reach: Array, standing: SolidWays, direct: Flags) -> None:
     first = len(at) - 2 * n
     for i in range(n):
         start, goal = at[first + i], at[first + n + i]
@@ -270,7 +269,7 @@ def _direct(at: Array, n: int, reach: Array, standing: SolidWays, direct: NDArra
 
 @kernel
 def _neighbours(
-    at: Array, free: NDArray[np.bool_], nx: int, ny: int, cell: float, left: Array, standing: SolidWays, near: Indices,
+    at: Array, free: Flags, nx: int, ny: int, cell: float, left: Array, standing: SolidWays, near: Indices,
     reach: Array,
 ) -> None:  # fmt: skip
     """Write which free places of the grid are next to each vertex; a start or goal off the grid reaches the nearest."""
@@ -334,7 +333,7 @@ def _lower(v: int, at: Array, near: Indices, cost: Array) -> bool:
 
 @kernel
 def _choices(
-    i: int, v: int, n: int, at: Array, near: Indices, reach: Array, direct: NDArray[np.bool_], out: Indices
+    i: int, v: int, n: int, at: Array, near: Indices, reach: Array, direct: Flags, out: Indices
 ) -> int:  # fmt: skip
     """Write where robot i at vertex v can be a step later, beginning with v itself; returns how many."""
     out[0], count = v, 1
@@ -365,7 +364,7 @@ def _clear(i: int, u: int, j: int, v: int, at: Array, radii: Array) -> bool:
 
 @kernel
 def _configuration(
-    q: Indices, order: Indices, forced: Indices, at: Array, near: Indices, reach: Array, direct: NDArray[np.bool_],
+    q: Indices, order: Indices, forced: Indices, at: Array, near: Indices, reach: Array, direct: Flags,
     radii: Array, cost: Array, noise: Array, out: Indices,
 ) -> bool:  # fmt: skip
     """Write where all robots are a step after ``q``; False where what is forced (-1: nothing) cannot be.

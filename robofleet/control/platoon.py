@@ -19,20 +19,15 @@ from enum import IntEnum
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.control import path as paths
 from robofleet.control.flow import integrator_gain, point_update
 from robofleet.control.path import Path
-from robofleet.core.arrays import Array
+from robofleet.control.wheels import body_from_point, feasible_ratio, limits, point_from_pose, wheels_from_body
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
-
-_body_from_point = kernel(differential_drive.body_from_point)
-_point_from_pose = kernel(differential_drive.point_from_pose)
-_wheels_from_body = kernel(differential_drive.wheels_from_body)
-_feasible_ratio = kernel(differential_drive.feasible_ratio)
 
 
 @dataclass(frozen=True)
@@ -80,12 +75,11 @@ class PlatoonLaw:
     _along: Array = field(init=False)  # (N,) of the point of the path that is nearest to p; NaN: search the whole path
 
     def __post_init__(self) -> None:
-        """Start at rest."""
         n = len(self.vehicles)
         self.u, self.reference_parameter = np.empty((n, 2)), np.empty(n)
         self._nearest_parameter, self._along = np.empty(n), np.empty(n)
         self.restart()
-        self._limits = np.array([(v.wheel_radius, v.wheel_base, v.max_wheel_speed, v.max_speed) for v in self.vehicles])
+        self._limits = limits(self.vehicles)
         s = self.settings
         self._gain = integrator_gain(s.alpha, s.tick, s.integrator)
         self._offset = s.point_ahead if s.track == "centre" else 0.0
@@ -107,7 +101,7 @@ class PlatoonLaw:
         """Remember what the robots are asked for instead: u (N, 2) [m/s]."""
         self.u[:] = u
 
-    def tick(self, t: float, poses: Array, driving: NDArray[np.bool_], disturbance: Array | None = None) -> Array:
+    def tick(self, t: float, poses: Array, driving: Flags, disturbance: Array | None = None) -> Array:
         """Return what all robots do in the next tick: (N, 8), columns as in :class:`Column`.
 
         t: time since the start at the moment when the commands act [s]. poses (N, 3): x, y [m], psi [rad] of the
@@ -171,14 +165,14 @@ def _follow(
 @kernel
 def _tick(
     coefficients: Array, leader: float, d: float, T: float, l: float, offset: float, gain: float, limits: Array,
-    poses: Array, driving: NDArray[np.bool_], w: Array, u: Array, nearest: Array, reference: Array, along: Array,
+    poses: Array, driving: Flags, w: Array, u: Array, nearest: Array, reference: Array, along: Array,
     decisions: Array,
 ) -> None:  # fmt: skip
     predicted_x, predicted_y = np.nan, np.nan  # of the robot before
     before_x, before_y = np.nan, np.nan  # its p
     for i in range(len(poses)):
         psi = poses[i, 2]
-        x, y = _point_from_pose(poses[i, 0], poses[i, 1], psi, l)
+        x, y = point_from_pose(poses[i, 0], poses[i, 1], psi, l)
         if i == 0:
             reference[i] = leader % len(coefficients)
         else:
@@ -196,9 +190,9 @@ def _tick(
             u_x = point_update(u[i, 0], drifted_x, rho_x, T, gain)
             u_y = point_update(u[i, 1], drifted_y, rho_y, T, gain)
             radius, base, max_wheel_speed, max_speed = limits[i, 0], limits[i, 1], limits[i, 2], limits[i, 3]
-            v, omega = _body_from_point(u_x, u_y, psi, l)
-            left, right = _wheels_from_body(v, omega, radius, base)
-            ratio = _feasible_ratio(left, right, radius, max_wheel_speed, max_speed)
+            v, omega = body_from_point(u_x, u_y, psi, l)
+            left, right = wheels_from_body(v, omega, radius, base)
+            ratio = feasible_ratio(left, right, radius, max_wheel_speed, max_speed)
         u[i, 0], u[i, 1] = ratio * u_x, ratio * u_y
         predicted_x = drifted_x + T * u[i, 0] - offset * np.cos(psi)
         predicted_y = drifted_y + T * u[i, 1] - offset * np.sin(psi)

@@ -5,10 +5,9 @@ constant (``platoon.py`` says why); with w = 0 it is the paper's law.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.control.flow import Integrator, integrator_gain
-from robofleet.core.arrays import Array
+from robofleet.core.arrays import Array, Flags
 
 
 class PointFlow:
@@ -19,7 +18,7 @@ class PointFlow:
         self.u = np.zeros((n, 2))
         self._horizon, self._gain = horizon, integrator_gain(alpha, step, integrator)
 
-    def update(self, points: Array, references: Array, driving: NDArray[np.bool_], w: Array) -> tuple[Array, Array]:
+    def update(self, points: Array, references: Array, driving: Flags, w: Array) -> tuple[Array, Array]:
         """Return u (N, 2) after one control step, and |r - g| (N,) before it [m].
 
         points p (N, 2) now, references r(t + T) (N, 2) [m]; w (N, 2) [m/s]. Who may not drive has u = 0.

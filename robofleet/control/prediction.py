@@ -27,9 +27,6 @@ from robofleet.control.sensitivity import (
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import model
 
-__all__ = ["MAX_STEPS", "Compiled", "Plant", "compile_plant", "compiled"]
-
-
 RK4_LIMIT, EULER_LIMIT = 2.7, 1.95  # |eigenvalue| * prediction step where the method becomes unstable
 RK4_CHOICE, EULER_CHOICE = 1.5, 0.02  # and where it is accurate: what is chosen
 MAX_STEPS = 20_000

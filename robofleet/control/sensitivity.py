@@ -126,8 +126,6 @@ def analytic_output(h_x: Any) -> Any:
 
 
 def difference_output(h: Any) -> Any:
-    """Return the same from h alone."""
-
     @compiled
     def output(xi: Array, S: Array, dg: Array) -> None:
         moved = xi.copy()

@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robofleet.control.path import Path
-from robofleet.core.arrays import Array
+from robofleet.control.path import HERMITE, Path
+from robofleet.core.arrays import Array, Flags
 
-_HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], dtype=np.float64)
 _STANDING_M_S = 1e-3  # a slower reference has no direction
 _SPLINE_SAMPLES = 64  # between two way points
 _SHARPEST_CURVATURE = 1e6  # of a way that turns back [1/m]
@@ -40,7 +38,7 @@ class Trajectory:
         """Return the cubics through ``points`` (K + 1, 2) [m] at ``times`` (K + 1,) with ``velocities`` [m/s]."""
         took = np.diff(times)[:, None, None]
         ends = np.stack([points[:-1], points[1:], velocities[:-1] * took[:, 0], velocities[1:] * took[:, 0]], axis=1)
-        return cls(times, (_HERMITE @ ends) / took ** np.arange(4)[:, None], closed)
+        return cls(times, (HERMITE @ ends) / took ** np.arange(4)[:, None], closed)
 
     @classmethod
     def path(cls, path: Path, rate: float, begin: float) -> Self:
@@ -118,7 +116,7 @@ class Trajectory:
         x, y = velocity[int(moving.argmax())]
         return math.atan2(y, x)
 
-    def _pieces(self, t: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _pieces(self, t: Array) -> tuple[Array, Array, Flags]:
         """Return the time into each piece (..., 1), its coefficients (..., 4, 2), and what is inside (..., 1)."""
         t = np.asarray(t, dtype=np.float64) + self.begin
         if self.closed:

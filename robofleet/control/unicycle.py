@@ -22,8 +22,6 @@ _STRAIGHT = 1e-4  # half an arc's turn below which it is a straight line, to the
 
 @functools.cache
 def unicycle_plant() -> Plant:
-    """Return the plant."""
-
     def predict(x: Array, u: Array, T: float, steps: int, y: Array, dg: Array) -> int:
         return _predict(x, u, T, y, dg)
 

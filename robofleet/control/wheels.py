@@ -3,17 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robofleet.core.arrays import Array
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
-_body_from_point = kernel(differential_drive.body_from_point)
-_point_from_pose = kernel(differential_drive.point_from_pose)
-_wheels_from_body = kernel(differential_drive.wheels_from_body)
-_feasible_ratio = kernel(differential_drive.feasible_ratio)
+body_from_point = kernel(differential_drive.body_from_point)
+point_from_pose = kernel(differential_drive.point_from_pose)
+wheels_from_body = kernel(differential_drive.wheels_from_body)
+feasible_ratio = kernel(differential_drive.feasible_ratio)
 
 
 class Request(NamedTuple):
@@ -30,9 +29,7 @@ def limits(drives: tuple[DifferentialDrive, ...]) -> Array:
     return np.array([(d.wheel_radius, d.wheel_base, d.max_wheel_speed, d.max_speed) for d in drives]).reshape(-1, 4)
 
 
-def limited(
-    velocities: Array, of_body: NDArray[np.bool_], poses: Array, l: float, geometry: Array, driving: NDArray[np.bool_]
-) -> Request:
+def limited(velocities: Array, of_body: Flags, poses: Array, l: float, geometry: Array, driving: Flags) -> Request:
     """Return what each of N robots is asked for, within the limits of its wheels.
 
     velocities (N, 2): of the points ``l`` [m] ahead [m/s; world], or where ``of_body`` v [m/s] and omega [rad/s].
@@ -48,12 +45,12 @@ def limited(
 
 @kernel
 def _limit(
-    velocities: Array, of_body: NDArray[np.bool_], poses: Array, l: float, geometry: Array, driving: NDArray[np.bool_],
+    velocities: Array, of_body: Flags, poses: Array, l: float, geometry: Array, driving: Flags,
     points: Array, u: Array, wheels: Array, saturated: Array,
 ) -> None:  # fmt: skip
     for i in range(len(velocities)):
         psi = poses[i, 2]
-        points[i, 0], points[i, 1] = _point_from_pose(poses[i, 0], poses[i, 1], psi, l)
+        points[i, 0], points[i, 1] = point_from_pose(poses[i, 0], poses[i, 1], psi, l)
         if not driving[i]:
             continue
         u_x, u_y = velocities[i, 0], velocities[i, 1]
@@ -62,9 +59,9 @@ def _limit(
             c, s = np.cos(psi), np.sin(psi)
             u_x, u_y = c * v - s * l * omega, s * v + c * l * omega
         else:
-            v, omega = _body_from_point(u_x, u_y, psi, l)
-        left, right = _wheels_from_body(v, omega, geometry[i, 0], geometry[i, 1])
-        ratio = _feasible_ratio(left, right, geometry[i, 0], geometry[i, 2], geometry[i, 3])
+            v, omega = body_from_point(u_x, u_y, psi, l)
+        left, right = wheels_from_body(v, omega, geometry[i, 0], geometry[i, 1])
+        ratio = feasible_ratio(left, right, geometry[i, 0], geometry[i, 2], geometry[i, 3])
         wheels[i, 0], wheels[i, 1] = ratio * left, ratio * right
         u[i, 0], u[i, 1] = ratio * u_x, ratio * u_y
         saturated[i] = 1.0 if ratio < 1.0 else 0.0

@@ -130,12 +130,10 @@ def epoch_ns() -> int:
 
 
 def utc_now() -> datetime:
-    """Return the date and time, for names of folders."""
     return datetime.now(UTC)
 
 
 def clock_name() -> str:
-    """Return the name of ``WallClock``'s clock."""
     return "CLOCK_BOOTTIME" if hasattr(time, "CLOCK_BOOTTIME") else "CLOCK_MONOTONIC"
 
 

@@ -51,12 +51,10 @@ def read_named(file: Path, most: int) -> bytes:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a whole file or none."""
     write_bytes(file, text.encode(errors="backslashreplace"))
 
 
 def write_bytes(file: Path, data: bytes) -> None:
-    """Write a whole file or none."""
     with replaced(file) as stream:
         left = memoryview(data)
         while left:

@@ -19,18 +19,15 @@ class Unfailing:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write what can be written."""
         with suppress(*_LOST):
             self._stream.write(text)
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Write what can be written."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Let go of what can be let go of."""
         with suppress(*_LOST):
             self._stream.flush()
 

@@ -59,7 +59,6 @@ def load(group: str, name: str) -> Any:
 
 
 def known(group: str) -> list[str]:
-    """Return the names of a group's installed classes."""
     return sorted(_points(group))
 
 

@@ -17,5 +17,4 @@ def row_type(record: type) -> np.dtype[Any]:
 
 
 def record_of(record: Callable[..., T], row: np.void) -> T:
-    """Return a row as a record."""
     return record(**dict(zip(row.dtype.names or (), row.item(), strict=True)))

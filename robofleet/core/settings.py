@@ -45,7 +45,6 @@ FAMILIES: dict[str, Family] = {
 
 
 def is_family(name: str) -> TypeGuard[FamilyName]:
-    """Return whether this is a family's name."""
     return name in FAMILIES
 
 
@@ -57,7 +56,6 @@ MANY = 10_000  # of anything in a list
 
 
 def within(low: float, high: float) -> Any:
-    """Return the limits of a number, both included."""
     return Field(ge=low, le=high)
 
 

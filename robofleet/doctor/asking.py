@@ -7,13 +7,13 @@ Without a configuration each kind is asked in turn, Create 2 first: it takes sin
 is said to one that has answered. The other two act on whole lines of text alone.
 """
 
-import threading
 from collections.abc import Iterator, Sequence
 from os.path import realpath
 from typing import Any
 
 from robofleet.core.clock import WallClock
 from robofleet.core.plugins import load
+from robofleet.doctor.examination import Look, finished
 from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
 from robofleet.doctor.serial_ports import devices, holders
@@ -36,11 +36,7 @@ _AT_MOST_S = 20.0  # the slowest driver gives a port six seconds
 
 def ask(needs: Needs, requested: Sequence[str], at_most_s: float = _AT_MOST_S) -> list[Finding]:
     """Ask ports at once, ``all``: the configuration's, or without one every USB port."""
-    inquiries = [_Inquiry(path, tuple(_contexts(needs, path))) for path in _paths(needs, requested)]
-    deadline_ns = WallClock().now_ns() + round(at_most_s * 1e9)
-    for inquiry in inquiries:
-        inquiry.join(max(0.0, (deadline_ns - WallClock().now_ns()) * 1e-9))
-    return [inquiry.finding for inquiry in inquiries]
+    return finished([_look(path, [*_contexts(needs, path)]) for path in _paths(needs, requested)], at_most_s)
 
 
 def _paths(needs: Needs, requested: Sequence[str]) -> list[str]:
@@ -51,7 +47,7 @@ def _paths(needs: Needs, requested: Sequence[str]) -> list[str]:
         elif needs.config is not None:
             paths += [port.path for port in needs.ports()]
         else:
-            paths += [device.path for device in devices() if device.vendor_id is not None]
+            paths += [device.path for device in devices() if device.usb is not None]
     return list({realpath(path): path for path in reversed(paths)}.values())[::-1]
 
 
@@ -68,38 +64,33 @@ def _contexts(needs: Needs, path: str) -> Iterator[tuple[str, DriverContext]]:
         yield kind, DriverContext(robot="", drive=_ANY_DRIVE, simulation=None, now_ns=clock.now_ns, settings=made)
 
 
-class _Inquiry(threading.Thread):
-    """One port, asked in a thread of its own: a driver that hangs holds nobody up."""
+def _look(path: str, contexts: Sequence[tuple[str, DriverContext]]) -> Look:
+    """Begin to ask at a port: a driver that hangs holds nobody up."""
+    name, grave = f"answer at {path}", Mark.MISSING if contexts[0][1].robot else Mark.WARN
+    cure = "unplug it and plug it in again; mend the driver, if it is yours"
+    hangs = Finding(name, grave, "its driver did not finish opening it", cure)
+    return Look(lambda: iter([_answer(path, contexts, hangs)]), hangs)
 
-    def __init__(self, path: str, contexts: Sequence[tuple[str, DriverContext]]) -> None:
-        super().__init__(daemon=True)
-        self._path, self._contexts = path, contexts
-        self._name = f"answer at {path}"
-        self._whose = contexts[0][1].robot
-        self._grave = Mark.MISSING if self._whose else Mark.WARN
-        cure = "unplug it and plug it in again; mend the driver, if it is yours"
-        self.finding = Finding(self._name, self._grave, "its driver did not finish opening it", cure)
-        self.start()
 
-    def run(self) -> None:
-        """Open the port by each kind until one answers."""
-        if using := holders(self._path):
-            says = f"not asked: process {using[0].pid} ({using[0].command}) has it open"
-            self.finding = Finding(self._name, Mark.WARN, says, "end that program first")
-            return
-        refusals = []
-        for kind, context in self._contexts:
-            try:
-                load("robofleet.drivers", kind)(context).close()
-            except DriverError as error:
-                refusals.append(str(error).removeprefix(f"{self._path}: "))
-            except Exception as error:  # noqa: BLE001 - a driver may be anybody's
-                refusals.append(in_words(error))
-            else:
-                whose = f", which is {self._whose}" if self._whose else f": write `driver: {kind}` for it"
-                self.finding = ok(self._name, f"{kind} answers{whose}")
-                return
-        says, _, cure = refusals[-1].partition(": ")
-        if not self._whose and len(set(refusals)) > 1:
-            says, cure = f"none of {', '.join(_KINDS)} answers", "switch the robot on, and look at its cable"
-        self.finding = Finding(self._name, self._grave, says, cure)
+def _answer(path: str, contexts: Sequence[tuple[str, DriverContext]], silent: Finding) -> Finding:
+    """Open the port by each kind until one answers."""
+    if using := holders(path):
+        says = f"not asked: process {using[0].pid} ({using[0].command}) has it open"
+        return Finding(silent.name, Mark.WARN, says, "end that program first")
+    owner, refusals = contexts[0][1].robot, []
+    for kind, context in contexts:
+        try:
+            load("robofleet.drivers", kind)(context).close()
+        except DriverError as error:
+            refusals.append(str(error).removeprefix(f"{path}: "))
+        except Exception as error:  # noqa: BLE001 - a driver may be anybody's
+            refusals.append(in_words(error))
+        else:
+            return ok(
+                silent.name,
+                f"{kind} answers" + (f", which is {owner}" if owner else f": write `driver: {kind}` for it"),
+            )
+    says, _, cure = refusals[-1].partition(": ")
+    if not owner and len(set(refusals)) > 1:
+        says, cure = f"none of {', '.join(_KINDS)} answers", "switch the robot on, and look at its cable"
+    return silent._replace(says=says, cure=cure)

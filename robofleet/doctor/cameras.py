@@ -58,9 +58,8 @@ def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
         refused = f"{permission.user_name()} may not open it"
         return Finding(str(path), grave, refused, permission.cure(path))
     except OSError as error:
-        return Finding(
-            str(path), grave, f"it cannot be asked: {error.strerror}", "end what uses it, or plug it in again"
-        )
+        refused = f"it cannot be asked: {error.strerror}"
+        return Finding(str(path), grave, refused, "end what uses it, or plug it in again")
     if device is None:
         return None
     usb = usb_of(path)
@@ -117,7 +116,6 @@ def usb_of(path: Path, sysfs: Path = _SYSFS) -> udev.Usb | None:
 
 
 def basler_cameras(needs: Needs) -> Iterator[Finding]:
-    """Basler's cameras, where their library is installed."""
     if find_spec("pypylon") is None:
         return  # `packages` says whether it is needed
     try:

@@ -55,15 +55,11 @@ def doctor(
     missing = sum(finding.mark is Mark.MISSING for finding in findings)
     what = str(config) if config is not None else "A simulated run"
     if as_json:
-        print(
-            dumps(
-                {"config": config and str(config), "works": missing == 0, "findings": [f.as_json() for f in findings]}
-            )
-        )
+        listed = [finding.as_json() for finding in findings]
+        print(dumps({"config": config and str(config), "works": missing == 0, "findings": listed}))
     elif missing:
-        show(
-            findings, f"{what} would not work here: {missing} of these lines say{'s' * (missing == 1)} what is missing."
-        )
+        lines = f"{missing} of these lines say{'s' * (missing == 1)} what is missing"
+        show(findings, f"{what} would not work here: {lines}.")
     else:
         show(findings, f"{what} would work here." + (f" Next: robofleet check {config}" if config else ""))
     if missing:
@@ -81,7 +77,5 @@ def _needs(config: Path | None, overrides: list[str], robots: str) -> "Needs":
     for unknown in (name for name in names if name not in known):
         raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
     complaints = check_drivers.complaints(source.config)
-    source.refuse(
-        complaint for complaint in complaints if not complaint[0].endswith(".driver")
-    )  # a package that is missing is no bad input
+    source.refuse(c for c in complaints if not c[0].endswith(".driver"))  # a package that is missing is no bad input
     return Needs(source.config, names or None)

@@ -89,7 +89,6 @@ def clock(_needs: Needs) -> Iterator[Finding]:
 
 
 def browser(needs: Needs) -> Iterator[Finding]:
-    """Whether a page can be opened on this machine."""
     if not needs.whole_run:
         return
     if not any(os.environ.get(display) for display in _DISPLAYS):
@@ -104,18 +103,15 @@ def browser(needs: Needs) -> Iterator[Finding]:
 
 
 def network(_needs: Needs) -> Iterator[Finding]:
-    """The addresses by which others reach this machine."""
     found = [f"{address} ({name})" for name, address in addresses() if not address.startswith("127.")]
     if found:
         yield ok("network", f"{socket.gethostname()}: {', '.join(found)}; robofleet listens on this machine only")
     else:
-        yield Finding(
-            "network", Mark.WARN, "this machine has no address", "join a network, if a phone is to see the page"
-        )
+        cure = "join a network, if a phone is to see the page"
+        yield Finding("network", Mark.WARN, "this machine has no address", cure)
 
 
 def addresses() -> list[tuple[str, str]]:
-    """Return interfaces and their IPv4 addresses."""
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         for _, name in socket.if_nameindex():

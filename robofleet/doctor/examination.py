@@ -3,8 +3,9 @@
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 
-from robofleet.core.clock import Clock, S, WallClock
+from robofleet.core.clock import S, WallClock
 from robofleet.doctor import cameras, computer, places, serial_ports, software
 from robofleet.doctor.findings import Finding, Mark
 from robofleet.doctor.needs import Needs
@@ -34,41 +35,41 @@ _REPORTED_AFTER_S, _AT_MOST_S = 3.0, 25.0
 
 def examine(needs: Needs, checks: Mapping[str, Check] = CHECKS, at_most_s: float = _AT_MOST_S) -> list[Finding]:
     """Return what all checks find, in their order."""
+    hangs = f"this gave no answer within {at_most_s:g} s", "a device hangs: unplug it and plug it in again"
+    looks = [Look(partial(check, needs), Finding(name, Mark.WARN, *hangs)) for name, check in checks.items()]
+    return finished(looks, at_most_s)
+
+
+def finished(looks: Sequence["Look"], at_most_s: float) -> list[Finding]:
+    """Return what checks found within a time; of one that still goes on what there is so far, and that it hangs."""
     clock = WallClock()
-    looks = [_Look(name, check, needs) for name, check in checks.items()]
-    _finish(looks, min(_REPORTED_AFTER_S, at_most_s), clock)
-    if slow := [look.title for look in looks if look.is_alive()]:
-        print(f"waiting for {', '.join(slow)}", file=sys.stderr)
-    _finish(looks, at_most_s - _REPORTED_AFTER_S, clock)
-    return [finding for look in looks for finding in look.found(at_most_s)]
-
-
-def _finish(looks: Sequence["_Look"], within_s: float, clock: Clock) -> None:
-    deadline_ns = clock.now_ns() + round(within_s * S)
+    began_ns = clock.now_ns()
+    for within_s in (min(_REPORTED_AFTER_S, at_most_s), at_most_s):
+        if within_s > _REPORTED_AFTER_S and (slow := [look.hangs.name for look in looks if look.is_alive()]):
+            print(f"waiting for {', '.join(slow)}", file=sys.stderr)
+        for look in looks:
+            look.join(max(0.0, within_s - (clock.now_ns() - began_ns) / S))
+    findings: list[Finding] = []
     for look in looks:
-        look.join(max(0.0, (deadline_ns - clock.now_ns()) / S))
+        late = [look.hangs] if look.is_alive() else []  # before what it found is read: it may end meanwhile
+        findings += [*look.found, *late]
+    return findings
 
 
-class _Look(threading.Thread):
-    """One check that is being made."""
+class Look(threading.Thread):
+    """One check that is being made, in a thread of its own."""
 
-    def __init__(self, name: str, check: Check, needs: Needs) -> None:
+    def __init__(self, check: Callable[[], Iterator[Finding]], hangs: Finding) -> None:
+        """``hangs``: what there is to say of it if it does not end."""
         super().__init__(daemon=True)
-        self.title, self._check, self._needs = name, check, needs
-        self._found: list[Finding] = []
+        self._check, self.hangs = check, hangs
+        self.found: list[Finding] = []
         self.start()
 
     def run(self) -> None:
         """Keep what is found, up to where the check fails."""
         try:
-            self._found.extend(self._check(self._needs))
+            self.found.extend(self._check())
         except Exception as error:  # noqa: BLE001 - one thing that cannot be looked at hides no other
             says = f"this could not be looked at: {type(error).__name__}: {error}"
-            self._found.append(Finding(self.title, Mark.WARN, says, "look at it yourself, and report this"))
-
-    def found(self, at_most_s: float) -> list[Finding]:
-        """Return the findings; where it still goes on, what there is so far, and that it hangs."""
-        if not self.is_alive():
-            return self._found
-        says = f"this gave no answer within {at_most_s:g} s"
-        return [*self._found, Finding(self.title, Mark.WARN, says, "a device hangs: unplug it and plug it in again")]
+            self.found.append(Finding(self.hangs.name, Mark.WARN, says, "look at it yourself, and report this"))

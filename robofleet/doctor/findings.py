@@ -29,7 +29,6 @@ class Finding(NamedTuple):
     pastes: tuple[Paste, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """Return what ``--json`` prints of it."""
         return {
             "name": self.name,
             "mark": self.mark.value,
@@ -40,5 +39,4 @@ class Finding(NamedTuple):
 
 
 def ok(name: str, says: str, *pastes: Paste) -> Finding:
-    """Return a finding that needs no cure."""
     return Finding(name, Mark.OK, says, pastes=pastes)

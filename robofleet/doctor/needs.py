@@ -34,21 +34,18 @@ class Needs:
 
     @property
     def robots(self) -> tuple[Robot, ...]:
-        """Return the robots whose drivers run here; none without a configuration."""
         if self.config is None:
             return ()
         return tuple(robot for robot in self.config.robots if self.drivers_of is None or robot.id in self.drivers_of)
 
     @property
     def cameras(self) -> tuple[CameraSettings, ...]:
-        """Return the cameras whose images are tracked here."""
         if self.config is None or not self.whole_run or self.config.tracker.source != "camera":
             return ()
         return tuple(view.camera for view in self.config.views)
 
     @property
     def duration_s(self) -> float:
-        """Return how long a run takes [s]."""
         return _NO_CONFIG_S if self.config is None else self.config.run.duration_s
 
     def ports(self) -> Iterator[Port]:

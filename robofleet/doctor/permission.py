@@ -7,7 +7,6 @@ from pathlib import Path
 
 
 def user_name() -> str:
-    """Return this user's name; its number where it has none."""
     try:
         return pwd.getpwuid(os.geteuid()).pw_name
     except KeyError:

@@ -29,16 +29,13 @@ def devices() -> list[udev.Device]:
     for folder in _LINKS:
         for link in sorted(folder.glob("*")):
             links.setdefault(os.path.realpath(link), []).append(str(link))
-    found = [
-        udev.Device(
-            port.device,
-            " ".join(dict.fromkeys(filter(None, (port.manufacturer, port.product)))) or "unnamed adapter",
-            port.vid, port.pid, port.serial_number or "", port.location or "",
-            tuple(links.get(os.path.realpath(port.device), ())),
-        )
-        for port in list_ports.comports()
-    ]  # fmt: skip
-    return sorted(found, key=lambda device: (device.vendor_id is None, device.path))
+    found = []
+    for port in list_ports.comports():
+        says = " ".join(dict.fromkeys(filter(None, (port.manufacturer, port.product)))) or "unnamed adapter"
+        numbers = port.vid, port.pid or 0, port.serial_number or "", port.location or ""
+        usb = None if port.vid is None else udev.Usb(*numbers)
+        found.append(udev.Device(port.device, says, usb, tuple(links.get(os.path.realpath(port.device), ()))))
+    return sorted(found, key=lambda device: (device.usb is None, device.path))
 
 
 def holders(path: str) -> list[Holder]:
@@ -66,18 +63,16 @@ def serial_ports(needs: Needs) -> Iterator[Finding]:
     """Every port of an adapter, and every one that the configuration names."""
     ports = devices()
     named = {os.path.realpath(port.path): port for port in needs.ports()}
-    rules = udev.serial_rules(
-        [candidate for candidate in ports if candidate.vendor_id is not None], _names(needs, ports)
-    )
+    rules = udev.serial_rules(ports, _names(needs, ports))
     for device in ports:
         port = named.pop(os.path.realpath(device.path), None)
-        if device.vendor_id is not None or port is not None:
+        if device.usb is not None or port is not None:
             yield _judged(device.path, _described(device), port.robot if port else None, rules.get(device.path))
     for port in named.values():
         yield _judged(port.path, "no USB adapter", port.robot, None)
-    if any(candidate.vendor_id is not None for candidate in ports):
+    if any(device.usb is not None for device in ports):
         yield ok("which robot", "`robofleet doctor --ask all` opens the ports and says which robot answers at each")
-    built_in = [candidate.path for candidate in ports if candidate.vendor_id is None]
+    built_in = [candidate.path for candidate in ports if candidate.usb is None]
     if built_in:
         yield ok("built-in ports", f"{', '.join(built_in)}: looked at only where a configuration names them")
     if not ports:
@@ -110,9 +105,9 @@ def _judged(path: str, says: str, robot: str | None, rule: str | None) -> Findin
 
 def _described(device: udev.Device) -> str:
     parts = [device.says]
-    if device.vendor_id is not None:
-        parts.append(f"{device.vendor_id:04x}:{device.product_id or 0:04x}")
-        parts.append(f"serial number {device.serial_number}" if device.serial_number else "no serial number")
+    if device.usb is not None:
+        parts.append(f"{device.usb.vendor_id:04x}:{device.usb.product_id:04x}")
+        parts.append(f"serial number {device.usb.serial_number}" if device.usb.serial_number else "no serial number")
     if device.links:
         parts.append(device.links[0])
     return ", ".join(parts)
@@ -130,7 +125,7 @@ def _names(needs: Needs, found: list[udev.Device]) -> dict[str, str]:
             names[device.path] = owners[0]
         elif free:
             names[device.path] = free.pop(0)
-        elif device.vendor_id is not None:
+        elif device.usb is not None:
             count += 1
             while f"r{count}" in {port.robot for port in ports}:
                 count += 1

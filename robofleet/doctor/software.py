@@ -28,7 +28,6 @@ _WITHOUT = {  # an extra that the configuration does not need, and what is not t
 
 
 def python(_needs: Needs) -> Iterator[Finding]:
-    """Python, and where it is."""
     says = f"{platform.python_version()}, {platform.machine()}, {sys.executable}"
     if sys.maxsize <= 1 << 32:
         yield Finding("Python", Mark.WARN, f"{says}, 32 bit", "take a 64-bit Python: numba and OpenCV have no other")
@@ -68,14 +67,12 @@ def _of_extra(extra: str, names: list[tuple[str, str]], *, required: bool) -> Fi
 
 
 def _parts(requirement: str) -> tuple[str, str, str]:
-    """Return the name, the bounds of the version and the extra of a requirement."""
     found = _REQUIREMENT.fullmatch(requirement.strip())
     assert found is not None, requirement
     return found[1], found[2].strip(), found[3] or ""
 
 
 def _unfit(name: str, bounds: str) -> str:
-    """Return what is wrong with a package; nothing where it fits."""
     try:
         installed = version(name)
     except PackageNotFoundError:
@@ -94,7 +91,6 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def drivers(needs: Needs) -> Iterator[Finding]:
-    """The classes that drive the configuration's robots."""
     robots_of: dict[str, list[str]] = {}
     for robot in needs.robots:
         robots_of.setdefault(robot.driver, []).append(robot.id)

@@ -11,23 +11,25 @@ _OURS = "/dev/robofleet/"
 
 
 class Usb(NamedTuple):
-    """What a camera's plug says."""
+    """What a plug says. What it does not tell is empty."""
 
     vendor_id: int
     product_id: int
     serial_number: str
-    socket: str
+    location: str  # the socket: 1-2.1, with the interface of a port where the device has several: 1-2.1:1.0
+
+    @property
+    def socket(self) -> str:
+        """The socket alone."""
+        return self.location.partition(":")[0]
 
 
 class Device(NamedTuple):
-    """A port that the system has. What an adapter does not tell is empty."""
+    """A port that the system has."""
 
     path: str  # /dev/ttyUSB0
     says: str  # manufacturer and product
-    vendor_id: int | None  # of USB; None: no USB device
-    product_id: int | None
-    serial_number: str
-    location: str  # the USB socket: 1-2.1, with the interface where the device has several: 1-2.1:1.0
+    usb: Usb | None  # None: no USB device
     links: tuple[str, ...]  # names that stay
 
 
@@ -36,48 +38,36 @@ def serial_rules(devices: Sequence[Device], names: Mapping[str, str]) -> dict[st
 
     A chip without a number, or with one that another one has too, is named after its socket.
     """
-    ports = Counter(_socket(device) for device in devices)
-    alike = Counter(key for _, key in {(_socket(device), _number(device)) for device in devices})
+    found = {device.path: device.usb for device in devices if device.usb is not None}
+    named = {device.path for device in devices if any(link.startswith(_OURS) for link in device.links)}
+    ports = Counter(usb.socket for usb in found.values())
+    alike = Counter(usb[:3] for usb in {usb._replace(location=usb.socket) for usb in found.values()})
     rules = {}
-    for device in devices:
-        if any(link.startswith(_OURS) for link in device.links) or not (device.serial_number or device.location):
+    for path, usb in found.items():
+        if path in named or not (usb.serial_number or usb.location):
             continue
-        keys = ['SUBSYSTEM=="tty"', *_usb(device.vendor_id or 0, device.product_id or 0)]
-        if device.serial_number and alike[_number(device)] == 1 and _plain(device.serial_number):
-            keys.append(f'ENV{{ID_SERIAL_SHORT}}=="{device.serial_number}"')
-        else:
-            keys.append(f'KERNELS=="{_socket(device)}"')
-        if ports[_socket(device)] > 1 and ":" in device.location:  # a chip with several ports
-            keys.append(f'ENV{{ID_USB_INTERFACE_NUM}}=="{int(device.location.rpartition(".")[2]):02x}"')
+        keys = ['SUBSYSTEM=="tty"', *_identity(usb, unique=alike[usb[:3]] == 1)]
+        if ports[usb.socket] > 1 and ":" in usb.location:  # a chip with several ports
+            keys.append(f'ENV{{ID_USB_INTERFACE_NUM}}=="{int(usb.location.rpartition(".")[2]):02x}"')
         keys += ['GROUP="dialout"', 'MODE="0660"', 'TAG+="uaccess"', 'ENV{ID_MM_DEVICE_IGNORE}="1"']
-        if device.vendor_id == _FTDI:
+        if usb.vendor_id == _FTDI:
             keys.append('ATTR{device/latency_timer}="1"')  # [ms]; else it keeps what a robot says for 16
-        rules[device.path] = ", ".join([*keys, f'SYMLINK+="robofleet/{names[device.path]}"'])
+        rules[path] = ", ".join([*keys, f'SYMLINK+="robofleet/{names[path]}"'])
     return rules
 
 
 def camera_rule(usb: Usb, name: str) -> str:
     """Return the rule of a camera: of its first node, which gives the images."""
-    keys = ['SUBSYSTEM=="video4linux"', 'ATTR{index}=="0"', *_usb(usb.vendor_id, usb.product_id)]
-    if usb.serial_number and _plain(usb.serial_number):
-        keys.append(f'ENV{{ID_SERIAL_SHORT}}=="{usb.serial_number}"')
-    else:
-        keys.append(f'KERNELS=="{usb.socket}"')
+    keys = ['SUBSYSTEM=="video4linux"', 'ATTR{index}=="0"', *_identity(usb, unique=True)]
     return ", ".join([*keys, 'GROUP="video"', 'MODE="0660"', 'TAG+="uaccess"', f'SYMLINK+="robofleet/{name}"'])
 
 
-def _usb(vendor_id: int, product_id: int) -> tuple[str, str]:
-    return f'ENV{{ID_VENDOR_ID}}=="{vendor_id:04x}"', f'ENV{{ID_MODEL_ID}}=="{product_id:04x}"'
+def _identity(usb: Usb, *, unique: bool) -> tuple[str, str, str]:
+    """Return the keys of a device: by its number, where that is unique and udev keeps it as it is, else its socket.
 
-
-def _socket(device: Device) -> str:
-    return device.location.partition(":")[0]
-
-
-def _number(device: Device) -> tuple[int | None, int | None, str]:
-    return device.vendor_id, device.product_id, device.serial_number
-
-
-def _plain(serial_number: str) -> bool:
-    """Return whether udev keeps a number as it is, and takes no character of it for a pattern."""
-    return all(character.isalnum() or character in "-_." for character in serial_number) and serial_number.isascii()
+    A character of a number may be one that udev replaces, or takes for a pattern.
+    """
+    plain = usb.serial_number.isascii() and all(c.isalnum() or c in "-_." for c in usb.serial_number)
+    by_number = bool(usb.serial_number) and unique and plain
+    own = f'ENV{{ID_SERIAL_SHORT}}=="{usb.serial_number}"' if by_number else f'KERNELS=="{usb.socket}"'
+    return f'ENV{{ID_VENDOR_ID}}=="{usb.vendor_id:04x}"', f'ENV{{ID_MODEL_ID}}=="{usb.product_id:04x}"', own

@@ -3,8 +3,7 @@
 The paper's curve is not published; ours is a rounded rectangle (``configs/paper/closed-curve.yaml``).
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -15,14 +14,15 @@ from robofleet.control.bicycle import bicycle_plant
 from robofleet.core.settings import Model, Positive
 from robofleet.experiments.curves import Reference
 from robofleet.experiments.driving import (
+    NOT_GIVEN,
     OTHER_MODELS,
     DriveParameters,
     FlowParameters,
-    Peaks,
     Speeds,
+    errors,
+    peak_tables,
     peaks,
     road,
-    speed_table,
     topics,
 )
 from robofleet.experiments.results import Cell, Figure, Result, Table
@@ -30,8 +30,7 @@ from robofleet.experiments.simulate import Drive, drive
 from robofleet.vehicles.bicycle import ZHOU_2017
 
 # Table 1, by speed [km/h]: peak lateral error [cm] and heading error [deg], the paper's and its source's
-TABLE_1 = {15.0: (2.0, 36.0, 3.0, 3.3), 25.0: (5.0, 23.0, 2.8, 2.8), 35.0: (8.0, 17.0, 2.2, 2.6)}
-_NOT_GIVEN = (None, None, None, None)
+TABLE_1 = {15.0: ((2.0, 3.0), (36.0, 3.3)), 25.0: ((5.0, 2.8), (23.0, 2.8)), 35.0: ((8.0, 2.2), (17.0, 2.6))}
 _START_UP_M = 40.0  # what is drawn of the transient
 
 
@@ -43,7 +42,6 @@ class Track(Model):
     curvature_ramp_m: Positive  # length over which the curvature grows to 1/radius, and over which it falls
 
     def reference(self) -> Reference:
-        """Return the track by arc length."""
         return Reference.rounded_rectangle(self.straights_m, self.corner_radius_m, self.curvature_ramp_m)
 
 
@@ -75,7 +73,14 @@ def run(parameters: ClosedCurveParameters) -> Result:
     paper = [_drive(parameters, track, speed) for speed in speeds]
     early = [_drive(parameters, track, speed, lead=parameters.reference_lead_s) for speed in speeds]
     ours = [_drive(parameters, track, speed, ours=True) for speed in speeds]
-    lateral, heading = _tables(parameters, [peaks(found) for found in paper], [peaks(found) for found in ours])
+    printed = [TABLE_1.get(speed, NOT_GIVEN) for speed in speeds]
+    columns = {
+        "here": errors(paper),
+        "paper": [row[0] for row in printed],
+        "Zhou 17": [row[1] for row in printed],
+        "own setting": errors(ours),
+    }
+    lateral, heading = peak_tables("Table 1, closed curve", _names(parameters), columns, _notes(parameters), ".1f")
     transient, choice = _transient(parameters, paper, early, ours), _choice(parameters, paper)
     return Result(
         (lateral, heading, choice, transient), _figures(parameters, track, paper, early), {"lap_m": track.length}
@@ -92,31 +97,6 @@ def _drive(
 
 def _names(parameters: ClosedCurveParameters) -> list[str]:
     return [f"{speed:g} km/h" for speed in parameters.speeds_km_h]
-
-
-def _tables(parameters: ClosedCurveParameters, found: list[Peaks], best: list[Peaks]) -> tuple[Table, Table]:
-    """Return Table 1, lateral and heading errors."""
-    printed = [TABLE_1.get(speed, _NOT_GIVEN) for speed in parameters.speeds_km_h]
-    lateral: dict[str, Sequence[Cell]] = {
-        "here": [p.lateral_cm for p in found],
-        "paper": [row[0] for row in printed],
-        "Zhou 17": [row[1] for row in printed],
-        "own setting": [p.lateral_cm for p in best],
-    }
-    heading: dict[str, Sequence[Cell]] = {
-        "here": [p.heading_deg for p in found],
-        "paper": [row[2] for row in printed],
-        "Zhou 17": [row[3] for row in printed],
-        "own setting": [p.heading_deg for p in best],
-    }
-    names = _names(parameters)
-    return (
-        speed_table("Table 1, closed curve: peak lateral error, cm", names, lateral, ".1f"),
-        replace(
-            speed_table("Table 1, closed curve: peak heading error, deg", names, heading, ".1f"),
-            notes=_notes(parameters),
-        ),
-    )
 
 
 def _notes(parameters: ClosedCurveParameters) -> tuple[str, ...]:

@@ -9,7 +9,15 @@ from robofleet.core.arrays import Array
 from robofleet.core.clock import stopwatch_ns
 from robofleet.experiments.baselines.choice import Key, MissingLibraryError, build
 from robofleet.experiments.baselines.problem import Conditions, Controller, Drive, Problem, drive
-from robofleet.experiments.comparison_results import Compared, ComparisonParameters, Troubled, Updates
+from robofleet.experiments.comparison_results import (
+    CORNER,
+    NOISE,
+    ROLLED,
+    SOFT_TYRES,
+    Compared,
+    ComparisonParameters,
+    Updates,
+)
 from robofleet.experiments.comparison_views import figures, tables
 from robofleet.experiments.results import Result
 from robofleet.vehicles.bicycle import FALCONE_2007
@@ -85,24 +93,20 @@ def _compared(key: Key, parameters: ComparisonParameters, cold_ms: float | None)
         failures += getattr(controller, "failures", 0)
         return result
 
-    nominal = tuple(driven(parameters.lane_change(speed)) for speed in parameters.speeds_m_s)
+    drives = {name: driven(parameters.lane_change(speed)) for name, speed in parameters.lane_changes.items()}
     gave_up = failures
     hard = parameters.lane_change(trouble.speed_m_s)
-    delays = [parameters.samples(delay) for delay in trouble.delays_s]
-    troubled = None
     if key not in trouble.left_out:
-        troubled = Troubled(
-            tuple((driven(hard, 0, delay), driven(hard, delay, delay)) for delay in delays),
-            driven(hard, noise=trouble.position_noise_m),
-            driven(hard, stiffness=trouble.stiffness),
-        )
-    name = build(key, laws, hard, 0).name
-    return Compared(name, cold_ms, nominal, driven(parameters.corner()), troubled, gave_up)
+        for name, delay in parameters.delays.items():
+            drives[name], drives[name + ROLLED] = driven(hard, 0, delay), driven(hard, delay, delay)
+        drives[NOISE] = driven(hard, noise=trouble.position_noise_m)
+        drives[SOFT_TYRES] = driven(hard, stiffness=trouble.stiffness)
+    drives[CORNER] = driven(parameters.corner())
+    return Compared(build(key, laws, hard, 0).name, cold_ms, drives, gave_up)
 
 
 def _timed(keys: list[Key], parameters: ComparisonParameters, flow: Compared) -> dict[Key, Updates]:
     """Time all on the states of the flow's fastest lane change, none rolling forward."""
-    fastest = int(np.argmax(parameters.speeds_m_s))
-    problem, states = parameters.lane_change(parameters.speeds_m_s[fastest]), flow.lane_change[fastest]
+    problem, states = parameters.lane_change(max(parameters.speeds_m_s)), flow.drives[parameters.fastest]
     controllers = [build(key, parameters.laws, problem, 0) for key in keys]
     return dict(zip(keys, in_turns(controllers, states.t, states.states, parameters.turn), strict=True))

@@ -19,6 +19,8 @@ from robofleet.experiments.curves import lane_change
 from robofleet.experiments.driving import Speeds
 from robofleet.vehicles.bicycle import FALCONE_2007, ZHOU_2017
 
+CORNER, NOISE, SOFT_TYRES = "corner", "noise", "soft tyres"  # cases
+ROLLED = ", rolled"  # of a case whose delay is rolled forward over
 Delays = Annotated[tuple[Positive, ...], Field(strict=False)]
 
 
@@ -84,6 +86,26 @@ class ComparisonParameters(Parameters):
         if self.curve_length_m < (needed := self.drive_m + fastest * ahead):
             yield "curve_length_m", f"must be at least {needed:.0f}: drive_m and what is predicted at {fastest:g} m/s"
 
+    @property
+    def lane_changes(self) -> dict[str, float]:
+        """The speeds [m/s] of the undisturbed lane changes, by the names of the cases."""
+        return {f"{speed:g} m/s": speed for speed in self.speeds_m_s}
+
+    @property
+    def fastest(self) -> str:
+        """The name of the fastest undisturbed lane change."""
+        return max(self.lane_changes, key=self.lane_changes.__getitem__)
+
+    @property
+    def delays(self) -> dict[str, int]:
+        """The delays of the trouble in control periods, by the names of the cases in which nobody is told of them."""
+        return {f"{1e3 * delay:g} ms": self.samples(delay) for delay in self.trouble.delays_s}
+
+    @property
+    def troubles(self) -> list[str]:
+        """The names of the cases with one thing wrong."""
+        return [*(case for name in self.delays for case in (name, f"{name}{ROLLED}")), NOISE, SOFT_TYRES]
+
     def lane_change(self, speed: float) -> Problem:
         """Return the lane change at a speed [m/s]."""
         reference = lane_change(1.0, self.curve_length_m)
@@ -114,22 +136,11 @@ class Updates:
 
 
 @dataclass(frozen=True)
-class Troubled:
-    """Drives with one thing wrong."""
-
-    delayed: tuple[tuple[Drive, Drive], ...]  # one a delay: not told of it, rolled forward over it
-    noisy: Drive
-    soft: Drive  # tyres less stiff than believed
-
-
-@dataclass(frozen=True)
 class Compared:
     """Everything measured of one controller."""
 
     name: str
     cold_ms: float | None  # building it and its first update; None: its code was there already
-    lane_change: tuple[Drive, ...]  # one a speed
-    corner: Drive
-    troubled: Troubled | None  # None: left out
+    drives: dict[str, Drive]  # by the names of the cases; none of the trouble's, where they are left out
     failures: int  # updates of the undisturbed lane changes whose solver gave up
     updates: Updates | None = None  # on one sequence of states, in turns with the others

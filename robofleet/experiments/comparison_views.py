@@ -7,32 +7,26 @@ import numpy as np
 
 from robofleet.experiments.baselines.choice import Key
 from robofleet.experiments.baselines.problem import Drive
-from robofleet.experiments.comparison_results import Compared, ComparisonParameters, Troubled
+from robofleet.experiments.comparison_results import CORNER, NOISE, Compared, ComparisonParameters
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
 
 Found = Mapping[Key, Compared]
-Case = tuple[str, Callable[[Compared], Drive]]
 _LOST = "lost"
 _LEVEL_SHARE = 0.02  # closer than this is level
+_PEAKS = "lateral cm", "heading deg", "steering rate deg/s"
 _SHOWN = ("flow-paper", "flow", "lqr", "osqp", "stanley")
 
 
 def tables(parameters: ComparisonParameters, found: Found, missing: Mapping[Key, str]) -> tuple[Table, ...]:
     """Return errors, cost, trouble and corner."""
-    return (
-        _errors(parameters, found, missing),
-        _cost(found),
-        _trouble(parameters, found),
-        _corner(parameters, found),
-    )
+    return (_errors(parameters, found, missing), _cost(found), _trouble(parameters, found), _corner(parameters, found))
 
 
 def figures(parameters: ComparisonParameters, found: Found) -> tuple[Figure, ...]:
     """Return the lateral error along the fastest lane change, and error over cost."""
-    i = int(np.argmax(parameters.speeds_m_s))
-    speed = f"{parameters.speeds_m_s[i]:g} m/s"
-    drives = [(result.name, result.lane_change[i]) for key, result in found.items() if key in _SHOWN]
-    lateral = tuple(Curve(name, parameters.speeds_m_s[i] * d.t, 100.0 * d.lateral) for name, d in drives)
+    fastest, speed = parameters.fastest, max(parameters.speeds_m_s)
+    drives = [(result.name, result.drives[fastest]) for key, result in found.items() if key in _SHOWN]
+    lateral = tuple(Curve(name, speed * d.t, 100.0 * d.lateral) for name, d in drives)
     close = tuple(curve for curve in lateral if np.abs(curve.y).max() < 3.0)
     panels = tuple(
         Panel("distance along the curve, m", "lateral error, cm", curves, title)
@@ -42,30 +36,23 @@ def figures(parameters: ComparisonParameters, found: Found) -> tuple[Figure, ...
     points = tuple(
         Curve(result.name, np.array([_median_us(result)]), np.array([peak]), "dots")
         for result in found.values()
-        if not math.isnan(peak := result.lane_change[i].peak_lateral_cm)
+        if not math.isnan(peak := result.drives[fastest].peak_lateral_cm)
     )
     cost = Panel("time per update, median, µs", "peak lateral error, cm", points, scales=("log", "log"))
     return (
-        Figure("lateral-error", f"Lane change at {speed}: lateral error", panels),
-        Figure("cost", f"Lane change at {speed}: error over computing time", (cost,)),
+        Figure("lateral-error", f"Lane change at {fastest}: lateral error", panels),
+        Figure("cost", f"Lane change at {fastest}: error over computing time", (cost,)),
     )
 
 
 def _errors(parameters: ComparisonParameters, found: Found, missing: Mapping[Key, str]) -> Table:
-    speeds = [f"{speed:g}" for speed in parameters.speeds_m_s]
-    rows = [
-        (
-            result.name,
-            *(_cell(d.peak_lateral_cm) for d in result.lane_change),
-            *(_cell(d.peak_heading_deg) for d in result.lane_change),
-            *(_cell(d.peak_steering_rate_deg_s) for d in result.lane_change),
-        )
-        for result in found.values()
-    ]
-    peaks = ("lateral cm", "heading deg", "steering rate deg/s")
-    columns = ("controller", *(f"{peak}, {speed} m/s" for peak in peaks for speed in speeds))
-    i = int(np.argmax(parameters.speeds_m_s))
-    mpc = parameters.laws.mpc
+    speeds, fastest, mpc = list(parameters.lane_changes), parameters.fastest, parameters.laws.mpc
+    rows = []
+    for result in found.values():
+        drives = [result.drives[speed] for speed in speeds]
+        peaks = zip(*map(_peaks, drives), strict=True)
+        rows.append((result.name, *(cell for cells in peaks for cell in cells)))
+    columns = ("controller", *(f"{peak}, {speed}" for peak in _PEAKS for speed in speeds))
     notes = (
         _statement(parameters),
         f"NR flow: {parameters.laws.flow_paper} is the paper's, driven as printed; {parameters.laws.flow} is ours",
@@ -75,9 +62,9 @@ def _errors(parameters: ComparisonParameters, found: Found, missing: Mapping[Key
         f"the flow is level with predictive control of these weights and nodes {1e3 * mpc.horizon_s / mpc.nodes:g} ms "
         "apart alone: sharp ones are more accurate than it",
         "LQR, pure pursuit, Stanley: gains set by hand for these speeds and this vehicle",
-        *_ranked(found, lambda result: result.lane_change[i].peak_lateral_cm, f"peak error at {speeds[i]} m/s", "cm"),
+        *_ranked(found, _lateral(fastest), f"peak error at {fastest}", "cm"),
         *(f"{key} is left out: {reason}" for key, reason in missing.items()),
-        *_lost(found, [(f"{speed} m/s", _nominal(k)) for k, speed in enumerate(speeds)]),
+        *_lost(found, speeds),
     )
     formats = ("", *(".2f" for _ in speeds), *(".2f" for _ in speeds), *(".1f" for _ in speeds))
     return Table("Lane change as printed, peak errors", columns, tuple(rows), notes, formats)
@@ -106,14 +93,14 @@ def _cost(found: Found) -> Table:
 
 
 def _trouble(parameters: ComparisonParameters, found: Found) -> Table:
-    trouble, cases = parameters.trouble, _cases(parameters)
-    left_out = ", ".join(result.name for result in found.values() if result.troubled is None)
-    found = {key: result for key, result in found.items() if result.troubled is not None}
+    trouble, cases = parameters.trouble, parameters.troubles
+    left_out = ", ".join(result.name for result in found.values() if NOISE not in result.drives)
+    found = {key: result for key, result in found.items() if NOISE in result.drives}
     rows = []
     for result in found.values():
-        lateral = (_cell(drive_of(result).peak_lateral_cm) for _, drive_of in cases)
-        rows.append((result.name, *lateral, _cell(_troubled(result).noisy.peak_steering_rate_deg_s)))
-    columns = ("controller", *(name for name, _ in cases), "noise, deg/s")
+        lateral = (_cell(result.drives[case].peak_lateral_cm) for case in cases)
+        rows.append((result.name, *lateral, _cell(result.drives[NOISE].peak_steering_rate_deg_s)))
+    columns = ("controller", *cases, "noise, deg/s")
     notes = (
         f"peak lateral error [cm] at {trouble.speed_m_s:g} m/s; one thing at a time; rolled: state and time rolled "
         "forward over the delay by the believed model: the flow does it itself, the others by the same means",
@@ -121,9 +108,9 @@ def _trouble(parameters: ComparisonParameters, found: Found) -> Table:
         "deg/s: peak steering rate in it",
         f"soft tyres: {100 * (trouble.stiffness - 1):+.0f} % of stiffness in the plant, not in what is believed",
         *([f"{left_out}: left out for its time: the problem is that of the other nonlinear MPC"] if left_out else []),
-        *(note for name, drive_of in cases for note in _ranked(found, _lateral(drive_of), name, "cm")),
+        *(note for case in cases for note in _ranked(found, _lateral(case), case, "cm")),
         *_ranked(
-            found, lambda result: _troubled(result).noisy.peak_steering_rate_deg_s, "steering rate in noise", "deg/s"
+            found, lambda result: result.drives[NOISE].peak_steering_rate_deg_s, "steering rate in noise", "deg/s"
         ),
         *_lost(found, cases),
     )
@@ -132,46 +119,17 @@ def _trouble(parameters: ComparisonParameters, found: Found) -> Table:
 
 
 def _corner(parameters: ComparisonParameters, found: Found) -> Table:
-    rows = tuple(
-        (result.name, *map(_cell, (d.peak_lateral_cm, d.peak_heading_deg, d.peak_steering_rate_deg_s)))
-        for result in found.values()
-        for d in (result.corner,)
-    )
+    rows = tuple((result.name, *_peaks(result.drives[CORNER])) for result in found.values())
     where = parameters.closed_curve
     notes = (
         f"the first {where.drive_m:g} m of the closed curve, which is ours: one corner of "
         f"{where.track.corner_radius_m:g} m, its others are the same; delay as above",
-        *_ranked(found, lambda result: result.corner.peak_lateral_cm, "peak error", "cm"),
-        *_lost(found, [("corner", lambda result: result.corner)]),
+        *_ranked(found, _lateral(CORNER), "peak error", "cm"),
+        *_lost(found, [CORNER]),
     )
-    columns = ("controller", "lateral cm", "heading deg", "steering rate deg/s")
+    columns = ("controller", *_PEAKS)
     title = f"Closed curve at {where.speed_km_h:g} km/h, peak errors"
     return Table(title, columns, rows, notes, ("", ".2f", ".2f", ".1f"))
-
-
-def _cases(parameters: ComparisonParameters) -> list[Case]:
-    cases: list[Case] = []
-    for k, delay in enumerate(parameters.trouble.delays_s):
-        cases.append((f"{1e3 * delay:g} ms", _delayed(k, rolled=False)))
-        cases.append((f"{1e3 * delay:g} ms, rolled", _delayed(k, rolled=True)))
-    return [
-        *cases,
-        ("noise", lambda result: _troubled(result).noisy),
-        ("soft tyres", lambda result: _troubled(result).soft),
-    ]
-
-
-def _nominal(k: int) -> Callable[[Compared], Drive]:
-    return lambda result: result.lane_change[k]
-
-
-def _delayed(k: int, *, rolled: bool) -> Callable[[Compared], Drive]:
-    return lambda result: _troubled(result).delayed[k][rolled]
-
-
-def _troubled(result: Compared) -> Troubled:
-    assert result.troubled is not None
-    return result.troubled
 
 
 def _statement(parameters: ComparisonParameters) -> str:
@@ -198,16 +156,21 @@ def _ranked(found: Found, value: Callable[[Compared], float], what: str, unit: s
         yield f"{what}: no baseline is better than {flow}"
 
 
-def _lost(found: Found, cases: Sequence[Case]) -> Iterator[str]:
+def _lost(found: Found, cases: Sequence[str]) -> Iterator[str]:
     """Yield how each lost vehicle was lost."""
     for result in found.values():
-        ends = [f"{name} {drive_of(result).failure}" for name, drive_of in cases if drive_of(result).failure]
+        ends = [f"{case} {result.drives[case].failure}" for case in cases if result.drives[case].failure]
         if ends:
             yield f"{result.name}: {_LOST}: {'; '.join(ends)}"
 
 
-def _lateral(drive_of: Callable[[Compared], Drive]) -> Callable[[Compared], float]:
-    return lambda result: drive_of(result).peak_lateral_cm
+def _lateral(case: str) -> Callable[[Compared], float]:
+    return lambda result: result.drives[case].peak_lateral_cm
+
+
+def _peaks(found: Drive) -> tuple[Cell, Cell, Cell]:
+    """Return a drive's cells below ``_PEAKS``."""
+    return _cell(found.peak_lateral_cm), _cell(found.peak_heading_deg), _cell(found.peak_steering_rate_deg_s)
 
 
 def _median_us(result: Compared) -> float:

@@ -14,19 +14,20 @@ from robofleet.core.figures import COLOURS, INK, QUIET, STYLE
 from robofleet.experiments.results import Curve, Figure, Panel
 
 _LINES = {"solid": "-", "dashed": (0, (4, 3)), "dots": "none"}
-_WIDTH, _HEIGHT = 5.0, 2.9  # of a panel [inch]
+_PANEL_WIDTH_INCH, _PANEL_HEIGHT_INCH = 5.0, 2.9
 _DPI = 160
-_DIED_AWAY = 0.3  # of the peak
-_LABEL_HEIGHT = 0.065  # as a share of the axes
+_DIED_AWAY_SHARE = 0.3  # of the peak
+_LABEL_HEIGHT_SHARE = 0.065  # of the axes
 _BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", "#1b6ca8"])
 
 
 def draw(figure: Figure, stem: Path) -> list[Path]:
     """Write ``stem``.png and ``stem``.svg; return both."""
     count = len(figure.panels)
-    columns = 1 if figure.stacked else 3 if count == 3 else min(count, 2)
+    columns = 3 if count == 3 else min(count, 2)
     rows = -(-count // columns)
-    width, height = (_WIDTH if columns < 3 else 0.8 * _WIDTH) * columns, _HEIGHT * rows + 0.4
+    width = (1.0 if columns < 3 else 0.8) * _PANEL_WIDTH_INCH * columns
+    height = _PANEL_HEIGHT_INCH * rows + 0.4
     if count == 1:
         width, height = 6.4, height + 1.2 * figure.panels[0].equal
     with mpl.rc_context(STYLE):
@@ -93,7 +94,7 @@ def _label(axes: Axes, curves: tuple[Curve, ...]) -> None:
 
 def _height(y: Array) -> float:
     """Return y's end, or its peak where it has died away by then; of two nearly equal peaks the positive."""
-    if abs(y[-1]) > _DIED_AWAY * np.abs(y).max():
+    if abs(y[-1]) > _DIED_AWAY_SHARE * np.abs(y).max():
         return float(y[-1])
     return float(y.max() if y.max() > -0.95 * y.min() else y.min())
 
@@ -101,9 +102,9 @@ def _height(y: Array) -> float:
 def _spread(shares: list[float]) -> list[float]:
     """Return ascending heights, moved apart where they are too close, inside [0, 1] if there is room."""
     for k in range(1, len(shares)):
-        shares[k] = max(shares[k], shares[k - 1] + _LABEL_HEIGHT)
+        shares[k] = max(shares[k], shares[k - 1] + _LABEL_HEIGHT_SHARE)
     top = 1.0
     for k in range(len(shares) - 1, -1, -1):
         shares[k] = min(shares[k], top)
-        top = shares[k] - _LABEL_HEIGHT
+        top = shares[k] - _LABEL_HEIGHT_SHARE
     return shares

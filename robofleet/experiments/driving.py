@@ -19,6 +19,8 @@ from robofleet.experiments.simulate import Drive, Loop
 OTHER_MODELS = "the sources' columns are other models on other roads: no claim of being better rests on them"
 
 
+Pair = tuple[Cell, Cell]  # a peak lateral error [cm] and a peak heading error [deg]
+NOT_GIVEN: tuple[Pair, Pair] = ((None, None), (None, None))
 Group = tuple[str, Sequence[tuple[str, Array, Drive]]]  # title; label, abscissa [m] and drive of each curve
 _TOPICS: tuple[tuple[str, str, str, Callable[[Drive], Array]], ...] = (
     ("control-error", "control error", "cm", lambda d: 1e2 * d.control_error),
@@ -40,7 +42,6 @@ class FlowParameters(Model):
         return FlowSettings(self.alpha, self.horizon_s, step, self.integrator, delay=delay)
 
     def __str__(self) -> str:
-        """Return it as the tables show it."""
         return f"T {self.horizon_s:g} s, alpha {self.alpha:g} 1/s, {self.integrator}"
 
 
@@ -102,19 +103,15 @@ class Peaks:
     heading_deg: float
     control_error_cm: float
     acceleration: float  # a_l [m/s^2]
-    steering_rate: float  # from one control step to the next [deg/s]
 
 
 def peaks(drive: Drive, since: float = 0.0) -> Peaks:
-    """Return the peaks of a drive."""
     chosen = drive.t >= since
-    steering = np.diff(drive.inputs[chosen, 1]) / (drive.t[1] - drive.t[0])
     return Peaks(
         _largest(drive.lateral[chosen]) * 1e2,
         float(np.degrees(_largest(drive.heading[chosen]))),
         _largest(drive.control_error[chosen]) * 1e2,
         _largest(drive.inputs[chosen, 0]),
-        float(np.degrees(_largest(steering))),
     )
 
 
@@ -150,10 +147,22 @@ def topics(groups: Sequence[Group], x_label: str, what: str) -> list[Figure]:
     return figures
 
 
-def speed_table(title: str, speeds: Sequence[str], columns: Mapping[str, Sequence[Cell]], form: str) -> Table:
-    """Return a table with a row a speed and a column a source."""
-    rows = tuple(zip(speeds, *columns.values(), strict=True))
-    return Table(title, ("speed", *columns), rows, (), ("", *(form for _ in columns)))
+def peak_tables(
+    title: str, speeds: Sequence[str], columns: Mapping[str, Sequence[Pair]], notes: tuple[str, ...], heading_form: str
+) -> tuple[Table, Table]:
+    """Return the tables of the peak lateral and heading errors, with a row a speed and a column a source."""
+    kinds = ("lateral error, cm", ".1f", ()), ("heading error, deg", heading_form, notes)
+    tables = []
+    for k, (what, form, own_notes) in enumerate(kinds):
+        rows = zip(speeds, *([pair[k] for pair in pairs] for pairs in columns.values()), strict=True)
+        formats = "", *(form for _ in columns)
+        tables.append(Table(f"{title}: peak {what}", ("speed", *columns), tuple(rows), own_notes, formats))
+    return tables[0], tables[1]
+
+
+def errors(drives: Sequence[Drive]) -> list[Pair]:
+    """Return the peaks of each drive as ``peak_tables`` shows them."""
+    return [(found.lateral_cm, found.heading_deg) for found in map(peaks, drives)]
 
 
 def _largest(values: Array) -> float:

@@ -4,7 +4,7 @@ No reading of the text gives Table 2 exactly. Two are shown: eq. 26 and T as pri
 after the other; and a minus sign before the second term, a double lane change, with the T that fits best.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -16,14 +16,13 @@ from robofleet.control.bicycle import bicycle_plant
 from robofleet.core.settings import Model, Positive
 from robofleet.experiments import driving
 from robofleet.experiments.curves import Reference, lane_change
-from robofleet.experiments.driving import DriveParameters, FlowParameters, Peaks, Speeds, peaks, speed_table
+from robofleet.experiments.driving import DriveParameters, FlowParameters, Speeds, peaks
 from robofleet.experiments.results import Cell, Curve, Figure, Panel, Result, Table
 from robofleet.experiments.simulate import DivergedError, Drive, drive
 from robofleet.vehicles.bicycle import FALCONE_2007
 
 # Table 2, by speed [m/s]: peak lateral error [cm] and heading error [deg], the paper's and its source's
-TABLE_2 = {10.0: (7.0, 96.0, 2.2, 2.6), 15.0: (16.0, 125.0, 2.2, 2.67), 19.0: (25.0, 158.0, 2.1, 2.33)}
-_NOT_GIVEN = (None, None, None, None)
+TABLE_2 = {10.0: ((7.0, 2.2), (96.0, 2.6)), 15.0: ((16.0, 2.2), (125.0, 2.67)), 19.0: ((25.0, 2.1), (158.0, 2.33))}
 _DRAWN_M = 150.0  # z1 up to which is drawn: the road is straight from 110 m on
 _START_UP_M = 60.0
 _PEAK_M = 0.01  # a smaller peak is not listed
@@ -55,7 +54,6 @@ class LaneChangeParameters(DriveParameters):
             yield "curve_length_m", f"too short: {reason}, not {self.curve_length_m:g}"
 
     def reference(self, reading: Reading) -> Reference:
-        """Return a reading's curve by arc length."""
         return lane_change(1.0 if reading.second_term == "plus" else -1.0, self.curve_length_m)
 
 
@@ -93,19 +91,13 @@ def _names(parameters: LaneChangeParameters) -> list[str]:
 
 
 def _tables(parameters: LaneChangeParameters, paper: list[list[Drive]], ours: list[list[Drive]]) -> tuple[Table, Table]:
-    """Return Table 2, lateral and heading errors."""
-    printed = [TABLE_2.get(speed, _NOT_GIVEN) for speed in parameters.speeds_m_s]
-    columns: dict[str, list[Peaks]] = {}
+    printed = [TABLE_2.get(speed, driving.NOT_GIVEN) for speed in parameters.speeds_m_s]
+    columns: dict[str, list[driving.Pair]] = {}
     for prefix, drives in (("", paper), ("own, ", ours)):
         for reading, found in zip(parameters.readings, drives, strict=True):
-            columns[prefix + reading.name] = [peaks(drive) for drive in found]
-    lateral: dict[str, Sequence[Cell]] = {name: [p.lateral_cm for p in found] for name, found in columns.items()}
-    heading: dict[str, Sequence[Cell]] = {name: [p.heading_deg for p in found] for name, found in columns.items()}
+            columns[prefix + reading.name] = driving.errors(found)
     for k, name in enumerate(("paper", "Falcone 07")):
-        lateral[name], heading[name] = [row[k] for row in printed], [row[k + 2] for row in printed]
-    names = _names(parameters)
-    lateral_table = speed_table("Table 2, lane change: peak lateral error, cm", names, lateral, ".1f")
-    heading_table = speed_table("Table 2, lane change: peak heading error, deg", names, heading, ".2f")
+        columns[name] = [row[k] for row in printed]
     signs = {"plus": "eq. 26 with its plus sign", "minus": "eq. 26 with a minus sign before its second term"}
     notes = (
         *(f"{reading.name}: {signs[reading.second_term]}; {reading.flow}" for reading in parameters.readings),
@@ -114,7 +106,7 @@ def _tables(parameters: LaneChangeParameters, paper: list[list[Drive]], ours: li
         *parameters.statement(),
         f"Falcone 07: {driving.OTHER_MODELS}",
     )
-    return lateral_table, replace(heading_table, notes=notes)
+    return driving.peak_tables("Table 2, lane change", _names(parameters), columns, notes, ".2f")
 
 
 def _transient(parameters: LaneChangeParameters, paper: list[list[Drive]], early: list[list[Drive]]) -> Table:

@@ -10,13 +10,15 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from robofleet.config.faults import did_you_mean
+from robofleet.config.files import names
 from robofleet.config.files.parameters import load_parameters
 from robofleet.control.flow import FlowError
 from robofleet.core.errors import RobofleetError
 from robofleet.core.valid_json import dumps
-from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.results import Result, Table
 from robofleet.experiments.simulate import DivergedError
+
+SHIPPED = names.SHIPPED / "paper"  # the parameters of each experiment
 
 # the module, whose ``run(parameters) -> Result`` does it, and its class of parameters: configs/paper/<name>.yaml
 EXPERIMENTS = {

@@ -11,11 +11,11 @@ from pydantic import Field
 
 from robofleet.behaviours.paths import PathFile
 from robofleet.behaviours.platoon import Platoon
+from robofleet.config.files.names import SHIPPED
 from robofleet.config.files.parameters import Parameters
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.settings import NonNegative, Positive
-from robofleet.experiments.parameters import SHIPPED
 from robofleet.experiments.platoon_gain import INTEGRATORS, GainParameters, Integrator, robot_gains, settings_of
 from robofleet.experiments.platoon_views import (
     Drive,
@@ -46,7 +46,7 @@ class PlatoonParameters(Parameters):
 
 def run(parameters: PlatoonParameters) -> Result:
     """Drive all platoons, measure the gains, and put both into tables and figures."""
-    base = load_config(SHIPPED.parent / f"{parameters.config}.yaml", [f"run.seed={parameters.seed}"])
+    base = load_config(SHIPPED / f"{parameters.config}.yaml", [f"run.seed={parameters.seed}"])
     drives = {(n, i): drive(parameters, base, n, i) for n in parameters.sizes for i in INTEGRATORS}
     gains = {integrator: robot_gains(parameters.gain, base, integrator) for integrator in INTEGRATORS}
     frequencies = np.array(parameters.gain.periods) / parameters.gain.period_s
@@ -66,7 +66,6 @@ def run(parameters: PlatoonParameters) -> Result:
 
 
 def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Drive:
-    """Run a platoon of any length in lockstep."""
     config = scaled(parameters, base, robots, integrator)
     lockstep = Lockstep(config)
     outcome, cause = lockstep.run()
@@ -75,7 +74,7 @@ def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: 
     found = Run(lockstep.recording)
     points = found.points()
     assert points is not None
-    (recorded,) = found.told
+    (recorded,) = found.group_figures
     return Drive(found.t, recorded.figures["control_error"], points, settings_of(config).path.path())
 
 

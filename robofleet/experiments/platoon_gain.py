@@ -74,15 +74,9 @@ def _along(parameters: GainParameters, base: Config, integrator: Integrator, amp
     given = own.path.path()
     speed = own.path_rate * given.length() / given.sides
     settings = PlatoonSettings(
-        c.alpha,
-        c.horizon_s,
-        c.point_ahead_m,
-        own.spacing_m,
-        speed * path.sides / path.length(),
-        c.tick_s,
-        integrator,
-        "point",
-    )
+        c.alpha, c.horizon_s, c.point_ahead_m, own.spacing_m, speed * path.sides / path.length(), c.tick_s,
+        integrator, "point",
+    )  # fmt: skip
     vehicle = slices.drive(base.members[0])
     law = PlatoonLaw(path, settings, (vehicle,) * parameters.robots)
     fleet = _Circling(vehicle, radius, own.spacing_m, parameters.robots, c.point_ahead_m)

@@ -24,7 +24,6 @@ class Table:
         return {"title": self.title, "rows": rows, "notes": list(self.notes)}
 
     def text(self, row: tuple[Cell, ...]) -> tuple[str, ...]:
-        """Return a row as it is printed."""
         formats = self.formats or ("",) * len(row)
         return tuple(_text(cell, form) for cell, form in zip(row, formats, strict=True))
 
@@ -46,7 +45,6 @@ class Map:
     x: Array
     y: Array
     values: Array
-    label: str
 
 
 @dataclass(frozen=True)
@@ -65,12 +63,11 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture of one topic: panels side by side, or one above the other when ``stacked``."""
+    """A picture of one topic: panels side by side."""
 
     name: str
     title: str
     panels: tuple[Panel, ...]
-    stacked: bool = False
 
 
 @dataclass(frozen=True)

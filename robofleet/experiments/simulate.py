@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from robofleet.control.arrays import compiled
 from robofleet.control.flow import FlowSettings, NewtonRaphsonFlow, Plant
 from robofleet.control.flow_step import Slot, Status, layout
-from robofleet.control.prediction import compiled
 from robofleet.core.arrays import Array
 from robofleet.core.errors import RobofleetError
 from robofleet.core.kernels import model

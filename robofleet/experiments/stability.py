@@ -43,7 +43,6 @@ class StabilityParameters(Parameters):
     bicycle_speeds_m_s: tuple[Positive, ...] = Field(min_length=1, strict=False)
 
     def complaints(self) -> Iterator[Complaint]:
-        """Ranges go upwards."""
         for name in ("alpha_1_s", "horizon_s", "step_s"):
             low, high = getattr(self, name)
             if low >= high:
@@ -188,15 +187,10 @@ def _longest_step(p: StabilityParameters, plant: Plant, x: Array, alpha: float, 
 
 
 def _horizon_maps(p: StabilityParameters, systems: list[tuple[str, Plant, Array]]) -> Figure:
-    alphas, horizons = _grid(p.alpha_1_s, p.points), _grid(p.horizon_s, p.points)
-    panels = []
+    alphas, panels = _grid(p.alpha_1_s, p.points), []
     for name, plant, x in systems:
-        values = [
-            [spectral_radius(plant, FlowSettings(a, T, p.boundary_alpha_step / a), x) <= 1.0 for a in alphas]
-            for T in horizons
-        ]
         curves = (Curve("T = 1 / alpha", alphas, 1.0 / alphas), Curve("T = 3 / alpha", alphas, 3.0 / alphas, "dashed"))
-        field = Map(alphas, horizons, np.array(values, dtype=np.float64), "stable")
+        field = _map(p, p.horizon_s, plant, x, lambda alpha, T: FlowSettings(alpha, T, p.boundary_alpha_step / alpha))
         panels.append(Panel("alpha [1/s]", "T [s]", curves, name, field, ("log", "log"), y_limits=p.horizon_s))
     return Figure("horizon", "Stable speed-ups and horizons", tuple(panels))
 
@@ -204,25 +198,30 @@ def _horizon_maps(p: StabilityParameters, systems: list[tuple[str, Plant, Array]
 def _step_maps(
     p: StabilityParameters, systems: list[tuple[str, Plant, Array]], found: dict[tuple[str, Integrator], Array]
 ) -> Figure:
-    alphas, steps = _grid(p.alpha_1_s, p.points), _grid(p.step_s, p.points)
-    panels = []
+    alphas, panels = _grid(p.alpha_1_s, p.points), []
     for name, plant, x in (systems[0], systems[-1]):
         for integrator in _INTEGRATORS:
-            values = [
-                [
-                    spectral_radius(plant, FlowSettings(a, p.step_map_horizon_s, step, integrator), x) <= 1.0
-                    for a in alphas
-                ]
-                for step in steps
-            ]
+
+            def settings(alpha: float, step: float, integrator: Integrator = integrator) -> FlowSettings:
+                return FlowSettings(alpha, p.step_map_horizon_s, step, integrator)
+
             curves = (
                 Curve("boundary", alphas, found[name, integrator]),
                 Curve("step = 2 / alpha", alphas, 2.0 / alphas, "dashed"),
             )
-            field = Map(alphas, steps, np.array(values, dtype=np.float64), "stable")
-            title = f"{name}, {integrator}"
+            field, title = _map(p, p.step_s, plant, x, settings), f"{name}, {integrator}"
             panels.append(Panel("alpha [1/s]", "step [s]", curves, title, field, ("log", "log"), y_limits=p.step_s))
     return Figure("step", f"Stable control steps at T = {p.step_map_horizon_s:g} s", tuple(panels))
+
+
+def _map(
+    p: StabilityParameters, limits: tuple[float, float], plant: Plant, x: Array,
+    settings: Callable[[float, float], FlowSettings],
+) -> Map:  # fmt: skip
+    """Return where a control step is stable, over alpha and what the limits are of."""
+    alphas, values = _grid(p.alpha_1_s, p.points), _grid(limits, p.points)
+    stable = [[spectral_radius(plant, settings(alpha, value), x) <= 1.0 for alpha in alphas] for value in values]
+    return Map(alphas, values, np.array(stable, dtype=np.float64))
 
 
 def _grid(limits: tuple[float, float], points: int) -> Array:

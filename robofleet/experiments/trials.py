@@ -15,8 +15,7 @@ def paper(
     experiment: Annotated[
         str,
         typer.Argument(
-            metavar="NAME",
-            help="memoryless, stability, closed-curve, lane-change, platoon, comparison, or all.",
+            metavar="NAME", help="memoryless, stability, closed-curve, lane-change, platoon, comparison, or all."
         ),
     ] = "all",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-paper.")] = None,

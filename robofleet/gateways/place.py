@@ -1,15 +1,21 @@
 """The run that a gateway serves, and whether it goes on: of this computer, or of an arena that this one has joined."""
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
+
+import typer
 
 from robofleet.core.clock import S
 from robofleet.core.refusal import RefusedError
 
 if TYPE_CHECKING:
     from robofleet.bus.credentials import Credentials
+    from robofleet.bus.zenoh_bus import ZenohBus
     from robofleet.config.tree import Config
+    from robofleet.core.clock import Clock
 
 
 class ArenaAccess(NamedTuple):
@@ -37,6 +43,29 @@ def run_of(arena: str | None, copy: Path | None) -> "tuple[Config, ArenaAccess]"
     if copy is None:
         raise RefusedError(f"{joined.arena} is another computer's: name a copy of its configuration in --config")
     return load_config(copy), ArenaAccess(joined.router, joined.credentials, joined.role)
+
+
+JOINED_WITHIN_S = 3.0  # the bus of a run that is on
+
+
+def joined_bus(
+    config: "Config", access: ArenaAccess, role: str, clock: "Clock", within_s: float = JOINED_WITHIN_S,
+    look: Callable[[], None] | None = None,
+) -> "ZenohBus":  # fmt: skip
+    """Return a run's bus, to be closed; TimeoutError where nobody answers. ``look`` is called meanwhile."""
+    from robofleet.bus.joining import joined  # noqa: PLC0415
+
+    return joined(config.arena.name, access.endpoint, role, clock, within_s, look, access.credentials)
+
+
+@contextmanager
+def answering(config: "Config") -> Iterator[None]:
+    """End with exit code 1 and a line where a run's bus does not answer (TimeoutError)."""
+    try:
+        yield
+    except TimeoutError as error:
+        print(f"the run of {config.arena.name}: {error}", file=sys.stderr)
+        raise typer.Exit(1) from error
 
 
 def joined_otherwise(config: "Config", access: ArenaAccess, role: str) -> str | None:
@@ -70,7 +99,6 @@ class Served:
         self._epoch, self._newest = 0, 0  # of supervisors; 0: none was heard
 
     def take(self, epoch: int, now_ns: int) -> None:
-        """Take the epoch of a supervisor that has spoken."""
         self._newest = epoch
         self._epoch, self._heard_ns = self._epoch or self._newest, now_ns
 

@@ -51,7 +51,6 @@ class _Any(BaseModel):
 
 
 def bundled(own: Credentials, passport: Passport, router: tuple[str, ...]) -> Bundle:
-    """Return the bundle of a name."""
     certificate, key, authority = (file.read_text() for file in own[1:])
     return Bundle(
         robofleet=version("robofleet"), passport=passport, certificate=certificate, key=key, authority=authority,
@@ -60,7 +59,6 @@ def bundled(own: Credentials, passport: Passport, router: tuple[str, ...]) -> Bu
 
 
 def write(file: Path, bundle: Bundle) -> None:
-    """Write a bundle, which only its owner may read."""
     write_private(file, bundle.model_dump_json(indent=1).encode())
 
 

@@ -188,7 +188,6 @@ def _refuse_service(kind: str, into: Path | None) -> None:
 
 
 def _install(arena: str, unit: str) -> None:
-    """Write the service of a unit's driver."""
     program = shutil.which("robofleet") or f"{sys.executable} -P -m robofleet"
     keys = folders.SYSTEM / "keys" / arena
     handed = "\n".join(

@@ -2,7 +2,7 @@
 
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -132,9 +132,9 @@ class BehaviourRunner:
         self._ticks += moving
         self._numbers.fill(np.nan)
         velocities, of_body = np.zeros((len(driving), 2)), np.zeros(len(driving), dtype=np.bool_)
-        for k, situation in self._situations(bodies, seen, driving, disturbance, setpoints):
-            own = self._crew[k][1]
-            if (answer := self._ask(k, situation, driving[own])) is not None:
+        situation = self._situations(bodies, seen, driving, disturbance, setpoints)
+        for k, (_, own) in enumerate(self._crew):
+            if k not in self._stopped and (answer := self._ask(k, situation(k), driving)) is not None:
                 decision, velocities[own] = answer
                 of_body[own] = decision.of == "body"
                 self._keep(k, decision)
@@ -146,17 +146,20 @@ class BehaviourRunner:
 
     def _situations(
         self, bodies: Array, seen: Flags, driving: Flags, disturbance: Array, setpoints: Sequence[Wish | None]
-    ) -> Iterator[tuple[int, Situation]]:
-        """Yield what each group that has not failed decides by, after its row of the crew."""
+    ) -> Callable[[int], Situation]:
+        """Return what tells by what each row of the crew decides."""
         poses, may, w = bodies[: len(driving)].copy(), driving.copy(), disturbance.copy()  # a behaviour may write there
         others, t = self._others(bodies, seen), max(0, self._ticks) * self._tick_s
         known = setpoints if self.phase is Phase.RUNNING else ()
-        for k, (behaviour, own) in enumerate(self._crew):
-            if k not in self._stopped:
-                yield k, Situation(
-                    t=t + behaviour.team.delay, poses=poses[own], driving=may[own], disturbance=w[own],
-                    others=others(own), wish=known[k] if known else None,
-                )  # fmt: skip
+
+        def situation(k: int) -> Situation:
+            behaviour, own = self._crew[k]
+            return Situation(
+                t=t + behaviour.team.delay, poses=poses[own], driving=may[own], disturbance=w[own],
+                others=others(own), wish=known[k] if known else None,
+            )  # fmt: skip
+
+        return situation
 
     def _others(self, bodies: Array, seen: Flags) -> Callable[[slice], Array]:
         """Return what tells a group who else is in the arena (M, 3): x, y, body radius [m]."""
@@ -180,9 +183,8 @@ class BehaviourRunner:
         if velocities.shape != (own.stop - own.start, 2):
             self._fail(k, 0, Event.BEHAVIOUR_SHAPE, f"velocities of shape {velocities.shape}")
             return None
-        speeds = np.abs(velocities)
-        within = np.maximum.reduce(speeds, None) < _BEYOND  # not so of NaN
-        if not within and (unknown := ~(speeds < _BEYOND).all(axis=1) & driving).any():
+        within = np.vdot(velocities, velocities) < _BEYOND**2  # not so of NaN
+        if not within and (unknown := ~(np.abs(velocities) < _BEYOND).all(axis=1) & driving[own]).any():
             row = int(unknown.argmax())
             self._fail(k, row, Event.BEHAVIOUR_NOT_FINITE, f"a velocity {velocities[row]}")
             return None

@@ -134,11 +134,8 @@ class CameraReports:
             ticks = min(self._cameras[k].tick for k in used)
             before = before._replace(tracker_ns=now_ns, image=self._looks, image_tick=ticks)
         wrong = [camera.build for camera in self._cameras if camera.heard_ns and camera.build != self._build]
-        return before._replace(
-            tracker_build=wrong[0] if wrong else self._build,
-            tracker_epoch=1,
-            cameras_out=() if none_left else tuple(out),
-        )
+        build, cameras_out = wrong[0] if wrong else self._build, () if none_left else tuple(out)
+        return before._replace(tracker_build=build, tracker_epoch=1, cameras_out=cameras_out)
 
     def _take(self, number: int, robots: NDArray[Any], poses: NDArray[Any], image: int, now_ns: int) -> None:
         camera = self._cameras[number]
@@ -164,9 +161,7 @@ class CameraReports:
         """
         robots["camera_out"] = 0
         rows = np.flatnonzero((robots["unseen_ns"] >= UNSEEN_NS) & (robots["seen_ns"] != NEVER))
-        away = np.array(
-            [latch_group.out_ns is not None and now_ns - latch_group.out_ns < LOST_NS for latch_group in self._cameras]
-        )
+        away = np.array([c.out_ns is not None and now_ns - c.out_ns < LOST_NS for c in self._cameras])
         if not (len(rows) and away.any() and any(believed)):
             return
         last = self._last[rows]
@@ -235,7 +230,6 @@ KERNELS = (_take_image,)
 
 
 def compile_kernels(robots: NDArray[Any]) -> None:
-    """Compile, or load from the cache."""
     none = np.zeros(0, np.int64)
     poses = np.ndarray((0,), FLEET_POSES.item_dtype, b"0")
     _take_image(robots, poses, np.full(1, _UNKNOWN_ROW), none, none, none, 0, np.uint64(0), 0, none, 0)

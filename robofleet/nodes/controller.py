@@ -95,8 +95,7 @@ class Controller:
         self._runner, self._groups = BehaviourRunner(config, judge), groups.rows(config.groups)
         self._setpoints = SetpointInbox(config, bus)
         self._crawls = crawls(config)
-        self._robots = rows = np.zeros((len(robots), len(RobotTick._fields)))  # of a tick's record
-        self._columns = rows[:, :3], rows[:, 3:5], rows[:, 5:7], rows[:, 7:9], *rows.T[9:]
+        self._robots = np.zeros((len(robots), len(RobotTick._fields)))  # of a tick's record
         self._begin()
 
     def _begin(self) -> None:
@@ -270,12 +269,10 @@ class Controller:
         seq: int,
     ) -> None:  # fmt: skip
         """Publish what a tick read, and what came of it."""
-        figures = (
-            prediction.now, request.points, final.u, final.wheels, request.saturated,
+        _fill_record(
+            self._robots, prediction.now, request.points, final.u, final.wheels, request.saturated,
             used, prediction.lost, final.change, final.blocked, self._runner.failed,
         )  # fmt: skip
-        for column, values in zip(self._columns, figures, strict=True):
-            column[:] = values
         running = self._phase is Phase.RUNNING
         head = (
             self._epoch, self._build, self._index, self._run_tick if running else -1, tick_ns,
@@ -297,6 +294,21 @@ def _fill_commands(commands, statuses, mine, rows, places, wheels):  # type: ign
     return some
 
 
+@kernel
+def _fill_record(  # type: ignore[no-untyped-def]
+    robots, poses, points, u, wheels, saturated, used, lost, change, blocked, failed
+):
+    """Write the robots (N,) of a tick's record, each the fields of a RobotTick."""
+    for k in range(len(robots)):
+        row = robots[k]
+        row[0], row[1], row[2] = poses[k, 0], poses[k, 1], poses[k, 2]
+        row[3], row[4] = points[k, 0], points[k, 1]
+        row[5], row[6] = u[k, 0], u[k, 1]
+        row[7], row[8] = wheels[k, 0], wheels[k, 1]
+        row[9], row[10], row[11] = saturated[k], used[k], lost[k]
+        row[12], row[13], row[14] = change[k], blocked[k], failed[k]
+
+
 def compile_kernels(config: Config, say: Say | None = None) -> None:
     """Compile every numba kernel of the control path, or load it from the cache, before the first tick.
 
@@ -309,6 +321,7 @@ def compile_kernels(config: Config, say: Say | None = None) -> None:
         *estimator.KERNELS,
         *safety_barrier.KERNELS,
         _fill_commands,
+        _fill_record,
     )
     with told("control", kernels, say or on_stderr()):
         _call_kernels(config)
@@ -327,14 +340,18 @@ def _call_kernels(config: Config) -> None:
         estimator.measurements(nobody, estimator.rows_of({}), instant_ns, instant_ns, poses, instants_ns)
         fleet_filter.observe(np.full(n, instant_ns), np.zeros((n, estimator.COLUMNS)))
         estimator.ages(fleet_filter.measured_ns, instant_ns)
-        _, then, _ = fleet_filter.predict(instant_ns + 1)
+        now, then, _ = fleet_filter.predict(instant_ns + 1)
         w = fleet_filter.disturbance(then, c.point_ahead_m)
         bodies = np.zeros((len(config.bodies), 3))
         bodies[:n] = then
         decided = runner.decide(bodies, everybody, driving, w, moving=True)
         limits = wheel_limits.limits(fleet.drives(config))
         request = wheel_limits.limited(decided.velocities, decided.of_body, bodies, c.point_ahead_m, limits, driving)
-        barrier.filter(bodies, bodies[:, :2].copy(), bodies[:, 0].copy(), driving, request.wheels, request.u)
+        final = barrier.filter(bodies, bodies[:, :2].copy(), bodies[:, 0].copy(), driving, request.wheels, request.u)
+        _fill_record(
+            np.zeros((n, len(RobotTick._fields))), now, request.points, final.u, final.wheels, request.saturated,
+            driving, driving, final.change, final.blocked, runner.failed,
+        )  # fmt: skip
         for wanted, phase in ((to_start, Phase.POSITIONING), (to_park, Phase.PARKING)):
             if wanted:  # its behaviour rehearses by its first decisions
                 runner.restart(phase)

@@ -6,36 +6,26 @@ from robofleet.config import slices
 from robofleet.config.barrier import body, keepout
 from robofleet.config.tree import Config
 from robofleet.safety.barrier import Barrier
-from robofleet.tracking.filter.estimator import Bystanders, FilterNoise, FleetFilter
+from robofleet.tracking.filter.estimator import Bystanders, FleetFilter
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 
 def fleet_filter(config: Config) -> FleetFilter:
     """Return the Kalman filter of the members' poses."""
-    f = config.controller.filter
-    noise = FilterNoise(
-        f.position_noise_m,
-        f.heading_noise_rad,
-        f.position_drift_m,
-        f.heading_drift_rad,
-        f.gate_sigma,
-        f.efficiency_sigma if config.controller.disturbance == "estimated" else 0.0,
-        f.efficiency_time_s,
-    )
+    noise = config.controller.filter
+    if config.controller.disturbance != "estimated":
+        noise = noise.model_copy(update={"efficiency_sigma": 0.0})
     return FleetFilter(drives(config), tuple(slices.delay_ns(config, robot) for robot in config.members), noise)
 
 
 def barrier(config: Config) -> Barrier:
-    """Return the barrier of the members among all bodies."""
     return Barrier(keepout(config), tuple(body(config, robot) for robot in config.bodies))
 
 
 def bystanders(config: Config) -> Bystanders:
-    """Return what knows where the robots stand that nobody drives."""
     radii = np.array([robot.vehicle.body_radius_m for robot in config.bystanders])
     return Bystanders(radii, config.controller.barrier.age_s)
 
 
 def drives(config: Config) -> tuple[DifferentialDrive, ...]:
-    """Return what is believed of each member's drive."""
     return tuple(slices.drive(robot) for robot in config.members)

@@ -8,13 +8,7 @@ from numpy.typing import NDArray
 
 from robofleet.bus.bus import Bus, Inbox, Wake
 from robofleet.bus.keys import RECORDER, TICK
-from robofleet.bus.messages import (
-    RECORDER_STATUS,
-    TICK_RECORD,
-    UNIT_STATUS,
-    RecorderStatus,
-    TickRecord,
-)
+from robofleet.bus.messages import RECORDER_STATUS, TICK_RECORD, UNIT_STATUS, RecorderStatus, TickRecord
 from robofleet.bus.statuses import Statuses
 from robofleet.config import slices
 from robofleet.config.tree import Config
@@ -55,13 +49,9 @@ class FleetListener:
             self._take_tick(*tick, now_ns)
         self._fleet, news = self._cameras.look(self._robots, self._fleet, now_ns)
         self._fleet = self._fleet._replace(
-            now_ns=now_ns,
-            robots=Rows(self._robots).copied(),
-            news=news,
-            free_bytes=self._room(),
-            operator_ns=operator_ns,
-            machine=self._machine(now_ns),
-        )
+            now_ns=now_ns, robots=Rows(self._robots).copied(), news=news, free_bytes=self._room(),
+            operator_ns=operator_ns, machine=self._machine(now_ns),
+        )  # fmt: skip
         return self._fleet
 
     def _room(self) -> int:
@@ -83,13 +73,9 @@ class FleetListener:
         if record.epoch == self._fleet.controller_epoch and record.tick <= self._fleet.tick:
             return
         self._fleet = self._fleet._replace(
-            controller_ns=now_ns,
-            controller_epoch=record.epoch,
-            controller_build=record.build,
-            tick=record.tick,
-            overruns=record.overruns,
-            arrived=record.phase * record.arrived,
-        )
+            controller_ns=now_ns, controller_epoch=record.epoch, controller_build=record.build, tick=record.tick,
+            overruns=record.overruns, arrived=record.phase * record.arrived,
+        )  # fmt: skip
         _take_tick(self._robots, robots, _FAILURES, record.phase in MOVING)
 
 

@@ -25,7 +25,6 @@ class HandedError(RobofleetError):
 
 
 def packed(config: Config) -> Handed:
-    """Return a configuration as a message."""
     text = json.dumps({"version": version("robofleet"), "config": config.model_dump(mode="json")})
     return Handed(slices.build(config), zlib.compress(text.encode()))
 

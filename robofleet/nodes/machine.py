@@ -44,9 +44,8 @@ class MachineProbe:
             contended_ns = 1000 * int(pressure.split(b"\n")[0].rpartition(b"total=")[2])
         else:
             contended_ns = self._crowded(now_ns, int(load[3].split(b"/")[0]))
-        contended_ns += (
-            _KERNEL_TICK_NS * int(stolen[_STEAL_COLUMN]) // self._cores if len(stolen) > _STEAL_COLUMN else 0
-        )
+        if len(stolen) > _STEAL_COLUMN:
+            contended_ns += _KERNEL_TICK_NS * int(stolen[_STEAL_COLUMN]) // self._cores
         turns = () if self._siblings is None else self._siblings(now_ns)
         return Machine(contended_ns, float(load[0]), self._cores, turns)
 
@@ -57,7 +56,6 @@ class MachineProbe:
         return self._crowded_ns
 
     def close(self) -> None:
-        """Leave the files."""
         for file in (self._pressure, self._stat, self._load):
             if file is not None:
                 os.close(file)
@@ -119,7 +117,6 @@ class Siblings:
         return [CONTROLLER] if command[:1] == ["controller"] else []
 
     def close(self) -> None:
-        """Leave the files."""
         for file, _ in self._files.values():
             os.close(file)
         self._files.clear()
@@ -134,15 +131,12 @@ class Silence:
         self.heard(now_ns)
 
     def of(self, pid: int) -> None:
-        """Learn whose silence it is."""
         self._account = _opened(f"/proc/{pid}/schedstat")
 
     def heard(self, at_ns: int) -> None:
-        """Take note of a word."""
         self._heard_ns, self._machine, self._turns = at_ns, self._probe(at_ns), _turns(self._account)
 
     def lasts_ns(self, now_ns: int) -> int:
-        """Return how long it lasts."""
         return now_ns - self._heard_ns
 
     def load(self, now_ns: int) -> str:
@@ -156,7 +150,6 @@ class Silence:
         return busy.words((), machine.load, machine.cores, ()) if explained else ""
 
     def close(self) -> None:
-        """Leave the probe's files."""
         self._probe.close()
         if self._account is not None:
             os.close(self._account)

@@ -1,5 +1,6 @@
 """Poses of a motion-capture system: its frames and the bodies in them, and the robots that stand in no arena."""
 
+import sys
 from collections.abc import Iterator
 from functools import partial
 
@@ -9,9 +10,18 @@ from robofleet.core.clock import S
 from robofleet.simulation.capture import SimulatedCapture
 from robofleet.simulation.sources import VirtualPoses
 from robofleet.tracking.bodies import FleetBodies
-from robofleet.tracking.capture import POLLED, CapturePoller, CaptureReader, bodies_there, open_capture
+from robofleet.tracking.capture import CaptureFrame, bodies_there, open_capture
 from robofleet.tracking.events import Notice
-from robofleet.tracking.sources import CameraError, Observation, PoseContext
+from robofleet.tracking.sources import (
+    CameraError,
+    Lost,
+    Observation,
+    Poller,
+    PoseContext,
+    Readable,
+    Reader,
+    ReopenedCamera,
+)
 
 
 class MocapPoses:
@@ -25,25 +35,22 @@ class MocapPoses:
         self._latency_ns = round(settings.latency_s * S)
         self._bodies = FleetBodies(config)
         self._virtual = VirtualPoses(config, config.virtual, context.bus, context.rng)
-        self._feed: CaptureReader | CapturePoller
+        first: Readable[CaptureFrame]
         if settings.system == "simulated":
-            capture = SimulatedCapture(config, context.bus, context.clock, context.rng)
-            if not context.real_time:
-                self._feed = CapturePoller(capture, context.clock)
-                return
-            self._feed = CaptureReader(lambda: capture, context.clock, context.wake)
+            first = SimulatedCapture(config, context.bus, context.clock, context.rng)
+            device = ReopenedCamera(first, lambda: first, calibrated="")
         else:
-            opened = partial(open_capture, settings)
-            self._feed = CaptureReader(opened, context.clock, context.wake, polled=settings.system in POLLED)
+            first = open_capture(settings, context.clock)
+            device = ReopenedCamera(first, partial(open_capture, settings, context.clock), calibrated="")
+        self._feed = Reader(device, context.wake) if context.real_time else Poller(device)
+        self._failed = False
 
     @staticmethod
     def works_in_lockstep(config: Config) -> bool:
-        """Return whether it needs no other time than the clock's."""
         return config.tracker.mocap.system == "simulated"
 
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:
-        """Return what cannot work with this configuration."""
         if not config.seen:
             yield "tracker.source", "there is no robot that it could measure, all are simulated: take truth"
 
@@ -69,22 +76,24 @@ class MocapPoses:
             yield "tracker.mocap.others", f"the body of no robot: {names}: name the robot's body, or list it here"
 
     def next_ns(self) -> int | None:
-        """Return when the next frame will be there; None: it wakes the process."""
         return self._feed.next_ns()
 
     def observe(self, now_ns: int) -> Observation | None:
-        """Return what the newest frame tells, or None."""
         frame = self._feed.take(now_ns)
+        if isinstance(frame, Lost):
+            if not self._failed:
+                print(f"motion capture: {frame.why}", file=sys.stderr)
+            self._failed = True
+            return None
         if frame is None:
             return None
+        self._failed = False
         instant_ns = frame.arrival_ns - self._latency_ns
         poses, strange = self._bodies.poses(frame.bodies, instant_ns)
         return Observation(instant_ns, poses + self._virtual.at(instant_ns), strange)
 
     def news(self) -> tuple[Notice, ...]:
-        """Return which bodies were lost and found since the last call."""
         return self._bodies.news()
 
     def close(self) -> None:
-        """Take no more frames."""
         self._feed.close()

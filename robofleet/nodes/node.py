@@ -40,7 +40,6 @@ class Waker:
         self._event.set()
 
     def wait_until(self, clock: Clock, instant_ns: int) -> None:
-        """Return at the instant, or when woken."""
         remaining_s = (instant_ns - clock.now_ns()) / S
         if remaining_s > 0:
             self._event.wait(remaining_s)

@@ -47,11 +47,9 @@ class Pictures:
 
     @property
     def waits(self) -> bool:
-        """Whether there is a picture to publish."""
         return self._shot is not None
 
     def answer(self, now_ns: int) -> None:
-        """Answer those who want to look."""
         while (request := self._request()) is not None:
             if request.payload != REQUESTED:
                 request.reply(f"refused: {request.payload!r} is not {REQUESTED.decode()}".encode())
@@ -72,7 +70,6 @@ class Pictures:
             self._newest_ns = exposure_ns
 
     def publish(self) -> None:
-        """Say the picture that waits."""
         shot, self._shot = self._shot, None
         if shot is not None:
             self._seq += 1

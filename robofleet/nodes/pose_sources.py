@@ -11,20 +11,20 @@ from robofleet.core.clock import S
 from robofleet.core.compiling import Say, told
 from robofleet.core.plugins import load
 from robofleet.simulation import arena
-from robofleet.simulation.sources import TruthSource, VirtualPoses
+from robofleet.simulation.sources import Trigger, VirtualPoses
 from robofleet.tracking.cameras.exposure import exposure_controller
 from robofleet.tracking.cameras.watch import CameraWatch
 from robofleet.tracking.events import Notice
 from robofleet.tracking.sight import FleetSight
 from robofleet.tracking.sources import (
     CameraContext,
-    CameraPoller,
-    CameraReader,
     Feed,
     Lost,
     Observation,
+    Poller,
     PoseContext,
     PoseSource,
+    Reader,
     ReopenedCamera,
     ScheduledCamera,
 )
@@ -38,7 +38,7 @@ def camera_feed(context: CameraContext, wake: Wake) -> Feed:
     open_camera = partial(load("robofleet.cameras", camera.source), context)
     first = open_camera()
     device = ReopenedCamera(first, open_camera, camera.model.camera)
-    return CameraPoller(device) if isinstance(first, ScheduledCamera) else CameraReader(device, wake)
+    return Poller(device) if isinstance(first, ScheduledCamera) else Reader(device, wake)
 
 
 def pose_source(context: PoseContext) -> PoseSource:
@@ -80,12 +80,10 @@ class CameraPoses:
         self._exposure = exposure_controller(config, feed.device.exposure_limits()) if camera.adjusts_exposure else None
 
     def next_ns(self) -> int | None:
-        """Return when the next observation will be ready; None: a message or an image will wake the process."""
         times = [at_ns for at_ns in (self._feed.next_ns(), self._watch.deadline_ns) if at_ns is not None]
         return min(times, default=None)
 
     def observe(self, now_ns: int) -> Observation | None:
-        """Return the observation that is ready, or None."""
         taken = self._feed.take(now_ns)
         tick = self._ticks.newest
         if taken is None:
@@ -108,18 +106,16 @@ class CameraPoses:
             if exposure is not None:
                 self._feed.device.adjust(exposure)
             self._seen += self._exposure.news()
-        poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi, *r.covariance) for r in sight.robots)
+        poses = tuple(TagPose(r.tag, r.after_ns, r.coasted_ns, r.x, r.y, r.psi, *r.covariance) for r in sight.poses)
         poses += self._virtual.at(exposed_ns)
         return Observation(exposed_ns, poses, sight.refused, taken.image)
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         seen = tuple(self._seen)
         self._seen.clear()
         return self._watch.news() + seen
 
     def close(self) -> None:
-        """Let go of the device."""
         self._feed.close()
 
     def _report(self, why: str) -> None:
@@ -130,31 +126,39 @@ class CameraPoses:
 
 
 class TruthPoses:
-    """The truth in an image's place."""
+    """The truth in an image's place: poses without pixels of a whole fleet, with a delay and its jitter."""
 
     def __init__(self, context: PoseContext) -> None:
-        self._source = TruthSource(context.config, context.bus, context.ticks, context.clock, context.rng)
+        config = context.config
+        self._settings, self._rng = config.tracker.truth, context.rng
+        self._poses = VirtualPoses(config, config.robots, context.bus, context.rng)
+        self._trigger = Trigger(config, context.ticks, context.clock)
+        self._delay_ns = self._draw_delay()
 
     @staticmethod
     def works_in_lockstep(_config: Config) -> bool:
-        """Return that it needs no other time than the clock's."""
         return True
 
     def next_ns(self) -> int | None:
         """Return when the next observation will be ready; None: a message or an image will wake the process."""
-        return self._source.ready_ns()
+        exposure_ns = self._trigger.next_ns()
+        return None if exposure_ns is None else exposure_ns + self._delay_ns
 
     def observe(self, now_ns: int) -> Observation | None:
         """Return the observation that is ready, or None."""
-        ready_ns = self._source.ready_ns()
-        if ready_ns is None or ready_ns > now_ns:
+        exposure_ns = self._trigger.next_ns()
+        if exposure_ns is None or exposure_ns + self._delay_ns > now_ns:
             return None
-        return self._source.read()
+        self._trigger.fire(now_ns)
+        self._delay_ns = self._draw_delay()
+        return Observation(exposure_ns, self._poses.at(exposure_ns), 0)
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         return ()
 
     def close(self) -> None:
         """Let go of the device."""
-        self._source.close()
+
+    def _draw_delay(self) -> int:
+        p = self._settings
+        return round((p.delay_s + p.jitter_s * self._rng.random()) * S)

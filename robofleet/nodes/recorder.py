@@ -19,13 +19,16 @@ _REPORT_NS = 250 * MS
 
 
 class Recorder:
-    """Keeps what comes in ``log`` and says how that goes; ``ending`` returns what the launcher said in the end."""
+    """Keeps what comes in what ``log`` opens, and says how that goes.
+
+    ``ending`` returns what the launcher said in the end.
+    """
 
     def __init__(
-        self, config: Config, bus: Bus, rng: np.random.Generator, log: RunLog, ending: Callable[[], bytes]
+        self, config: Config, bus: Bus, rng: np.random.Generator, log: Callable[[], RunLog], ending: Callable[[], bytes]
     ) -> None:
-        self._log, self._ending = log, ending
         self._stream = bus.stream(*keys(config), capacity=_QUEUE_MESSAGES)
+        self._log, self._ending = log(), ending  # it may compile kernels: what others say meanwhile waits in the stream
         self._publish = bus.publisher(RECORDER)
         self._epoch = slices.drawn_id(rng, 32)
         self._seq = self._missed = 0
@@ -33,7 +36,6 @@ class Recorder:
         self._say_ns = 0
 
     def step(self, now_ns: int) -> int:
-        """Keep what came since the step before."""
         self._keep()
         self._log.flush(now_ns)
         failed = self._log.failed is not None

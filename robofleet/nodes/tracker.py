@@ -22,15 +22,9 @@ class Tracker:
     """Observes, says how long after which tick the image was taken, and publishes."""
 
     def __init__(
-        self,
-        config: Config,
-        bus: Bus,
-        clock: Clock,
-        wake: Wake,
-        rng: np.random.Generator,
-        ticks: TickFollower,
+        self, config: Config, bus: Bus, clock: Clock, wake: Wake, rng: np.random.Generator, ticks: TickFollower,
         source: PoseSource,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Publish what ``source`` observes; ``ticks`` are those that both follow."""
         self._tick_ns = round(config.controller.tick_s * S)
         self._ticks, self._source = ticks, source
@@ -62,7 +56,6 @@ class Tracker:
         return now_ns + _IDLE_NS if next_ns is None else next_ns
 
     def close(self) -> None:
-        """Let go of the camera."""
         self._source.close()
 
     def _send(self, observation: Observation, work_ns: int) -> None:
@@ -76,17 +69,9 @@ class Tracker:
         elif tick:
             since_ns = observation.exposure_ns - self._ticks.instant(tick)
         message = FleetPoses(
-            self._epoch,
-            self._seq,
-            self._build,
-            observation.exposure_ns,
-            self._clock.now_ns(),
-            tick,
-            since_ns,
-            work_ns,
-            self._refused,
-            observation.poses,
-        )
+            self._epoch, self._seq, self._build, observation.exposure_ns, self._clock.now_ns(), tick, since_ns, work_ns,
+            self._refused, observation.poses,
+        )  # fmt: skip
         self._publish(FLEET_POSES.encode(message))
 
     def _tell(self, happenings: tuple[Notice, ...]) -> None:
@@ -106,12 +91,10 @@ class WatchedPoses:
         self._news = News()
 
     def next_ns(self) -> int | None:
-        """Return when the next observation will be ready, or silence is to be told."""
         times = [at_ns for at_ns in (self._source.next_ns(), self._deadline_ns) if at_ns is not None]
         return min(times, default=None)
 
     def observe(self, now_ns: int) -> Observation | None:
-        """Return the observation that is ready, or None."""
         observation = self._source.observe(now_ns)
         if observation is not None:
             if self._deadline_ns is None:
@@ -123,9 +106,7 @@ class WatchedPoses:
         return observation
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         return self._source.news() + self._news.take()
 
     def close(self) -> None:
-        """Let go of the source."""
         self._source.close()

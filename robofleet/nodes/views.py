@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from robofleet.config.camera import CameraSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
-
-Array = NDArray[np.float64]
 
 _SURVEY_INPUTS = slice(1, 2)  # among the inputs of a camera's pose: after the camera's own file, before the images
 _SAMPLES_A_SIDE = 60  # of the arena
@@ -37,7 +36,8 @@ def complaints(config: Config) -> Iterator[Complaint]:
     cameras = config.camera_keys
     if len(cameras) < 2 or any(camera.model.T_world_camera is None for _, camera in cameras):
         return
-    floor = _of_floor(config)
+    x, y = (np.linspace(-side / 2, side / 2, _SAMPLES_A_SIDE) for side in config.arena.size_m)
+    floor = np.stack([*map(np.ravel, np.meshgrid(x, y))], axis=1)
     seen = [FloorView(config, camera).sees(floor) for _, camera in cameras]
     surveys = [_surveys(config, camera) for _, camera in cameras]
     tied, more = set[int](), {0}
@@ -54,20 +54,11 @@ def complaints(config: Config) -> Iterator[Complaint]:
             )
 
 
-def _of_floor(config: Config) -> Array:
-    """Return points (N, 2) all over the arena."""
-    x, y = (np.linspace(-side / 2, side / 2, _SAMPLES_A_SIDE) for side in config.arena.size_m)
-    return np.stack([*map(np.ravel, np.meshgrid(x, y))], axis=1)
-
-
-def _sees(camera: CameraSettings, points: Array) -> NDArray[np.bool_]:
-    return CameraGeometry.from_model(camera.model).sees(points, (camera.width, camera.height))
-
-
 def _surveys(config: Config, camera: CameraSettings) -> set[str]:
     """Return the hash of the survey that a camera was placed by; ``floor tags`` where it sees some of
     ``tracker.floor_tags``."""
     arena, tags = camera.model.arena, config.tracker.floor_tags
     surveys = set() if arena is None else set(list(arena.inputs.values())[_SURVEY_INPUTS])
     at = np.array([(tag.x_m, tag.y_m, tag.height_m) for tag in tags])
-    return surveys | ({"floor tags"} if tags and _sees(camera, at).any() else set())
+    geometry, size = CameraGeometry.from_model(camera.model), (camera.width, camera.height)
+    return surveys | ({"floor tags"} if tags and geometry.sees(at, size).any() else set())

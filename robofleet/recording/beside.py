@@ -42,7 +42,6 @@ class LogBeside:
         self.failed: str | None = None  # why the newest write did not succeed; known when it is closed
 
     def add_all(self, batch: Iterable[tuple[str, bytes]], at_ns: int) -> None:
-        """Keep messages that came at one instant."""
         messages = list(batch)
         self._batches.append((at_ns, messages))
         self._waiting += len(messages)
@@ -72,7 +71,6 @@ class LogBeside:
 
 
 def _write(log: RunLog, incoming: Connection, theirs: Connection) -> None:
-    """Write what the run says until it ends, or is killed."""
     for number in _IGNORED_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     gc.freeze()  # what the run had is not looked at again

@@ -7,7 +7,6 @@ from robofleet.safety.supervisor import DRIVEN_OUT, NOBODY, Event, Happening, de
 
 
 def named(kind: type[IntEnum], value: int) -> str:
-    """Return the name of an enum's value."""
     try:
         return kind(value).name.lower().replace("_", " ")
     except ValueError:
@@ -23,7 +22,6 @@ def cause(event: int, robot: int, detail: float, robots: tuple[str, ...]) -> str
 
 
 def run_cause(state: RunState, robots: tuple[str, ...]) -> str:
-    """Return what led to a run's state."""
     return cause(state.cause, state.robot, state.detail, robots)
 
 

@@ -1,6 +1,7 @@
-"""The channels of a run's file: which keys a run has, and a description by which a stranger decodes their messages."""
+"""The channels of a run's file: which keys a run has, and the schemas by which a stranger decodes their messages."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from robofleet.bus.keys import BUSY, NEWS, NOTE, OF_UNITS, PICTURE, POSES, RECORDER, SENSORS, STATE, TICK, key, named
 from robofleet.bus.layouts import VERSION
@@ -10,8 +11,30 @@ from robofleet.core.valid_json import dumps
 
 ENCODING = f"robofleet-{VERSION}"  # of this project's own messages
 SCHEMA_ENCODING = "numpy"  # a JSON object of dtypes
+PROTOBUF = "protobuf"
 _ABOUT_ALL, _ABOUT_CAMERA = (TICK, STATE, RECORDER, BUSY), (POSES, NEWS, PICTURE)
 _OTHER = "Bytes", {"fields": [], "rest": "bytes"}  # text of requests, and what is not known
+
+
+class Channel(NamedTuple):
+    """A topic, and by which schema its messages are decoded."""
+
+    topic: str
+    encoding: str  # of the messages
+    schema: str  # its name
+    schema_encoding: str
+    description: bytes
+
+
+def of_key(full: str) -> Channel:
+    """Return the channel of a key of the bus, whose messages are kept as they were said."""
+    name, description = schema(full)
+    return Channel(full, ENCODING, name, SCHEMA_ENCODING, description)
+
+
+def of_protobuf(topic: str, message: str, descriptor: bytes) -> Channel:
+    """Return the channel of messages by their full name and their FileDescriptorSet."""
+    return Channel(topic, PROTOBUF, message, PROTOBUF, descriptor)
 
 
 def keys(config: Config) -> Iterator[str]:

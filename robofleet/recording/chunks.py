@@ -47,7 +47,6 @@ class DamageError(RobofleetError):
 
 
 def encode(record: McapRecord) -> bytes:
-    """Return the bytes of a record."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -11,10 +11,17 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
+from robofleet.core.arrays import Array
 from robofleet.core.files import replaced
 from robofleet.recording.gauge import Gauge
-from robofleet.recording.measures import Series, exposure_to_tick_ms, exposure_to_wheel_ms, status_at_ticks
-from robofleet.recording.run import Array, GroupColumns
+from robofleet.recording.measures import (
+    exposure_to_tick_ms,
+    exposure_to_wheel_ms,
+    heading_error_deg,
+    pose_error_mm,
+    status_at_ticks,
+)
+from robofleet.recording.run import GroupColumns, Run
 
 CSV = "metrics.csv"
 
@@ -24,22 +31,21 @@ class Column(NamedTuple):
 
     name: str
     meaning: str
-    of: Callable[[Series], Array | None]  # (K, N); None: not known
+    of: Callable[[Run], Array | None]  # (K, N); None: not known
     running: bool = False  # whether it means something only while the fleet is running
     whole: bool = False  # whether it is a flag or a count
     csv: str = ""  # its name in metrics.csv where that is another one
 
 
 def _recorded(name: str, meaning: str, *, running: bool = False, whole: bool = False, csv: str = "") -> Column:
-    """Return a column of the controller's record of a tick."""
-    return Column(name, meaning, lambda s: s.run.items[csv or name], running, whole, csv)
+    return Column(name, meaning, lambda run: run.items[csv or name], running, whole, csv)
 
 
 def _true(name: str, axis: int, meaning: str) -> Column:
-    def of(s: Series) -> Array | None:
-        if s.run.truth is None:
+    def of(run: Run) -> Array | None:
+        if run.truth is None:
             return None
-        values = s.run.truth[..., axis]
+        values = run.truth[..., axis]
         return _wrapped(values) if axis == 2 else values
 
     return Column(name, meaning, of)
@@ -52,11 +58,11 @@ def _wrapped(psi: Array) -> Array:
 
 def _reference(name: str, axis: int) -> Column:
     meaning = "where the followed point is to be, at the behaviour's horizon [m]"
-    return Column(name, meaning, lambda s: s.run.references[..., axis], running=True)
+    return Column(name, meaning, lambda run: run.references[..., axis], running=True)
 
 
-def _wheel(side: str) -> Callable[[Series], Array]:
-    return lambda s: status_at_ticks(s.run, lambda status: status[side])
+def _wheel(side: str) -> Callable[[Run], Array]:
+    return lambda run: status_at_ticks(run, lambda status: status[side])
 
 
 COLUMNS = (
@@ -74,8 +80,8 @@ COLUMNS = (
     _recorded("u_y_m_s", "velocity of the point p that is asked for, as wheels and barrier let it [m/s]", running=True),
     _recorded("left_commanded_rad_s", "left wheel as commanded [rad/s]", csv="left_rad_s"),
     _recorded("right_commanded_rad_s", "right wheel as commanded [rad/s]", csv="right_rad_s"),
-    Column("pose_error_mm", "distance of the filter's centre from the true one [mm]", lambda s: s.pose_mm),
-    Column("heading_error_deg", "the filter's heading minus the true one [deg]", lambda s: s.heading_deg),
+    Column("pose_error_mm", "distance of the filter's centre from the true one [mm]", pose_error_mm),
+    Column("heading_error_deg", "the filter's heading minus the true one [deg]", heading_error_deg),
     _recorded("saturated", "1: the wheels could not do all of the input", whole=True),
     _recorded("measured", "1: an image was used for this robot in this tick", whole=True),
     _recorded("lost", "1: no image for too long, the robot stands still", whole=True),
@@ -87,12 +93,12 @@ COLUMNS = (
     Column(
         "exposure_to_tick_ms",
         "age of the newest image used, at the tick [ms]",
-        lambda s: exposure_to_tick_ms(s.run)[:, None],
+        lambda run: exposure_to_tick_ms(run)[:, None],
     ),
     Column(
         "exposure_to_wheel_ms",
         "from mid-exposure to the wheels, of the newest command that reached them [ms]",
-        lambda s: status_at_ticks(s.run, exposure_to_wheel_ms),
+        lambda run: status_at_ticks(run, exposure_to_wheel_ms),
     ),
 )
 
@@ -106,24 +112,22 @@ def own_name(name: str) -> str:
 
 
 def own_names(gauges: Iterable[Gauge]) -> list[str]:
-    """Return the names of the groups' own columns, each once."""
     return list(dict.fromkeys(own_name(name) for gauge in gauges for name in gauge.columns))
 
 
-def table(columns: Series) -> Array:
+def table(run: Run) -> Array:
     """Return every robot's columns (K, N, C); NaN where a value is not known."""
-    shape = len(columns.t), len(columns.robots)
-    running = columns.run.running[:, None]
-    values = np.full((*shape, len(COLUMNS)), np.nan)
+    running = run.running[:, None]
+    values = np.full((*run.items.shape, len(COLUMNS)), np.nan)
     for index, column in enumerate(COLUMNS):
-        if (column_values := column.of(columns)) is not None:
+        if (column_values := column.of(run)) is not None:
             values[..., index] = np.where(running, column_values, np.nan) if column.running else column_values
     return values
 
 
 def own_table(part: GroupColumns, names: Sequence[str]) -> Array:
     """Return columns of a group's own (K, n, C) by their names; NaN where the group has none of this name."""
-    values = np.full((len(part.said.robots), len(names), len(part.running)), np.nan)
+    values = np.full((len(part.group.robots), len(names), len(part.running)), np.nan)
     places = {name: index for index, name in enumerate(names)}
     for curve in part.curves:
         for name, (rows, columns) in curve.columns.items():
@@ -132,27 +136,30 @@ def own_table(part: GroupColumns, names: Sequence[str]) -> Array:
     return values.transpose(2, 0, 1)
 
 
-def write_csv(parts: Iterable[Series], file: Path) -> None:
-    """Write one row a tick and robot, of a run part by part; a value that is not known is empty."""
+def write_csv(parts: Iterable[Run], file: Path) -> None:
+    """Write one row a tick and robot, of a run part by part; a value that is not known is empty.
+
+    Where no part can be read, nothing is written.
+    """
+    remaining = iter(parts)
+    part = next(remaining)
     with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
-        headed = True
-        for part in parts:
-            _write_rows(part, out, headed=headed)
-            headed = False
-            del part  # before the next one is read
-
-
-def _write_rows(columns: Series, out: TextIO, *, headed: bool) -> None:
-    parts = columns.run.parts
-    own = own_names(part.gauge for part in parts)
-    if headed:
+        own = own_names(group.gauge for group in part.parts)
         names = [*(column.csv or column.name for column in COLUMNS), *own]
         out.write(",".join(["t_s", "tick", "run_tick", "robot", "group", *names]) + "\n")
-    values = np.concatenate([table(columns), np.concatenate([own_table(part, own) for part in parts], axis=1)], axis=2)
-    robots = [f"{robot},{part.said.name}" for part in parts for robot in part.said.robots]
+        _write_rows(part, own, out)
+        del part  # before the next one is read
+        for part in remaining:
+            _write_rows(part, own, out)
+            del part
+
+
+def _write_rows(run: Run, own: Sequence[str], out: TextIO) -> None:
+    parts, ticks = run.parts, run.ticks
+    values = np.concatenate([table(run), np.concatenate([own_table(part, own) for part in parts], axis=1)], axis=2)
+    robots = [f"{robot},{part.group.name}" for part in parts for robot in part.group.robots]
     row = "".join(",%.0f" if column.whole else ",%.6g" for column in COLUMNS) + ",%.6g" * len(own)
-    ticks = columns.run.ticks
-    whens = zip(columns.t.tolist(), ticks["tick"].tolist(), ticks["run_tick"].tolist(), strict=True)
+    whens = zip(run.since_start_s.tolist(), ticks["tick"].tolist(), ticks["run_tick"].tolist(), strict=True)
     for (t, tick, run_tick), of_tick in zip(whens, values, strict=True):  # Python's own floats are quickly written
         when = f"{t:.3f},{tick},{run_tick},"
         for robot, robot_row in zip(robots, of_tick.tolist(), strict=True):

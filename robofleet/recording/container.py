@@ -62,13 +62,11 @@ class Container:
         self.waiting_bytes = 0
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Return the id of a new schema."""
         self._schemas.append(Schema(len(self._schemas) + 1, data, encoding, name))
         self._definitions.append(encode(self._schemas[-1]))
         return len(self._schemas)
 
     def register_channel(self, topic: str, message_encoding: str, schema: int) -> int:
-        """Return the id of a new channel."""
         self._channels.append(Channel(len(self._channels) + 1, topic, message_encoding, {}, schema))
         self._definitions.append(encode(self._channels[-1]))
         return len(self._channels)
@@ -79,7 +77,6 @@ class Container:
         self.waiting_bytes += MESSAGE_OVERHEAD + len(data)
 
     def discard(self) -> None:
-        """Forget the messages that wait."""
         self._waiting, self.waiting_bytes = [], 0
 
     def write(self, records: Sequence[Attachment | Metadata] = ()) -> None:

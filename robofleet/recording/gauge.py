@@ -37,17 +37,15 @@ class Curve(NamedTuple):
     rows: tuple[int | None, ...]  # which of the group's robots each column is about; None: none of them alone
     asked: float | None  # what the values should be
     live: bool  # whether it is drawn
-    told: bool  # whether it is a figure, told at each tick; else it was measured afterwards
+    is_figure: bool  # of each tick; else it was measured afterwards
     robots: int  # of the group
 
     @property
     def title(self) -> str:
-        """Its name in words."""
         return self.name.replace("_", " ").capitalize()
 
     @property
     def label(self) -> str:
-        """Its name and unit in words."""
         return ", ".join(filter(None, (self.name.replace("_", " "), self.unit)))
 
     @property
@@ -74,7 +72,7 @@ class Gauge:
 
         ``foreign``: behaviours that are not imported.
         """
-        self.said = group
+        self.group = group
         self._team = groups.team(config, config.groups[k])
         self._behaviour = _made(config, k, group, foreign) or _only_described(group, self._team)
         self._complained = False
@@ -84,8 +82,7 @@ class Gauge:
         self._keys = [curve.key for curve in tried]
 
     def curves(self, past: Past) -> tuple[Curve, ...]:
-        """Return its figures and measures over the past's ticks."""
-        group, robots = self.said, self._team.robots
+        group, robots = self.group, self._team.robots
         figures = [
             (Measure(f.name, f.unit, past.figures[f.name], robots, f.shown, f.meaning), f.live) for f in group.figures
         ]
@@ -124,7 +121,7 @@ class Gauge:
             if not (self._complained or quietly):
                 self._complained = True
                 traceback.print_exc(file=sys.stderr)
-                group = self.said
+                group = self.group
                 print(f"group {group.name}: {group.behaviour} cannot measure: its figures are missing", file=sys.stderr)
             return otherwise
 
@@ -174,7 +171,6 @@ def _only_described(group: described.Group, team: Team) -> Behaviour:
 
 
 def _tried(robots: int, group: described.Group) -> Past:
-    """Return a past of robots that stand in a row."""
     t, row = np.arange(_TRIED_TICKS) / 30, 1.0 + np.arange(robots)
     poses = np.tile(np.stack([0.1 * row, 0.02 * row, 0.1 * row], axis=-1), (_TRIED_TICKS, 1, 1))
     every = np.ones(_TRIED_TICKS, dtype=np.bool_)

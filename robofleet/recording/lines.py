@@ -30,13 +30,9 @@ class Line(NamedTuple):
 
 _GRAVE = {Phase.HOLD: Level.WARNING, Phase.FAULT: Level.ERROR, Phase.ESTOP: Level.ERROR}
 _GOOD_NEWS = (
-    TrackerEvent.TAG_FOUND,
-    TrackerEvent.CAMERA_BACK,
-    TrackerEvent.CAMERA_ENDED,
-    TrackerEvent.CAMERA_LIGHT_GOOD,
-    TrackerEvent.POSES_BACK,
-    TrackerEvent.BODY_FOUND,
-)
+    TrackerEvent.TAG_FOUND, TrackerEvent.CAMERA_BACK, TrackerEvent.CAMERA_ENDED, TrackerEvent.CAMERA_LIGHT_GOOD,
+    TrackerEvent.POSES_BACK, TrackerEvent.BODY_FOUND,
+)  # fmt: skip
 
 
 def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...]) -> Iterator[Line]:
@@ -57,7 +53,6 @@ def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...
 
 
 def latch_line(robot: str, latch: int) -> Line:
-    """Return that a robot's gate was latched, or cleared."""
     if latch == Latch.NONE:
         return Line(Level.INFO, robot, "gate cleared")
     return Line(Level.INFO if latch == Latch.DRILL else Level.ERROR, robot, f"gate latched: {named(Latch, latch)}")
@@ -70,7 +65,6 @@ def news_line(news: TrackerNews, camera: str = "") -> Line:
 
 
 def note_line(group: str, words: str) -> Line:
-    """Return what the script of a group said."""
     return Line(Level.INFO, group, words)
 
 

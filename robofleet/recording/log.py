@@ -17,10 +17,10 @@ from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.valid_json import dumps
-from robofleet.recording.channels import keys
+from robofleet.recording.channels import Channel, keys, of_key
 from robofleet.recording.container import Container
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.scenes.drawn import Channel, Drawn, DrawnMessages, of_key
+from robofleet.recording.scenes.drawn import Drawn, DrawnMessages
 from robofleet.recording.scenes.robot_ticks import BATCH, LARGE_BATCH
 
 FILE = "run.mcap"
@@ -28,7 +28,7 @@ PROFILE, LIBRARY = "robofleet", "robofleet {} wire {}"  # who wrote the file: ro
 CONFIG, GROUPS, ENDING = "config.yaml", "groups.json", "ending.json"  # the attachments
 PROVENANCE, DROPPED = "provenance", "dropped"  # the metadata
 COUNT = "messages"  # how many were dropped since the record before
-_CHUNK, _LARGE_CHUNK = 64 * 1024, 512 * 1024  # [bytes] in real time; in lockstep, where a chunk costs more than a kill
+_CHUNK_BYTES, _LOCKSTEP_CHUNK_BYTES = 64 * 1024, 512 * 1024  # in lockstep a chunk costs more than a kill
 _FLUSH_NS, _SELDOM_NS = 200 * MS, 60 * S  # a kill loses a quarter of a second at most, also on a busy machine
 
 
@@ -51,7 +51,7 @@ class RunLog:
         ``batched``: written seldom, in large pieces: of a run whose seconds last milliseconds.
         """
         self._epoch_ns = epoch_ns
-        self._chunk, self._flush_ns = (_CHUNK, _FLUSH_NS) if not batched else (_LARGE_CHUNK, _SELDOM_NS)
+        self._chunk, self._flush_ns = (_CHUNK_BYTES, _FLUSH_NS) if not batched else (_LOCKSTEP_CHUNK_BYTES, _SELDOM_NS)
         self._file = file.open("xb", buffering=0)
         with suppress(OSError):  # a network's disk may know no locks
             fcntl.flock(self._file, fcntl.LOCK_EX)  # nobody repairs what is still being written
@@ -81,7 +81,6 @@ class RunLog:
         self._write()
 
     def add(self, full: str, payload: bytes, at_ns: int) -> None:
-        """Keep a message that came at an instant of this process's clock."""
         channel = self._channels.get(full) or self._register(of_key(full))
         self.messages += 1
         self._waiting += 1
@@ -110,7 +109,6 @@ class RunLog:
             self._write()
 
     def end(self, ending: bytes) -> None:
-        """Keep how the run ended, where somebody knows it, and close."""
         if ending:
             self._attach(ENDING, "application/json", ending)
         self.close()
@@ -135,11 +133,9 @@ class RunLog:
             self._file.close()
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the file."""
         self.close()
 
     def _add_drawn(self, messages: DrawnMessages) -> None:
@@ -191,9 +187,8 @@ def _news(config: Config) -> dict[str, Callable[[bytes], object]]:
         latch, number = (UNIT_STATUS.column(payload, field) for field in ("latch", "latch_id"))
         return None if latch is None or number is None else latch.tobytes() + number.tobytes()
 
-    phase = RUN_STATE.span("phase", "cause")
     return {
-        key(arena, STATE): lambda payload: payload[phase],
+        key(arena, STATE): lambda payload: [RUN_STATE.head_of(payload, field) for field in ("phase", "cause")],
         **{key(arena, NEWS, camera): lambda payload: payload for camera in config.camera_names},
         **{key(arena, STATUS, unit): latches for unit in config.units},
     }

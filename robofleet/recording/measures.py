@@ -1,16 +1,17 @@
 """What every robot has, tick by tick: the filter's errors and delays in columns. A group's own is in ``gauge.py``."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.recording.gauge import gauges
 from robofleet.recording.reduced import Delays, Distribution
-from robofleet.recording.run import Array, Run
+from robofleet.recording.run import Run
 
 
 def load_kernels(config: Config) -> None:
@@ -18,10 +19,12 @@ def load_kernels(config: Config) -> None:
     gauges(config, groups.descriptions(config))
 
 
-def pose_errors(run: Run, truth: Array) -> tuple[Array, Array]:
-    """Distances (K, N) [m] and turns (K, N) [rad] of the filter's poses at the ticks from the true ones (K, N, 3)."""
-    off = np.hypot(run.items["x_m"] - truth[..., 0], run.items["y_m"] - truth[..., 1])
-    return off, np.angle(np.exp(1j * (run.items["psi_rad"] - truth[..., 2])))
+def pose_error_mm(run: Run) -> Array | None:
+    return None if run.pose_errors is None else run.pose_errors[0] * 1e3
+
+
+def heading_error_deg(run: Run) -> Array | None:
+    return None if run.pose_errors is None else np.degrees(run.pose_errors[1])
 
 
 def status_at_ticks(run: Run, measure: Callable[[NDArray[Any]], Array]) -> Array:
@@ -60,7 +63,6 @@ def delays(run: Run) -> Delays:
 
 
 def compute(run: Run) -> Distribution:
-    """Return how long each tick computed."""
     if run.recording.tick_durations_ns is not None:  # in lockstep no time passes on the controller's clock
         return Distribution.of(run.recording.tick_durations_ns)
     return computed(run) if run.reduced is None else run.reduced.compute
@@ -73,36 +75,10 @@ def computed(run: Run) -> Distribution:
 
 
 def lateness(run: Run) -> Distribution:
-    """Return how late each tick began."""
     return Distribution.of(run.ticks["lateness_ns"]) if run.reduced is None else run.reduced.lateness
 
 
 _GAP_S = 0.3  # without a tick for so long, a line is broken
-
-
-class Series(NamedTuple):
-    """Columns over the ticks (K,) of a run, robots (N,) of all groups; None: not measured, of single robots NaN."""
-
-    run: Run
-    t: Array  # since the first of these ticks, on the controller's grid [s]
-    points: Array  # p: true, else as estimated (K, N, 2) [m]
-    pose_mm: Array | None  # of the filter's pose from the true one
-    heading_deg: Array | None
-
-    @property
-    def robots(self) -> list[str]:
-        """The robots' ids."""
-        return [robot.id for robot in self.run.config.members]
-
-
-def series(run: Run) -> Series:
-    """Return the columns of a run; the groups' own are its parts' curves."""
-    stamps, truth = run.ticks["stamp_ns"], run.truth
-    t = (stamps - (run.start_ns or 0)) / 1e9
-    if truth is None:
-        return Series(run, t, run.points(), None, None)
-    off, turn = pose_errors(run, truth)
-    return Series(run, t, run.points(), off * 1e3, np.degrees(turn))
 
 
 def line(t: Array, y: Array, span: tuple[float, float], columns: int) -> tuple[Array, Array]:

@@ -32,8 +32,6 @@ class _Figure(BaseModel):
 
 
 class _Shape(BaseModel):
-    """A shape on the floor."""
-
     kind: Literal["Line", "Dots"]
     name: _Text
     points: Annotated[list[tuple[_Number, _Number]], Field(max_length=_MOST_POINTS)]
@@ -124,7 +122,6 @@ class Marks:
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """What is drawn."""
         return tuple(self._shapes.values())
 
 

@@ -6,6 +6,7 @@ from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 from robofleet.bus.layouts import VERSION
 from robofleet.config.load import resolved_yaml
@@ -21,6 +22,7 @@ _PACKAGES = {
     "zenoh": "eclipse-zenoh",
 }
 _CPU_INFO = Path("/proc/cpuinfo")
+_COUNTS, _TEXTS = ("epoch_ns", "wire", "build"), ("mode", "architecture", "processor")
 _VERSION_OF, _SHA256_OF = "version of ", "sha256 of "
 
 
@@ -48,26 +50,13 @@ class Provenance:
     @classmethod
     def of(cls, metadata: dict[str, str]) -> "Provenance":
         """Return what a file's metadata say; KeyError or ValueError where they do not."""
-        return cls(
-            metadata["mode"],
-            _count(metadata["epoch_ns"]),
-            _count(metadata["wire"]),
-            _count(metadata["build"]),
-            metadata["architecture"],
-            metadata["processor"],
-            _those(metadata, _VERSION_OF),
-            _those(metadata, _SHA256_OF),
-        )
+        values: dict[str, Any] = {name: metadata[name] for name in _TEXTS}
+        values |= {name: _count(metadata[name]) for name in _COUNTS}
+        return cls(**values, versions=_those(metadata, _VERSION_OF), hashes=_those(metadata, _SHA256_OF))
 
     def metadata(self) -> dict[str, str]:
-        """Return it as a file keeps it."""
         return {
-            "mode": self.mode,
-            "epoch_ns": str(self.epoch_ns),
-            "wire": str(self.wire),
-            "build": str(self.build),
-            "architecture": self.architecture,
-            "processor": self.processor,
+            **{name: str(getattr(self, name)) for name in ("mode", *_COUNTS, "architecture", "processor")},
             **{_VERSION_OF + name: value for name, value in self.versions.items()},
             **{_SHA256_OF + name: value for name, value in self.hashes.items()},
         }

@@ -36,7 +36,7 @@ _AROUND_NS = 10 * S  # what belongs together is no further apart
 _STEP_NS = S
 
 _MADE_BY = re.compile(LIBRARY.format(r"(\S{1,40})", r"(\d{1,9})"))
-_SHOWN = 80  # characters of what a file says of itself
+_SHOWN_CHARACTERS = 80  # of what a file says of itself
 _MOST_DROPPED = 1 << 63  # more messages than this were never sent
 
 
@@ -124,27 +124,15 @@ def about(run: Path, imports: Imports = nothing_imported) -> Recording:
     """
     file = file_of(run)
     with opened(file) as stream:
-        scan, made_by = scanned(stream), ""
-        recording: Recording | None = None
-        for item in scan.items():
-            if isinstance(item, Header):
-                made_by = check_maker(item, file)
-            elif isinstance(item, Attachment) and item.name == CONFIG:
-                recording = Recording(_config(item.data, made_by, file))
-            elif recording is not None and isinstance(item, Attachment) and item.name == GROUPS:
-                with suppress(KeyError, TypeError, ValueError):
-                    _note(recording, item)
-                break
-            elif recording is not None and isinstance(item, list):
-                break
-    if recording is None:
-        raise nothing(scan, file)
-    _know_groups(recording, file, imports)
-    return recording
+        content = _Content(scanned(stream), file)
+        next(content.messages(), None)
+    if content.recording is None:
+        raise nothing(content.scan, file)
+    _know_groups(content.recording, file, imports)
+    return content.recording
 
 
 def file_of(run: Path) -> Path:
-    """Return the file of a run's folder, or the file itself."""
     return run / FILE if os.path.isdir(run) else run  # noqa: PTH112 - it raises nothing
 
 
@@ -169,7 +157,6 @@ def scanned(stream: BinaryIO) -> Scan:
 
 
 def nothing(scan: Scan, file: Path) -> RecordingError:
-    """Return the refusal of a file without a message."""
     if scan.trouble is None:
         return RecordingError(f"{file}: holds no message: the run ended before its first message: name another run")
     if scan.trouble == NO_MCAP:
@@ -181,9 +168,8 @@ def check_maker(header: Header, file: Path) -> str:
     """Return the version that wrote a file; RecordingError where this one does not read it."""
     made_by = _MADE_BY.fullmatch(header.library) if header.profile == PROFILE else None
     if made_by is None:
-        raise RecordingError(
-            f"{file}: is not a recording of robofleet: it was made by {header.library[:_SHOWN] or 'somebody else'}"
-        )
+        maker = header.library[:_SHOWN_CHARACTERS] or "somebody else"
+        raise RecordingError(f"{file}: is not a recording of robofleet: it was made by {maker}")
     robofleet, wire = made_by.groups()
     if int(wire) != VERSION:
         raise RecordingError(
@@ -233,7 +219,7 @@ def _note(recording: Recording, part: Attachment | Metadata) -> None:
         if part.name == ENDING:
             recording.end(part.data)
         elif part.name == GROUPS:
-            recording.said = believed_groups(part.data, recording.config)
+            recording.file_groups = believed_groups(part.data, recording.config)
     elif part.name == PROVENANCE:
         recording.provenance = Provenance.of(part.metadata)
     elif part.name == DROPPED:

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
+
 _MOST_VALUES = 1 << 18  # different ones: more durations lie closer together than matters
 
 
@@ -22,7 +24,6 @@ class Distribution:
 
     @classmethod
     def of(cls, durations_ns: Any) -> "Distribution":
-        """Return the distribution of durations."""
         return cls(*np.unique(np.asarray(durations_ns, np.int64), return_counts=True))
 
     @classmethod
@@ -38,7 +39,6 @@ class Distribution:
         return joined
 
     def __len__(self) -> int:
-        """Return how many durations there are."""
         return int(self.counts.sum())
 
     @property
@@ -61,9 +61,6 @@ def _merged(values: NDArray[np.int64], counts: NDArray[np.int64]) -> Distributio
     """Return a distribution of ascending values that may repeat."""
     first = np.flatnonzero(np.diff(values, prepend=values[:1] - 1))
     return Distribution(values[first], np.add.reduceat(counts, first) if len(first) else counts)
-
-
-Array = NDArray[np.float64]
 
 
 class Moment(NamedTuple):

@@ -16,7 +16,7 @@ from robofleet.recording.container import Container
 from robofleet.recording.reading import RecordingError, check_maker, file_of, nothing, opened, own, scanned
 from robofleet.recording.scanning import Scan
 
-_OLD = ".damaged"  # behind the file's name
+_DAMAGED_SUFFIX = ".damaged"
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def repair(run: Path) -> Repair:
         times = [*_times(scan, file)]
         if not times:
             raise nothing(scan, file)
-        kept = None if scan.trouble is None or scan.torn else file.with_name(file.name + _OLD)
+        kept = None if scan.trouble is None or scan.torn else file.with_name(file.name + _DAMAGED_SUFFIX)
         if scan.trouble is not None:
             stream.seek(0)
             _replace(file, stream, kept)

@@ -21,20 +21,19 @@ from robofleet.bus.layouts import VERSION, Layout, ListLayout
 from robofleet.bus.messages import FLEET_POSES, RUN_STATE, TICK_RECORD, TRACKER_NEWS, FleetPoses, RobotStatus, RunState
 from robofleet.config import groups
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.plugins import PluginError
 from robofleet.core.valid_json import dumps
 from robofleet.recording.gauge import Curve, Figures, Gauge, gauges, peaked
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.reduced import Reduced
 
-Array = NDArray[np.float64]
-
 SHOWN = 512  # messages of a key, for a live view
 _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing
 
 _LONGEST_NS = 1 << 62
 _MOST_IN_FOUR_BYTES = (1 << 32) - 1
-_PIECE = 1 << 20  # [bytes]
+_PIECE_BYTES = 1 << 20
 Duration = Annotated[int, Field(ge=0, lt=_LONGEST_NS)]
 
 
@@ -47,7 +46,7 @@ def _integers(text: bytes, start: int, stop: int) -> "array[int] | None":
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # numpy warns where it cannot read on
         while start <= stop:  # piece by piece: each copy of all of them is tens of megabytes
-            end = stop if stop - start <= _PIECE else text.rfind(b",", start, start + _PIECE)
+            end = stop if stop - start <= _PIECE_BYTES else text.rfind(b",", start, start + _PIECE_BYTES)
             piece = text[start : max(start, end)].strip()
             if not piece:
                 return None
@@ -92,7 +91,7 @@ class Recording:
     trace_hash: str | None = None
     tick_durations_ns: Sequence[int] | None = None  # lockstep's own stopwatch: no time passes on the simulated clock
     tracker_durations_ns: Sequence[int] | None = None
-    said: tuple[described.Group, ...] | None = None  # the groups, as the file says; None: as the configuration does
+    file_groups: tuple[described.Group, ...] | None = None  # as the file says; None: as the configuration does
     foreign: frozenset[str] = frozenset()  # behaviours that only a file names: their modules are not imported
     _places: dict[str, "array[int]"] = field(default_factory=lambda: defaultdict(lambda: array("Q")))
     count: int = 0  # of all messages
@@ -101,24 +100,21 @@ class Recording:
     @cached_property
     def groups(self) -> tuple[described.Group, ...]:
         """The groups: which figures their ticks have, and what is drawn for them."""
-        if self.said is not None:
-            return self.said
+        if self.file_groups is not None:
+            return self.file_groups
         if self.foreign:
             raise PluginError(f"{', '.join(sorted(self.foreign))} is not imported because a recording names it")
         return groups.descriptions(self.config)
 
     @cached_property
     def gauges(self) -> tuple[Gauge, ...]:
-        """What measures each group."""
         return gauges(self.config, self.groups, self.foreign)
 
     @property
     def whole(self) -> bool:
-        """Whether the file is as it was written, up to its end."""
         return self.trouble is None
 
     def add(self, full: str, payload: bytes) -> None:
-        """Keep a message."""
         self.count += 1
         self.messages[full].append(payload)
         self._places[full].append(self.count)
@@ -137,7 +133,6 @@ class Recording:
         return later
 
     def emptied(self) -> "Recording":
-        """Return the recording without its messages."""
         made = replace(self, messages=defaultdict(list), _places=defaultdict(lambda: array("Q")), _arrays={})
         made.__dict__.update({name: self.__dict__[name] for name in ("groups", "gauges") if name in self.__dict__})
         return made
@@ -149,12 +144,10 @@ class Recording:
                 self.forget(full, len(messages) - most)
 
     def forget(self, full: str, count: int) -> None:
-        """Drop a key's oldest messages."""
         del self.messages[full][:count], self._places[full][:count]
         self._arrays.pop(full, None)
 
     def ending(self) -> bytes:
-        """Return how the run ended, for its file."""
         fields = {name: getattr(self, name) for name in EndingFile.model_fields}
         return dumps(
             {name: list(values) if isinstance(values, array) else values for name, values in fields.items()}
@@ -263,9 +256,8 @@ class GroupColumns:
     peaks: Sequence[Figures] = ()  # of a long run, of which the past has only some ticks: figures of its parts
 
     @property
-    def said(self) -> described.Group:
-        """The group as others see it."""
-        return self.gauge.said
+    def group(self) -> described.Group:
+        return self.gauge.group
 
     @cached_property
     def curves(self) -> tuple[Curve, ...]:
@@ -276,7 +268,6 @@ class GroupColumns:
         return tuple(curve._replace(values=self._spread(curve.values)) for curve in curves)
 
     def summary(self) -> Figures:
-        """Return its part of ``summary.json``."""
         return peaked(self.gauge.summary(self.past), self.peaks)
 
     def _spread(self, values: Array) -> Array:
@@ -336,7 +327,6 @@ class Run:
         self.frames = [frame for images in self.images.values() for frame in images]
 
     def _take(self, ticks: NDArray[Any]) -> None:
-        """Take the ticks that count."""
         self.ticks = ticks
         self.running = self.ticks["run_tick"] >= 0  # (K,)
         self.t = self.ticks["run_tick"] * self.config.controller.tick_s
@@ -344,13 +334,18 @@ class Run:
         self.groups = self.recording.groups
         numbers = self.ticks["figures"]
         numbers = np.where(np.abs(numbers) < _BEYOND, numbers, np.nan)
-        self.told = described.told(self.groups, numbers)  # of each group
+        self.group_figures = described.told(self.groups, numbers)  # of each group
 
     def _know(self, bodies: Array | None, known: NDArray[np.bool_]) -> None:
         """Take the true poses of all bodies, and of which they are known (M,)."""
         self.bodies, self.all_known = bodies, known  # (K, M, 3), the groups' robots first; NaN: not told
         self.known = known[: len(self.config.members)]  # (N,) whose truth was told
         self.truth = None if bodies is None or not self.known.any() else bodies[:, : len(self.known)]
+
+    @property
+    def robots(self) -> list[str]:
+        """The ids of the groups' robots (N,)."""
+        return [robot.id for robot in self.config.members]
 
     def own_statuses(self, robot: int) -> NDArray[np.bool_]:
         """Return which of a robot's statuses (S,) are of this part."""
@@ -363,31 +358,25 @@ class Run:
 
     @cached_property
     def parts(self) -> tuple[GroupColumns, ...]:
-        """What became of each group."""
         config, running = self.config, self.running
         t, poses, points = self.t[running], self.poses()[running], self.points()[running]
         settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
         parts = []
         peaks = self.reduced.peaks if self.reduced else {}
-        for gauge, columns, rows in zip(self.recording.gauges, self.told, groups.rows(config.groups), strict=True):
+        rows_of = groups.rows(config.groups)
+        for gauge, columns, rows in zip(self.recording.gauges, self.group_figures, rows_of, strict=True):
             figures = {name: values[running] for name, values in columns.figures.items()}
             past = Past(
-                t=t,
-                poses=poses[:, rows],
-                points=points[:, rows],
-                known=self.known[rows],
-                settled=settled,
-                spaced=spaced,
-                references=columns.references[running],
-                figures=figures,
-            )
-            parts.append(GroupColumns(gauge, rows, past, running, peaks.get(gauge.said.name, ())))
+                t=t, poses=poses[:, rows], points=points[:, rows], known=self.known[rows], settled=settled,
+                spaced=spaced, references=columns.references[running], figures=figures,
+            )  # fmt: skip
+            parts.append(GroupColumns(gauge, rows, past, running, peaks.get(gauge.group.name, ())))
         return tuple(parts)
 
     @cached_property
     def references(self) -> Array:
         """Where each robot's followed point is to be (K, N, 2) [m]; NaN: nowhere."""
-        return np.concatenate([columns.references for columns in self.told], axis=1)
+        return np.concatenate([columns.references for columns in self.group_figures], axis=1)
 
     @cached_property
     def newest_statuses(self) -> list[NDArray[np.int64]]:
@@ -443,8 +432,20 @@ class Run:
         true = self.truth[..., :2] + ahead * np.stack([np.cos(psi), np.sin(psi)], axis=-1)
         return np.where(self.known[:, None], true, estimates)
 
+    @cached_property
+    def since_start_s(self) -> Array:
+        """Instants of the ticks (K,) since the first of these, on the controller's grid [s]."""
+        return np.asarray((self.ticks["stamp_ns"] - (self.start_ns or 0)) / 1e9)
+
+    @cached_property
+    def pose_errors(self) -> tuple[Array, Array] | None:
+        """How far the filter is off: distances (K, N) [m] and turns (K, N) [rad]; None: no truth is known."""
+        if self.truth is None:
+            return None
+        off = np.hypot(self.items["x_m"] - self.truth[..., 0], self.items["y_m"] - self.truth[..., 1])
+        return off, np.angle(np.exp(1j * (self.items["psi_rad"] - self.truth[..., 2])))
+
     def after(self, start_s: float) -> NDArray[np.bool_]:
-        """Return which ticks count."""
         return np.asarray(self.t >= start_s)
 
 

@@ -13,10 +13,10 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from robofleet.recording.chunks import MESSAGE_INDEX, RECORD, Content, DamageError, decode_chunk, stream
 from robofleet.recording.container import FOOTER_CRC
 
-_ATTACHMENT_CRC = 4  # [bytes] at its end
-_LONGEST, _LONGEST_METADATA = 1 << 26, 1 << 20  # [bytes] of a record: a length beyond it is no length
-_MOST_UNPACKED = 32  # times the bytes of the file so far, beside _GRANTED: RunLog's content is packed to a half
-_GRANTED = 1 << 26  # [bytes]
+_ATTACHMENT_CRC_BYTES = 4  # at its end
+_LONGEST_RECORD_BYTES, _LONGEST_METADATA_BYTES = 1 << 26, 1 << 20  # a length beyond it is no length
+_MOST_UNPACKED = 32  # times the bytes of the file so far, beside _GRANTED_BYTES: RunLog's content is packed to a half
+_GRANTED_BYTES = 1 << 26
 _START = (Opcode.HEADER,)
 _DATA = (Opcode.ATTACHMENT, Opcode.METADATA, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.DATA_END)
 _SUMMARY = (
@@ -69,7 +69,7 @@ class Scan:
         while True:
             self.good, crc = self._read, self._crc
             opcode, length = RECORD.unpack(self._take(RECORD.size))
-            longest = _LONGEST_METADATA if opcode == Opcode.METADATA else _LONGEST
+            longest = _LONGEST_METADATA_BYTES if opcode == Opcode.METADATA else _LONGEST_RECORD_BYTES
             if opcode not in expected or length > longest:
                 raise DamageError
             body = self._take(length)
@@ -102,15 +102,15 @@ class Scan:
         """Yield what a record of the data is, if it is more than an index of what came before."""
         match opcode:
             case Opcode.ATTACHMENT:
-                crc = int.from_bytes(body[-_ATTACHMENT_CRC:], "little")
-                _check(zlib.crc32(body[:-_ATTACHMENT_CRC]), crc)
+                crc = int.from_bytes(body[-_ATTACHMENT_CRC_BYTES:], "little")
+                _check(zlib.crc32(body[:-_ATTACHMENT_CRC_BYTES]), crc)
                 yield Attachment.read(stream(body))
             case Opcode.METADATA:
                 yield Metadata.read(stream(body))
             case Opcode.CHUNK:
                 contents, size = decode_chunk(body)
                 self._unpacked += size
-                if self._unpacked > _GRANTED + _MOST_UNPACKED * self._read:
+                if self._unpacked > _GRANTED_BYTES + _MOST_UNPACKED * self._read:
                     raise DamageError
                 yield contents
             case Opcode.MESSAGE_INDEX:

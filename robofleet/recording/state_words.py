@@ -13,7 +13,7 @@ from robofleet.safety.busy import DRIVERS, Lateness
 from robofleet.safety.supervisor import Phase
 
 GOES_ON = "Every robot stands. Everything is simulated: the run goes on by itself."
-_MOST_NAMED = 3  # robots in a line
+_MOST_NAMED_ROBOTS = 3  # in a line
 _PROCESSES = "supervisor", "controller", "tracker"
 _STAGES = {
     Stage.CHECKS: "does every robot answer, is it seen, and is it at rest?",
@@ -60,8 +60,8 @@ def _check(stage: int, tried: list[str]) -> str:
     check = next((words for known, words in _STAGES.items() if known == stage), "another check")
     if not tried:
         return check
-    more = f" and {len(tried) - _MOST_NAMED} more" if len(tried) > _MOST_NAMED else ""
-    return f"{check} of {', '.join(tried[:_MOST_NAMED])}{more}"
+    more = f" and {len(tried) - _MOST_NAMED_ROBOTS} more" if len(tried) > _MOST_NAMED_ROBOTS else ""
+    return f"{check} of {', '.join(tried[:_MOST_NAMED_ROBOTS])}{more}"
 
 
 def busy_notice(message: BusyMachine, robots: tuple[str, ...]) -> str:
@@ -90,7 +90,6 @@ def busy_figures(payloads: Iterable[bytes], robots: tuple[str, ...]) -> dict[str
 
 
 def _busy_verdict(message: BusyMachine, load: float, robots: tuple[str, ...]) -> str:
-    """Return what the report says of the machine."""
     sentence = f"This machine was busy: {_busy_so_far(message._replace(load=load), robots)}."
     if message.attempts:
         sentence += f" The checks before the start began anew {_times(message.attempts)}."

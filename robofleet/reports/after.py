@@ -9,11 +9,13 @@ from pydantic import BaseModel, Field, ValidationError
 
 from robofleet.core.clock import S
 from robofleet.core.files import read_plain
+from robofleet.recording.columns import CSV, write_csv
 from robofleet.recording.reading import Imports, nothing_imported
 from robofleet.recording.run import Recording, Run
 from robofleet.reports import comparison, metrics
 from robofleet.reports import report as pages
-from robofleet.reports.sampled import look, looks
+from robofleet.reports.canvas import RunView
+from robofleet.reports.sampled import Sampled, look, looks
 
 Summary = dict[str, Any]
 
@@ -46,10 +48,20 @@ def report(
 
     ``imports``: as of ``reading.read``; ``columns``: the run, where somebody has looked at it.
     """
-    columns, summary = _looked_at(run, imports, columns)
-    parts = None if columns.reduced is None else looks(run, imports)
-    page = pages.write(columns.recording, summary, _folder(run), figures, columns, parts)
-    return Report(page, summary, columns.recording.trouble)
+    columns = _written(run, imports, columns)
+    summary = _summary(run, columns)
+    return Report(pages.write(columns, summary, _folder(run), figures), summary, columns.recording.trouble)
+
+
+def _written(run: Path, imports: Imports, columns: Run | None) -> Run:
+    """Write a run's columns, before plots need memory, and return it: a file that nobody has read is read once."""
+    file = _folder(run) / CSV
+    if columns is not None:
+        write_csv([columns] if columns.reduced is None else looks(run, imports), file)
+        return columns
+    sampled = Sampled()
+    write_csv(sampled.taking(looks(run, imports)), file)
+    return sampled.run()
 
 
 def compare(first: Path, second: Path, out: Path | None, imports: Imports = nothing_imported) -> Path:
@@ -60,24 +72,19 @@ def compare(first: Path, second: Path, out: Path | None, imports: Imports = noth
 
 
 def _side(run: Path, imports: Imports) -> comparison.Side:
-    columns, summary = _looked_at(run, imports)
-    return comparison.Side(_name(run), pages.view_of(columns.recording, summary, columns), summary)
+    columns = look(run, imports)
+    return comparison.Side(_name(run), RunView(columns, _summary(run, columns)))
 
 
-def _looked_at(run: Path, imports: Imports, columns: Run | None = None) -> tuple[Run, Summary]:
-    """Return a run in columns, and its figures, worked out anew.
-
-    What the file does not say of the run, its summary may.
-    """
-    columns = columns or look(run, imports)
+def _summary(run: Path, columns: Run) -> Summary:
+    """Return the figures of a run, worked out anew; what the file does not say of it, its summary may."""
     recording = columns.recording
     ending = _told(_folder(run) / SUMMARY)
     outcome, cause = recording.outcome or ending.outcome, recording.cause or ending.cause
     mode = recording.provenance.mode if recording.provenance else ending.mode
     name = _name(run) if ending.config is None else ending.config
     began = ending.began or _began(recording, columns)
-    summary = metrics.summary(recording, name=name, mode=mode, outcome=outcome, cause=cause, began=began, run=columns)
-    return columns, summary
+    return metrics.summary(recording, name=name, mode=mode, outcome=outcome, cause=cause, began=began, run=columns)
 
 
 def _began(recording: Recording, run: Run) -> str | None:

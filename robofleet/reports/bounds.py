@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.config.tree import Bounds
+from robofleet.reports.own_figures import is_number
 
 Figures = dict[str, Any]
 
@@ -23,20 +24,12 @@ class Judged(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its label and unit in words."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
 
 def part(*keys: str) -> Callable[[Figures], float | None]:
     """Return what finds a figure of the summary, below figures that may not have been measured."""
-
-    def value(figures: Figures) -> Any:
-        found: Any = figures
-        for key in keys:
-            found = None if found is None else found[key]
-        return found
-
-    return value
+    return lambda figures: _within(figures, keys)
 
 
 def of_groups(*keys: str) -> Callable[[Figures], float | None]:
@@ -50,12 +43,12 @@ def of_groups(*keys: str) -> Callable[[Figures], float | None]:
 
 
 def _within(found: Any, keys: Sequence[str]) -> float | None:
-    """Return a number below keys of a group's figures, which may be of any kind; of a list the first."""
+    """Return a number below keys of figures, which may be of any kind; of a list the first."""
     for key in keys:
         found = found.get(key) if isinstance(found, dict) else None
     if isinstance(found, list):
         found = found[0] if found else None
-    return found if isinstance(found, int | float) and not isinstance(found, bool) else None
+    return found if is_number(found) else None
 
 
 def _own_stops(figures: Figures) -> int | None:
@@ -126,13 +119,11 @@ def complaints(figures: Figures) -> list[str]:
 
 
 def shown(bound: Figures) -> str:
-    """Return a verdict's value and limit in words."""
     unit = JUDGED[bound["figure"]].unit
     value = "not measured" if bound["value"] is None else f"{bound['value']:.4g} {unit}".strip()
     return f"{value}, {limit(bound)} asked for"
 
 
 def limit(bound: Figures) -> str:
-    """Return what a bound asks for, in words."""
     figure = JUDGED[bound["figure"]]
     return f"{'at least' if figure.at_least else 'at most'} {bound['limit']:g} {figure.unit}".strip()

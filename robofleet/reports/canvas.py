@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,18 +12,19 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from robofleet.config.tree import Bounds, Config
+from robofleet.core.arrays import Array
 from robofleet.core.figures import FAINT, INK, QUIET, robot_colours
-from robofleet.recording.measures import Series, line
-from robofleet.recording.run import Array, Recording
+from robofleet.recording.measures import line
+from robofleet.recording.run import Run
 from robofleet.reports.timeline import Timeline
 from robofleet.safety.supervisor import Phase
 
 WIDTH = 7.6  # of a plot [inch]
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.68, 0.14, 0.1, 0.42  # margins [inch]: equal, so that times stand below each other
-_TITLE = 0.3  # above axes that stand side by side [inch]
-_LABEL = 0.52  # from the axis to its label [inch]
+_TITLE_INCH = 0.3  # above axes that stand side by side
+_LABEL_INCH = 0.52  # from the axis to its label
 _PIXEL_COLUMNS = 700  # that a line is thinned to
-_MANY_POINTS = 10_000  # of a plot
+_MOST_VECTOR_POINTS = 10_000  # of a plot: more are drawn as pixels
 
 _PHASES = {
     Phase.IDLE: "#efefef",
@@ -41,33 +43,33 @@ ALARM = "#b3261e"
 class RunView:
     """What there is to draw."""
 
-    recording: Recording
-    series: Series
-    timeline: Timeline
+    run: Run
+    summary: dict[str, Any]
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        return Timeline(self.run, self.summary["stops"])
 
     @property
     def config(self) -> Config:
-        """The run's configuration."""
-        return self.series.run.config
+        return self.run.config
 
     @property
     def bounds(self) -> Bounds:
-        """What the run is judged by."""
         return self.config.run.bounds
 
     @property
     def colours(self) -> tuple[str, ...]:
-        """Each robot's own colour."""
-        return robot_colours(len(self.series.robots))
+        return robot_colours(len(self.run.robots))
 
     @property
     def span(self) -> tuple[float, float]:
         """From the run's first tick to its last [s]."""
-        return 0.0, float(self.series.t.max(initial=self.config.controller.tick_s))
+        return 0.0, float(self.run.since_start_s.max(initial=self.config.controller.tick_s))
 
     def counted(self, settle_s: float) -> NDArray[np.bool_]:
         """Which ticks count after a settling time; all, where none does."""
-        after = self.series.run.after(settle_s)
+        after = self.run.after(settle_s)
         return after if after.any() else np.ones_like(after)
 
 
@@ -76,7 +78,7 @@ def sheet(height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[
     figure = Figure(figsize=(WIDTH, height))
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col" if rows > 1 else False)
     right = 1 - _RIGHT / WIDTH
-    top = 1 - (_TOP if columns == 1 else _TITLE) / height
+    top = 1 - (_TOP if columns == 1 else _TITLE_INCH) / height
     figure.subplots_adjust(_LEFT / WIDTH, _BOTTOM / height, right, top, wspace=0.22, hspace=0.12)
     return figure, list(grid.flat)
 
@@ -86,7 +88,7 @@ def strips(view: RunView, labels: Sequence[str], height: float = 1.9) -> tuple[F
     figure, axes = sheet(height * len(labels) + 0.3, len(labels))
     for each, label in zip(axes, labels, strict=True):
         each.set_ylabel(label)
-        each.yaxis.set_label_coords(-_LABEL / (WIDTH - _LEFT - _RIGHT), 0.5)
+        each.yaxis.set_label_coords(-_LABEL_INCH / (WIDTH - _LEFT - _RIGHT), 0.5)
         interruptions(each, view.timeline)
     axes[-1].set(xlabel="time since the start, s", xlim=view.span)
     return figure, axes
@@ -102,7 +104,6 @@ def interruptions(axes: Axes, timeline: Timeline) -> None:
 
 
 def phase_colour(phase: int) -> str:
-    """Return the colour of a phase of the run."""
     return {int(known): colour for known, colour in _PHASES.items()}.get(phase, FAINT)
 
 
@@ -118,7 +119,7 @@ def lines(axes: Axes, t: Array, values: Array, span: tuple[float, float], colour
         x, y = line(t, column, span, _PIXEL_COLUMNS)
         points += len(x)
         axes.plot(x, y, color=colour, lw=0.9)
-    if points > _MANY_POINTS:
+    if points > _MOST_VECTOR_POINTS:
         for drawn in axes.get_lines():
             drawn.set_rasterized(True)
 
@@ -134,7 +135,6 @@ def level(axes: Axes, value: float | None, label: str = "") -> None:
 
 
 def logarithmic(axes: Axes, lowest: float) -> None:
-    """Make the y axis logarithmic, from a value up."""
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.yaxis.set_minor_locator(NullLocator())

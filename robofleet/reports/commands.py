@@ -253,7 +253,6 @@ def _without_garbage_collection() -> Iterator[None]:
 
 @contextmanager
 def _readable() -> Iterator[None]:
-    """Refuse a recording that cannot be read."""
     try:
         yield
     except RecordingError as error:

@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robofleet.behaviours.described import JUDGED_FIGURES
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, STYLE
 from robofleet.recording.gauge import Curve
-from robofleet.recording.run import Array
+from robofleet.recording.measures import pose_error_mm
 from robofleet.reports.bounds import JUDGED, Judged, part
 from robofleet.reports.canvas import RunView, lines, logarithmic, sheet
 from robofleet.reports.group_plots import wide
@@ -46,7 +47,10 @@ class Side(NamedTuple):
 
     name: str
     view: RunView
-    summary: Summary
+
+    @property
+    def summary(self) -> Summary:
+        return self.view.summary
 
 
 def write(first: Side, second: Side, file: Path) -> None:
@@ -65,7 +69,7 @@ def write(first: Side, second: Side, file: Path) -> None:
     page.section("Plots", "Both from their own start.")
     legend = [(side.name, colour) for side, colour in zip(sides, _COLOURS, strict=True)]
     with mpl.rc_context(STYLE):
-        if all(len(side.view.series.t) for side in sides):
+        if all(len(side.view.run.since_start_s) for side in sides):
             page.figure(_paths(sides), "The dashed line is the first one's path.", title="Paths", legend=legend)
         for overlay in overlays(sides):
             if (figure := _overlaid(sides, overlay)) is not None:
@@ -142,7 +146,6 @@ def _keys(page: Page, first: Side, second: Side) -> None:
 
 
 def _flat(tree: Any, path: str = "") -> dict[str, Any]:
-    """Return the leaves of a configuration by their dotted keys."""
     if isinstance(tree, dict | list) and tree:
         items = tree.items() if isinstance(tree, dict) else enumerate(tree)
         return {k: v for key, value in items for k, v in _flat(value, f"{path}.{key}" if path else str(key)).items()}
@@ -152,8 +155,8 @@ def _flat(tree: Any, path: str = "") -> dict[str, Any]:
 def _paths(sides: tuple[Side, Side]) -> Figure:
     figure, axes = floor(sides[0].view)
     for side, colour, width in zip(sides, _COLOURS, (3.0, 1.0), strict=True):
-        for row in range(len(side.view.series.robots)):
-            axes.plot(*trail(side.view.series.points[:, row]).T, color=colour, lw=width)
+        for points in side.view.run.points().swapaxes(0, 1):
+            axes.plot(*trail(points).T, color=colour, lw=width)
     return figure
 
 
@@ -169,9 +172,9 @@ class OverlaidPlot(NamedTuple):
 def overlays(sides: tuple[Side, Side]) -> Iterator[OverlaidPlot]:
     """Yield what the runs' groups have, then the filter's errors."""
     first, second = (
-        {(p.said.name, c.key): c for p in side.view.series.run.parts for c in p.curves if c.live} for side in sides
+        {(p.group.name, c.key): c for p in side.view.run.parts for c in p.curves if c.live} for side in sides
     )
-    several = any(len(side.view.series.run.parts) > 1 for side in sides)
+    several = any(len(side.view.run.parts) > 1 for side in sides)
     for (name, key), curve in (first | second).items():
         suffix = f" of {name}" if several else ""
         off = curve.asked is not None
@@ -181,7 +184,7 @@ def overlays(sides: tuple[Side, Side]) -> Iterator[OverlaidPlot]:
             "The one that is furthest from what was asked." if off else f"Mean, at every tick: {curve.meaning}.",
         )  # fmt: skip
     yield OverlaidPlot(
-        "Pose error", "mm", (_mean(sides[0].view.series.pose_mm), _mean(sides[1].view.series.pose_mm)),
+        "Pose error", "mm", (_mean(pose_error_mm(sides[0].view.run)), _mean(pose_error_mm(sides[1].view.run))),
         "Mean of the robots, the filter against the truth.",
     )  # fmt: skip
 
@@ -213,7 +216,7 @@ def _overlaid(sides: tuple[Side, Side], overlay: OverlaidPlot) -> Figure | None:
     for side, column, colour in zip(sides, overlay.columns, _COLOURS, strict=True):
         if column is not None and len(column):
             shown = column if lowest is None else np.maximum(column, lowest)
-            lines(axes, side.view.series.t, shown[:, None], span, [colour])
+            lines(axes, side.view.run.since_start_s, shown[:, None], span, [colour])
     if lowest is not None:
         logarithmic(axes, lowest)
     axes.set(xlabel="time since the start, s", ylabel=overlay.label, xlim=span)

@@ -8,11 +8,12 @@ from matplotlib.figure import Figure
 
 from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.behaviours.interface import with_unit
+from robofleet.core.arrays import Array
 from robofleet.core.figures import robot_colours
 from robofleet.recording.gauge import Curve
-from robofleet.recording.run import Array, GroupColumns
+from robofleet.recording.run import GroupColumns
 from robofleet.reports.canvas import Legend, Plot, RunView, few, level, lines, logarithmic, settling, strips, zoomed
-from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
+from robofleet.reports.paper import papers_mean
 
 _WIDE_RATIO = 30.0  # to its median: a figure that is so much larger at times has a logarithmic axis
 _ESTIMATED = "estimated_"  # a figure that is so called is for the run itself: the report has the measure
@@ -24,10 +25,10 @@ NO_TRUTH = "true poses are known of simulated robots only."
 
 def of_group(part: GroupColumns, *, alone: bool) -> list[Plot]:
     """Return a plot for each figure and each measure; ``alone``: no other group has figures."""
-    better = {f"{_ESTIMATED}{curve.name}" for curve in part.curves if not curve.told}
+    better = {f"{_ESTIMATED}{curve.name}" for curve in part.curves if not curve.is_figure}
     return [
         Plot(
-            curve.title if alone else f"{curve.title} of {part.said.name}", partial(_draw, part, k), _caption(curve),
+            curve.title if alone else f"{curve.title} of {part.group.name}", partial(_draw, part, k), _caption(curve),
             partial(_legend, part, k), _missing(part, curve),
         )
         for k, curve in enumerate(part.curves)
@@ -55,7 +56,7 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
     if not np.isfinite(curve.values).any():
         return None
     run = view.config.run
-    settle_s = run.settle_s if curve.told else run.spacing_settle_s
+    settle_s = run.settle_s if curve.is_figure else run.spacing_settle_s
     key, words = _BOUNDS.get(curve.key, ("", ""))
     bound = getattr(view.bounds, key, None)
     if curve.asked is None:
@@ -63,15 +64,14 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
         settling(axes, settle_s)
         _lines(axes, view, part, curve, settle_s, bound)
         level(axes, bound, words)
-        if curve.key == FIGURE_KEY and is_papers(view.config):
-            level(axes, CONTROL_ERROR_MM, "the paper's mean, on hardware")
+        level(axes, papers_mean(view.config, curve.key), "the paper's mean, on hardware")
         return figure
     figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
-    lines(whole, view.series.t, curve.values, view.span, colours(view, part, curve))
+    lines(whole, view.run.since_start_s, curve.values, view.span, colours(view, part, curve))
     level(whole, curve.asked, f"asked: {curve.asked:g} {curve.unit}")
     deviation = curve.values - curve.asked
     settling(off, settle_s)
-    lines(off, view.series.t, deviation, view.span, colours(view, part, curve))
+    lines(off, view.run.since_start_s, deviation, view.span, colours(view, part, curve))
     zoomed(off, deviation[view.counted(settle_s)], bound, bound and -bound)
     level(off, bound, words)
     level(off, bound and -bound)
@@ -81,9 +81,9 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
 def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s: float, bound: float | None) -> None:
     """Draw a curve: of a figure that was told all of it, of a measure what counts."""
     counted = curve.values[view.counted(settle_s)]
-    lowest = wide(curve.values, counted) if curve.told else None
+    lowest = wide(curve.values, counted) if curve.is_figure else None
     values = curve.values if lowest is None else np.maximum(curve.values, lowest)
-    lines(axes, view.series.t, values, view.span, colours(view, part, curve))
+    lines(axes, view.run.since_start_s, values, view.span, colours(view, part, curve))
     if lowest is not None:
         logarithmic(axes, lowest)
     else:
@@ -93,7 +93,7 @@ def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s
 def _missing(part: GroupColumns, curve: Curve) -> str:
     if not curve.of:
         return "Not measured: the group has nothing that it could be measured of."
-    return "Not measured." if curve.told or part.past.known.all() else f"Not measured: {NO_TRUTH}"
+    return "Not measured." if curve.is_figure or part.past.known.all() else f"Not measured: {NO_TRUTH}"
 
 
 def _caption(curve: Curve) -> str:
@@ -103,7 +103,7 @@ def _caption(curve: Curve) -> str:
             f"{meaning}Above all of it, below the difference from what the behaviour asks for, large enough to see "
             "what counts. In the grey part it is not counted."
         )
-    if curve.told:
+    if curve.is_figure:
         return f"{meaning}The behaviour told it at each tick. In the grey part it is not counted."
     return f"{meaning}Measured after the run. The axis shows what counts: the start, which is grey, may lie above it."
 

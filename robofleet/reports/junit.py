@@ -7,7 +7,7 @@ figure in a case that passed: properties and ``system-out`` of the suite have th
 import platform
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from robofleet.core.clock import utc_now
@@ -20,16 +20,6 @@ _COUNTED = {"failures": "failure", "errors": "error", "skipped": "skipped"}
 _NO_XML = {code: "\N{REPLACEMENT CHARACTER}" for code in (*range(32), 0x7F, 0xFFFE, 0xFFFF) if chr(code) not in "\t\n"}
 
 
-class _Case(NamedTuple):
-    """One test case; ``verdict``: failure, error or skipped, None where it passed."""
-
-    name: str
-    seconds: float
-    verdict: str | None = None
-    kind: str = ""
-    why: str = ""
-
-
 def write(summary: Summary, lost: list[str], file: Path) -> None:
     """Write a run's summary, and what of its results was lost; OSError if the file cannot be written."""
     suites = Element("testsuites")
@@ -39,10 +29,11 @@ def write(summary: Summary, lost: list[str], file: Path) -> None:
         SubElement(properties, "property", name=name, value=_text(value))
     cases = [_run(summary, lost), *(_bound(summary, bound) for bound in summary["bounds"])]
     for case in cases:
-        _add(suite, _text(summary["config"]), case)
+        case.set("classname", _text(summary["config"]))
+    suite.extend(cases)
     suite.set("tests", str(len(cases)))
     for attribute, verdict in _COUNTED.items():
-        suite.set(attribute, str(sum(case.verdict == verdict for case in cases)))
+        suite.set(attribute, str(len([*suite.iter(verdict)])))
     SubElement(suite, "system-out").text = _text("\n".join(_output_lines(summary)))
     SubElement(suite, "system-err").text = _text("\n".join(lost))
     indent(suites)
@@ -70,32 +61,34 @@ def _properties(summary: Summary) -> Iterator[tuple[str, object]]:
         yield f"run.bounds.{bound['figure']}", bound["limit"]
 
 
-def _run(summary: Summary, lost: list[str]) -> _Case:
+def _run(summary: Summary, lost: list[str]) -> Element:
     """Return the case that the run came to its end, and kept its results."""
     outcome, cause, took_s = summary["outcome"], summary["cause"] or "", summary["duration_s"]
     if outcome == "stopped":  # by the operator: no error
-        return _Case("completed", took_s, "failure", outcome, cause)
+        return _case("completed", took_s, "failure", outcome, cause)
     if outcome != "completed":
-        return _Case("completed", took_s, "error", outcome, cause or "how the run ended was not recorded")
-    return _Case("completed", took_s, "error", "results lost", "\n".join(lost)) if lost else _Case("completed", took_s)
+        return _case("completed", took_s, "error", outcome, cause or "how the run ended was not recorded")
+    return _case("completed", took_s, "error", "results lost", "\n".join(lost)) if lost else _case("completed", took_s)
 
 
-def _bound(summary: Summary, bound: dict[str, Any]) -> _Case:
+def _bound(summary: Summary, bound: dict[str, Any]) -> Element:
     name = f"{JUDGED[bound['figure']].label}: {limit(bound)}"
     if bound["pass"]:
-        return _Case(name, 0.0)
+        return _case(name, 0.0)
     if not is_judged(summary, bound):
-        return _Case(name, 0.0, "skipped", why="not measured: the run ended too early")
-    return _Case(name, 0.0, "failure", f"run.bounds.{bound['figure']}", shown(bound))
+        return _case(name, 0.0, "skipped", why="not measured: the run ended too early")
+    return _case(name, 0.0, "failure", f"run.bounds.{bound['figure']}", shown(bound))
 
 
-def _add(suite: Element, name: str, case: _Case) -> None:
-    element = SubElement(suite, "testcase", classname=name, name=_text(case.name), time=f"{case.seconds:.3f}")
-    if case.verdict is not None:
-        verdict = SubElement(element, case.verdict, message=_text(case.why))
-        verdict.text = _text(case.why)
-        if case.kind:  # the schema has no kind of what was skipped
-            verdict.set("type", case.kind)
+def _case(name: str, seconds: float, verdict: str | None = None, kind: str = "", why: str = "") -> Element:
+    """Return a test case; ``verdict``: failure, error or skipped, None where it passed."""
+    case = Element("testcase", name=_text(name), time=f"{seconds:.3f}")
+    if verdict is not None:
+        reason = SubElement(case, verdict, message=_text(why))
+        reason.text = _text(why)
+        if kind:  # the schema has no kind of what was skipped
+            reason.set("type", kind)
+    return case
 
 
 def _output_lines(summary: Summary) -> Iterator[str]:

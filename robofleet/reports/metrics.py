@@ -15,12 +15,13 @@ from robofleet.bus.keys import BUSY, key
 from robofleet.bus.messages import FleetPoses
 from robofleet.config import obstacles
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, US
 from robofleet.recording import notes
 from robofleet.recording.causes import named
-from robofleet.recording.measures import compute, computed, delays, lateness, pose_errors
+from robofleet.recording.measures import compute, computed, delays, lateness
 from robofleet.recording.reduced import Counted, Distribution, Images, Mean, Reduced
-from robofleet.recording.run import Array, Recording, Run
+from robofleet.recording.run import Recording, Run
 from robofleet.recording.state_words import busy_figures
 from robofleet.reports.bounds import judged
 from robofleet.reports.stops import stops
@@ -32,15 +33,9 @@ Figures = dict[str, Any]
 
 
 def summary(
-    recording: Recording,
-    *,
-    name: str,
-    mode: str,
-    outcome: str,
-    cause: str | None,
-    began: str | None = None,
+    recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None, began: str | None = None,
     run: Run | None = None,
-) -> Figures:
+) -> Figures:  # fmt: skip
     """Return the figures of a run as ``summary.json`` has them.
 
     ``began``: when, UTC, ISO 8601; ``run``: the recording in columns, where somebody has it.
@@ -115,7 +110,7 @@ def reduced(run: Run, *, peaks: bool = False) -> Reduced:
         moments=list(moments(run)),
         rejected=[_rejected(run, status) for status in run.statuses],
         standing=run.standing(),
-        peaks={part.said.name: [part.summary()] for part in run.parts} if peaks else {},
+        peaks={part.group.name: [part.summary()] for part in run.parts} if peaks else {},
     )
 
 
@@ -123,9 +118,9 @@ def _groups(run: Run, recording: Recording) -> Figures:
     """Each group's own figures; ``asked``: what a measure should be, where the behaviour says so; ``kept``: what its
     scripts kept."""
     return {
-        part.said.name: part.summary()
-        | {"behaviour": part.said.behaviour, "robots": list(part.said.robots), "asked": part.gauge.asked}
-        | ({"kept": own} if (own := notes.kept(recording, part.said.name)) else {})
+        part.group.name: part.summary()
+        | {"behaviour": part.group.behaviour, "robots": list(part.group.robots), "asked": part.gauge.asked}
+        | ({"kept": own} if (own := notes.kept(recording, part.group.name)) else {})
         for part in run.parts
     }
 
@@ -167,10 +162,7 @@ def _distances(whole: Reduced, config: Config) -> Figures:
     first, second = _pairs(config)
     radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
     gaps = distances - radii[first] - radii[second]
-    return {
-        "min_gap_mm": _rounded(gaps.min() * 1e3),
-        "min_centre_distance_mm": _rounded(distances.min() * 1e3),
-    }
+    return {"min_gap_mm": _rounded(gaps.min() * 1e3), "min_centre_distance_mm": _rounded(distances.min() * 1e3)}
 
 
 def _obstacle_gap(run: Run) -> float:
@@ -186,9 +178,9 @@ def _obstacle_gap(run: Run) -> float:
 
 def _pose_errors(run: Run) -> tuple[Mean, Mean, float]:
     """The filter at the tick against the truth at the tick: squares [m^2], [rad^2], the largest [m]."""
-    if run.truth is None:
+    if run.pose_errors is None:
         return Mean(), Mean(), 0.0
-    off, turn = (errors[:, run.known] for errors in pose_errors(run, run.truth))
+    off, turn = (errors[:, run.known] for errors in run.pose_errors)
     off, turn = off[np.isfinite(off)], turn[np.isfinite(turn)]
     return _known(off**2), _known(turn**2), float(off.max(initial=0.0))
 
@@ -222,7 +214,6 @@ def _tracker(run: Run, whole: Reduced, recording: Recording) -> Figures:
 
 
 def _images(run: Run, frames: list[FleetPoses]) -> Images:
-    """What a camera saw."""
     if not frames:
         return Images()
     fleet, members = ({robot.tag for robot in robots} for robots in (run.config.robots, run.config.members))
@@ -239,7 +230,6 @@ def _images(run: Run, frames: list[FleetPoses]) -> Images:
 
 
 def _camera(images: Images) -> Figures:
-    """What one of several cameras saw."""
     took_s = (images.newest_ns - images.first_ns) / 1e9
     return {
         "frames": images.frames,
@@ -323,12 +313,11 @@ def _rounded(value: float, digits: int = 4) -> float:
     return round(float(value), digits)
 
 
-_TIMED_ERROR_MM = 3.0  # more than a healthy robot has
+_HEALTHY_TIMED_ERROR_MM = 3.0
 _LAW_SHARE = 0.2  # of the timed error: a smaller control error is not its reason
 
 
 def remarks(config: Config, groups: Mapping[str, Any]) -> list[str]:
-    """Return the remarks on all groups' figures."""
     return [
         line
         for name, figures in groups.items()
@@ -352,7 +341,7 @@ def _estimate_remark(config: Config, figures: Mapping[str, Any]) -> Iterator[str
     timed, control = figures.get("timed_error_mm"), figures.get("control_error_mm")
     if config.controller.disturbance == "estimated" or not timed or not control:
         return
-    if timed["mean"] > _TIMED_ERROR_MM and control["mean"] < _LAW_SHARE * timed["mean"]:
+    if timed["mean"] > _HEALTHY_TIMED_ERROR_MM and control["mean"] < _LAW_SHARE * timed["mean"]:
         yield (
             f"the timed error is {timed['mean']:.1f} mm, the control error {control['mean']:.1f} mm: the wheels move"
             " the robot otherwise than commanded (slip, wear); `controller.disturbance: estimated` corrects that"

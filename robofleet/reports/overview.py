@@ -9,13 +9,13 @@ from matplotlib.patheffects import withStroke
 from robofleet.behaviours.interface import Dots, Shape
 from robofleet.config import obstacles
 from robofleet.config.robots import Robot
+from robofleet.core.arrays import Array
 from robofleet.core.figures import INK, QUIET, robot_colours
 from robofleet.recording import notes
-from robofleet.recording.run import Array
 from robofleet.reports.canvas import ALARM, WIDTH, RunView, phase_colour, sheet
 from robofleet.reports.timeline import CONTROLLER, FAULTS, TRACKER, Entry
 
-_MARGIN_M = 0.1  # around the arena
+_ARENA_MARGIN_M = 0.1
 _TRAIL_STEP_M = 0.006  # a trail has no points that are closer
 _NAME_SHARE = 0.3  # of the axis that a fault's name takes
 _ROW_INCH = 0.24
@@ -26,11 +26,9 @@ _MOST_ROWS = 12  # of faults, and of robots that have a row whatever happened to
 def paths(view: RunView) -> Figure:
     """Draw every point's trail over the arena, the bodies at the end, and where a robot was stopped."""
     figure, axes = floor(view)
-    points = view.series.points
-    ranks = [
-        1 - k / max(len(group.robots) - 1, 1) for group in view.series.run.groups for k in range(len(group.robots))
-    ]
-    references = view.series.run.references
+    points = view.run.points()
+    ranks = [1 - k / max(len(group.robots) - 1, 1) for group in view.run.groups for k in range(len(group.robots))]
+    references = view.run.references
     for row, colour in enumerate(view.colours):
         walked = trail(points[:, row])
         axes.plot(*trail(references[:, row]).T, color=colour, lw=0.6, ls=(0, (1, 3)), zorder=2.4)
@@ -38,26 +36,26 @@ def paths(view: RunView) -> Figure:
         axes.plot(*walked[0], "o", ms=4, mfc="white", mec=colour)
     _bodies(axes, view)
     for entry in view.timeline.entries:
-        if entry.stop and entry.who in view.series.robots:
-            at = min(int(np.searchsorted(view.series.t, entry.t_s)), len(points) - 1)
-            axes.plot(*points[at, view.series.robots.index(entry.who)], "x", color=ALARM, ms=7, mew=1.8, zorder=6)
+        if entry.stop and entry.who in view.run.robots:
+            at = min(int(np.searchsorted(view.run.since_start_s, entry.t_s)), len(points) - 1)
+            axes.plot(*points[at, view.run.robots.index(entry.who)], "x", color=ALARM, ms=7, mew=1.8, zorder=6)
     return figure
 
 
 def floor(view: RunView) -> tuple[Figure, Axes]:
     """Draw the arena with its obstacles, and what the groups' behaviours have on its floor."""
     width, height = view.config.arena.size_m
-    x, y = width / 2 + _MARGIN_M, height / 2 + _MARGIN_M
+    x, y = width / 2 + _ARENA_MARGIN_M, height / 2 + _ARENA_MARGIN_M
     figure = Figure(figsize=(WIDTH, WIDTH * y / x))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal")
     axes.axis("off")
     axes.add_patch(Rectangle((-width / 2, -height / 2), width, height, fc="none", ec=QUIET, lw=1.0))
     _solids(axes, view)
-    for group in view.series.run.groups:
-        for shape in (*group.shapes, *notes.marks(view.recording, group.name)):
-            _shape(axes, shape, dict(zip(view.series.robots, view.colours, strict=True)))
-    below = -height / 2 - _MARGIN_M / 2
+    for group in view.run.groups:
+        for shape in (*group.shapes, *notes.marks(view.run.recording, group.name)):
+            _shape(axes, shape, dict(zip(view.run.robots, view.colours, strict=True)))
+    below = -height / 2 - _ARENA_MARGIN_M / 2
     axes.plot([-width / 2, -width / 2 + 0.5], [below] * 2, color=QUIET, lw=2)
     axes.text(-width / 2 + 0.54, below, "0.5 m", va="center", color=INK, fontsize=8)
     return figure, axes
@@ -90,10 +88,10 @@ def _shape(axes: Axes, shape: Shape, robots: dict[str, str]) -> None:
 
 
 def _bodies(axes: Axes, view: RunView) -> None:
-    poses = view.series.run.poses()
+    poses = view.run.poses()
     for row, (robot, colour) in enumerate(zip(view.config.members, view.colours, strict=True)):
         _body(axes, robot, poses[-1, row], colour)
-    for robot, pose in zip(view.config.bystanders, view.series.run.standing(), strict=True):
+    for robot, pose in zip(view.config.bystanders, view.run.standing(), strict=True):
         if np.isfinite(pose).all():
             _body(axes, robot, pose, QUIET)
 
@@ -120,7 +118,7 @@ def trail(points: Array) -> Array:
 
 def happened(view: RunView) -> Figure:
     """Draw the phases, and a row for every fault that was injected and for everybody to whom something happened."""
-    timeline, robots = view.timeline, view.series.robots
+    timeline, robots = view.timeline, view.run.robots
     faults = [entry for entry in timeline.entries if entry.who == FAULTS][:_MOST_ROWS]
     concerned = {entry.who for entry in timeline.entries}
     rows = [name for name in (CONTROLLER, TRACKER, *robots) if name in concerned or name in robots[:_MOST_ROWS]]

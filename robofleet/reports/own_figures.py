@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from robofleet.behaviours.interface import scale
+
 _UNITS = {  # by the ends of names, the longest first
     "_rad_s": "rad/s", "_mm_s": "mm/s", "_m_s": "m/s", "_deg": "deg", "_rad": "rad", "_mm": "mm", "_m2": "m2",
     "_ms": "ms", "_us": "us", "_m": "m", "_s": "s",
@@ -19,10 +21,10 @@ class OwnFigure(NamedTuple):
     largest: float | None  # magnitude
     each: tuple[float | None, ...]  # of each robot; empty: it is not of robots
     deviation: tuple[float, str] | None = None  # the largest one from what was asked, and its unit
+    asked: float | None = None  # what it should be
 
     @property
     def title(self) -> str:
-        """Its label and unit in words."""
         return ", ".join(filter(None, (self.label, self.unit)))
 
 
@@ -31,26 +33,26 @@ def own_figures(group: Mapping[str, Any]) -> Iterator[OwnFigure]:
     robots = len(group["robots"])
     for key, value in group.items():
         if key == "kept":  # by the group's script: plain numbers are shown
-            numbers = {name: number for name, number in value.items() if _is_number(number)}
+            numbers = {name: number for name, number in value.items() if is_number(number)}
             yield from (OwnFigure(name, *words(name), number, None, ()) for name, number in numbers.items())
         if key in ("behaviour", "robots", "asked", "kept"):
             continue
         label, unit = words(key)
-        if value is None or _is_number(value):
+        if value is None or is_number(value):
             yield OwnFigure(key, label, unit, value, None, ())
         elif isinstance(value, dict) and isinstance(value.get("mean"), list):
-            gaps = [v if _is_number(v) else None for v in value["mean"]]
+            gaps = [v if is_number(v) else None for v in value["mean"]]
             known = [gap for gap in gaps if gap is not None]
             off = value.get("max_deviation_mm")
             mean = sum(known) / len(known) if known else None
-            deviation = (float(off), "mm") if off is not None and _is_number(off) else None
+            deviation = (float(off), "mm") if off is not None and is_number(off) else None
             yield OwnFigure(key, label, unit, mean, None, _each(gaps, robots), deviation)
-        elif isinstance(value, dict) and _is_number(value.get("mean")):
+        elif isinstance(value, dict) and is_number(value.get("mean")):
             largest = value.get("max")
             each = value.get("per_robot_mean")
             yield OwnFigure(
-                key, label, unit, value["mean"], largest if _is_number(largest) else None,
-                _each([v if _is_number(v) else None for v in each], robots) if isinstance(each, list) else (),
+                key, label, unit, value["mean"], largest if is_number(largest) else None,
+                _each([v if is_number(v) else None for v in each], robots) if isinstance(each, list) else (),
             )  # fmt: skip
 
 
@@ -67,13 +69,15 @@ def words(key: str) -> tuple[str, str]:
     return key.replace("_", " "), ""
 
 
-def asked(group: Mapping[str, Any], figure: OwnFigure) -> tuple[float, str] | None:
-    """Return what a figure should be, and in which unit, where the behaviour says so."""
+def as_asked(group: Mapping[str, Any], figure: OwnFigure) -> OwnFigure:
+    """Return a figure in the unit of what it should be, where the behaviour says that."""
     for key, value in group["asked"].items():
         label, unit = words(key)
-        if label == figure.label and _is_number(value):
-            return value, unit
-    return None
+        if label == figure.label and is_number(value):
+            factor = scale(figure.unit, unit)
+            mean, largest, *each = (v if v is None else v * factor for v in (figure.mean, figure.largest, *figure.each))
+            return figure._replace(unit=unit, mean=mean, largest=largest, each=tuple(each), asked=value)
+    return figure
 
 
 def _each(values: list[float | None], robots: int) -> tuple[float | None, ...]:
@@ -83,5 +87,5 @@ def _each(values: list[float | None], robots: int) -> tuple[float | None, ...]:
     return (None, *values) if len(values) == robots - 1 else ()
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)

@@ -26,7 +26,7 @@ _TEMPLATES = Environment(  # whatever a run's files say is text to them, never H
     lstrip_blocks=True,
 )
 _LOOK = {"ink": INK, "quiet": QUIET, "faint": FAINT, "link": COLOURS[0], "good": COLOURS[2], "bad": COLOURS[1]}
-_SIDE_BY_SIDE = 3  # columns that a narrow screen shows
+_NARROW_SCREEN_COLUMNS = 3
 _PRECISION = re.compile(r"(?<=\.\d\d)\d+")  # a hundredth of a point is finer than any screen
 _TAG = re.compile(r"<[^>]*>")
 _NAMES = re.compile(r' id="(?!C\d)[\w.]+_\d+"')  # nobody refers to them, and every plot has the same
@@ -57,7 +57,6 @@ class Picture(NamedTuple):
 
     @property
     def base64(self) -> str:
-        """Return the photograph as an address holds it."""
         return base64.b64encode(self.jpeg).decode()
 
 
@@ -78,18 +77,15 @@ class Page:
         self._add("verdict", text=text, good=good, detail=detail)
 
     def section(self, title: str, text: str = "") -> None:
-        """Begin a section."""
         self._sections.append(title)
         self._add("section", number=len(self._sections), title=title)
         if text:
             self.note(text)
 
     def note(self, text: str) -> None:
-        """Add a sentence."""
         self._add("note", text=text)
 
     def tiles(self, tiles: Iterable[Tile]) -> None:
-        """Add figures to be seen at a glance."""
         self._add("tiles", tiles=list(tiles))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[object]], *, whole: bool = False) -> None:
@@ -98,22 +94,15 @@ class Page:
         A ``whole`` one is as wide as the page. On a narrow screen it is not moved to the side: its rows become cards.
         """
         shown = [[_cell(cell) for cell in row] for row in rows]
-        self._add("table", head=head, rows=shown, whole=whole, cards=whole and len(head) > _SIDE_BY_SIDE)
+        self._add("table", head=head, rows=shown, whole=whole, cards=whole and len(head) > _NARROW_SCREEN_COLUMNS)
 
     def pictures(self, pictures: Iterable[Picture]) -> None:
-        """Add small photographs side by side."""
         self._add("pictures", pictures=list(pictures))
 
     def figure(
-        self,
-        figure: Figure,
-        caption: str,
-        *,
-        title: str = "",
-        legend: Iterable[tuple[str, str]] = (),
-        long: bool = False,
-        files: Callable[[], Iterable[tuple[str, str]]] = tuple,
-    ) -> None:
+        self, figure: Figure, caption: str, *, title: str = "", legend: Iterable[tuple[str, str]] = (),
+        long: bool = False, files: Callable[[], Iterable[tuple[str, str]]] = tuple,
+    ) -> None:  # fmt: skip
         """Add a plot, with its legend's (label, colour); make it inside ``with mpl.rc_context(STYLE):``.
 
         A long one does not shrink to a narrow screen: it is moved to the side there. ``files``, called when the plot

@@ -10,23 +10,22 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from robofleet.config import slices
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, US
 from robofleet.core.figures import COLOURS, QUIET
 from robofleet.recording import measures
 from robofleet.recording.reduced import Distribution
-from robofleet.recording.run import Array
 from robofleet.reports.canvas import Plot, RunView, few, level, lines, phase_colour, settling, sheet, strips, zoomed
 from robofleet.reports.group_plots import NO_TRUTH, of_group
 from robofleet.reports.overview import happened, paths
 
 
 def _robots_lines(axes: Axes, view: RunView, values: Array) -> None:
-    lines(axes, view.series.t, values, view.span, view.colours)
+    lines(axes, view.run.since_start_s, values, view.span, view.colours)
 
 
 def wheels(view: RunView) -> Figure | None:
-    """Draw each robot's faster wheel."""
-    items = view.series.run.items
+    items = view.run.items
     drives = [slices.drive(robot) for robot in view.config.members]
     figure, (axes,) = strips(view, ["faster wheel, rad/s"])
     _robots_lines(axes, view, np.maximum(abs(items["left_rad_s"]), abs(items["right_rad_s"])))
@@ -38,7 +37,7 @@ def wheels(view: RunView) -> Figure | None:
 
 def references(view: RunView) -> Figure | None:
     """Draw the references' speeds |rho'|."""
-    run, tick_s = view.series.run, view.config.controller.tick_s
+    run, tick_s = view.run, view.config.controller.tick_s
     if np.isnan(run.references).all():
         return None
     figure, (axes,) = strips(view, ["|ρ′|, m/s"])
@@ -55,7 +54,7 @@ def references(view: RunView) -> Figure | None:
 
 def poses(view: RunView) -> Figure | None:
     """Draw the filter's poses against the true ones over time."""
-    off, turn = view.series.pose_mm, view.series.heading_deg
+    off, turn = measures.pose_error_mm(view.run), measures.heading_error_deg(view.run)
     if off is None or turn is None:
         return None
     figure, (position, heading) = strips(view, ["position off, mm", "heading off, deg"])
@@ -68,7 +67,7 @@ def poses(view: RunView) -> Figure | None:
 
 def pose_distribution(view: RunView) -> Figure | None:
     """Draw which share of the ticks had a pose error below which size."""
-    off, turn = view.series.pose_mm, view.series.heading_deg
+    off, turn = measures.pose_error_mm(view.run), measures.heading_error_deg(view.run)
     if off is None or turn is None:
         return None
     figure, (position, heading) = sheet(2.4, 1, 2)
@@ -84,19 +83,17 @@ def pose_distribution(view: RunView) -> Figure | None:
 
 
 def _robots(view: RunView) -> list[tuple[str, str]]:
-    return few(list(zip(view.series.robots, view.colours, strict=True)))
+    return few(list(zip(view.run.robots, view.colours, strict=True)))
 
 
 def _referring(view: RunView) -> list[tuple[str, str]]:
-    """Return the robots that had references."""
-    had = np.atleast_1d(np.isfinite(view.series.run.references).any(axis=(0, 2)))
-    every = zip(view.series.robots, view.colours, had, strict=True)
+    had = np.atleast_1d(np.isfinite(view.run.references).any(axis=(0, 2)))
+    every = zip(view.run.robots, view.colours, had, strict=True)
     return few([(robot, colour) for robot, colour, present in every if present])
 
 
 def _known(view: RunView) -> list[tuple[str, str]]:
-    """Return the robots whose truth is known."""
-    every = zip(view.series.robots, view.colours, view.series.run.known, strict=True)
+    every = zip(view.run.robots, view.colours, view.run.known, strict=True)
     return few([(robot, colour) for robot, colour, known in every if known])
 
 
@@ -108,16 +105,15 @@ _BINS = 60
 
 
 def delays(view: RunView) -> list[tuple[str, str]]:
-    """Return the legend of the delays."""
     names = "poses sent", "taken by a tick", "at a wheel"
-    shown = zip(names, measures.delays(view.series.run), COLOURS, strict=False)
+    shown = zip(names, measures.delays(view.run), COLOURS, strict=False)
     percentiles = [(name, delay.percentiles((50, 99)) / MS, colour) for name, delay, colour in shown if len(delay)]
     return [(f"{name}: {p50:.1f} ms, p99 {p99:.1f} ms", colour) for name, (p50, p99), colour in percentiles]
 
 
 def latency(view: RunView) -> Figure | None:
     """Draw how long after its mid-exposure an image was a pose, in a tick, at a wheel."""
-    delays = measures.delays(view.series.run)
+    delays = measures.delays(view.run)
     if not len(delays.wheel):
         return None
     figure, (axes,) = sheet(2.3)
@@ -135,7 +131,7 @@ def latency(view: RunView) -> Figure | None:
 
 def ticks(view: RunView) -> Figure | None:
     """Draw how long the ticks computed, and how late they were."""
-    run = view.series.run
+    run = view.run
     figure, (compute, late) = sheet(2.5, 1, 2)
     _histogram(compute, measures.compute(run), "computing a tick, us")
     _histogram(late, measures.lateness(run), "tick late by, us")
@@ -183,7 +179,7 @@ HAPPENED = {
             _robots,
             long=False,
         ),
-    ),
+    )
 }
 FLEET = {
     "Driving": (
@@ -231,7 +227,7 @@ FLEET = {
 
 def sections(view: RunView) -> dict[str, list[Plot]]:
     """Return all plots of a run, by section: what happened, each group's own, the whole fleet's."""
-    alone = len(view.series.run.parts) == 1
-    groups = {f"Group {part.said.name}": of_group(part, alone=alone) for part in view.series.run.parts}
+    alone = len(view.run.parts) == 1
+    groups = {f"Group {part.group.name}": of_group(part, alone=alone) for part in view.run.parts}
     plots = {**HAPPENED, **groups, **FLEET}
     return {section: list(entries) for section, entries in plots.items() if entries}

@@ -4,7 +4,7 @@ import io
 import os
 import re
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,18 +15,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from robofleet.behaviours.described import JUDGED_FIGURES
-from robofleet.behaviours.interface import scale
 from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.core.figures import STYLE
-from robofleet.core.files import replaced
-from robofleet.recording.columns import CSV, write_csv
-from robofleet.recording.measures import series
+from robofleet.core.files import write_bytes
+from robofleet.recording.columns import CSV
 from robofleet.recording.run import Recording, Run
 from robofleet.reports import sensors
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.reports.canvas import Legend, RunView
-from robofleet.reports.own_figures import OwnFigure, asked, heading, own_figures
+from robofleet.reports.own_figures import as_asked, heading, own_figures
 from robofleet.reports.pages import Marked, Page, Tile
 from robofleet.reports.plots import HAPPENED, sections
 from robofleet.reports.stops import together
@@ -47,34 +45,22 @@ _LABELS_A_ROW = 6
 _PAD_INCH = 0.03
 
 
-class FigureFiles:
-    """The files of a run's figures in ``folder``; ``page`` is the page that links them."""
+def _figure_files(folder: Path, page: Path, title: str, figure: Figure, legend: Legend) -> list[tuple[str, str]]:
+    """Write a plot, which is given its legend, into a folder; returns (kind, address) of each file for a page.
 
-    def __init__(self, folder: Path, page: Path) -> None:
-        self._folder, self._page = folder, page
-
-    def write(self, title: str, figure: Figure, legend: Legend) -> list[tuple[str, str]]:
-        """Write a plot, which is given its legend; returns (kind, address) of each file. OSError if it cannot be."""
-        self._folder.mkdir(parents=True, exist_ok=True)
-        if legend:
-            _add_legend(figure, legend)
-        name = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
-        return [(kind.upper(), self._address(self._save(figure, name, kind))) for kind in _METADATA]
-
-    def _save(self, figure: Figure, name: str, kind: str) -> Path:
-        buffer, file = io.BytesIO(), self._folder / f"{name}.{kind}"
+    OSError if it cannot be.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if legend:
+        _add_legend(figure, legend)
+    name, written = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-"), []
+    for kind, metadata in _METADATA.items():
+        buffer, file = io.BytesIO(), folder / f"{name}.{kind}"
         with mpl.rc_context(_FILE_STYLE):
-            figure.savefig(
-                buffer, format=kind, metadata=_METADATA[kind], bbox_inches="tight", pad_inches=_PAD_INCH, dpi=300
-            )
-        with replaced(file) as stream:
-            left = buffer.getbuffer()
-            while left:
-                left = left[stream.write(left) :]
-        return file
-
-    def _address(self, file: Path) -> str:
-        return quote(os.path.relpath(file.resolve(), self._page.parent.resolve()))
+            figure.savefig(buffer, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=_PAD_INCH, dpi=300)
+        write_bytes(file, buffer.getvalue())
+        written.append((kind.upper(), quote(os.path.relpath(file.resolve(), page.parent.resolve()))))
+    return written
 
 
 def _add_legend(figure: Figure, legend: Legend) -> None:
@@ -86,18 +72,12 @@ def _add_legend(figure: Figure, legend: Legend) -> None:
     )  # fmt: skip
 
 
-def write(
-    recording: Recording, summary: Summary, folder: Path, figures: Path | None = None, run: Run | None = None,
-    parts: Iterable[Run] | None = None,
-) -> Path:  # fmt: skip
-    """Write the page and the columns into the run's folder; returns the page's file. OSError if it cannot be.
+def write(run: Run, summary: Summary, folder: Path, figures: Path | None = None) -> Path:
+    """Write the page into the run's folder, with what its sensors measured; returns the page's file.
 
-    ``figures``: a folder for every plot as a file of its own, which the page links. ``run``: the recording in columns,
-    where somebody has it; ``parts``: the same with every tick, part by part, where it has only some.
+    OSError if it cannot be. ``figures``: a folder for every plot as a file of its own, which the page links.
     """
-    view = view_of(recording, summary, run)
-    # The columns first: plots need memory, and keep some of it.
-    write_csv([view.series] if parts is None else map(series, parts), folder / CSV)
+    view, recording = RunView(run, summary), run.recording
     page = Page(summary["config"], _subtitle(summary))
     _verdict(page, recording, summary)
     if summary["ticks"]:
@@ -107,13 +87,13 @@ def write(
                 f"No truth is known of {', '.join(summary['estimated'])}: their places are the filter's estimates."
             )
         _bounds(page, summary)
-    if (every := view.series.run.every) > 1:
+    if (every := run.every) > 1:
         page.note(
             f"The run is long: curves, and the means of the groups' own figures, are of every {every}th tick. "
             "All other figures, and the largest values, are of every tick."
         )
     with mpl.rc_context(STYLE):
-        _plots(page, view, None if figures is None else FigureFiles(figures, folder / PAGE))
+        _plots(page, view, None if figures is None else partial(_figure_files, figures, folder / PAGE))
     _stops(page, summary)
     _entries(page, view.timeline)
     _robots(page, summary)
@@ -122,12 +102,6 @@ def write(
         sensors.write_csv(recording, folder / sensors.CSV)
     page.write(folder / PAGE)
     return folder / PAGE
-
-
-def view_of(recording: Recording, summary: Summary, run: Run | None = None) -> RunView:
-    """Return what there is to draw of a run."""
-    run = run or Run(recording)
-    return RunView(recording, series(run), Timeline(run, summary["stops"]))
 
 
 def _subtitle(summary: Summary) -> str:
@@ -139,7 +113,6 @@ def _subtitle(summary: Summary) -> str:
 
 
 def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
-    """Say what became of the run, and why."""
     missed = failures(summary)
     good: bool | None = not missed and summary["outcome"] == "completed"
     if summary["outcome"] == "completed":
@@ -167,7 +140,6 @@ def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
 
 
 def _stopped(summary: Summary) -> Iterator[str]:
-    """Yield who stopped on the way, and whom the operator stopped."""
     own = sum(not stop["by_operator"] for stop in summary["stops"])
     yield f"{own} stop{'s' * (own > 1)} of a robot by itself." if own else "No robot stopped by itself."
     yield from (f"The operator stopped {line}." for line in together(summary["stops"]))
@@ -225,8 +197,8 @@ def _bounds(page: Page, summary: Summary) -> None:
     page.table(("figure", "verdict", "value", "bound", "key"), rows)
 
 
-def _plots(page: Page, view: RunView, files: FigureFiles | None) -> None:
-    ran = len(view.series.t) > 0
+def _plots(page: Page, view: RunView, files: Callable[[str, Figure, Legend], list[tuple[str, str]]] | None) -> None:
+    ran = len(view.run.ticks) > 0
     for section, plots in (sections(view) if ran else HAPPENED).items():
         page.section(section)
         for plot in plots if ran else plots[:1]:
@@ -235,7 +207,7 @@ def _plots(page: Page, view: RunView, files: FigureFiles | None) -> None:
                 page.note(f"{plot.title}. {plot.missing}")
             else:
                 legend = plot.legend(view)
-                kept = tuple if files is None else partial(files.write, plot.title, figure, legend)
+                kept = tuple if files is None else partial(files, plot.title, figure, legend)
                 page.figure(figure, plot.caption, title=plot.title, legend=legend, long=plot.long, files=kept)
         if not ran:
             page.note("The fleet was never running: there is nothing more to show.")
@@ -264,7 +236,8 @@ def _robots(page: Page, summary: Summary) -> None:
     page.section("Robots", "Means over the time that counts.")
     own = [stop["robot"] for stop in summary["stops"] if not stop["by_operator"]]
     for name, group in summary["groups"].items():
-        columns = dict(_column(group, figure) for figure in own_figures(group) if figure.each)
+        shown = [as_asked(group, figure) for figure in own_figures(group) if figure.each]
+        columns = {figure.title: figure.each for figure in shown}
         rows = [
             (robot, *(values[k] for values in columns.values()), own.count(robot), summary["rejected"][robot])
             for k, robot in enumerate(group["robots"])
@@ -272,17 +245,6 @@ def _robots(page: Page, summary: Summary) -> None:
         if len(summary["groups"]) > 1:
             page.note(heading(name, group["behaviour"]))
         page.table(("robot", *columns, "stops by itself", "messages refused"), rows)
-
-
-def _column(group: Summary, figure: OwnFigure) -> tuple[str, tuple[float | None, ...]]:
-    """Return a figure's title and its value of each robot, in the unit of what it should be."""
-    should = asked(group, figure)
-    if should is None:
-        return figure.title, figure.each
-    value, unit = should
-    factor = scale(figure.unit, unit)
-    each = tuple(None if mean is None else mean * factor for mean in figure.each)
-    return f"{figure.label}, {unit} (of {value:g})", each
 
 
 def _origin(page: Page, recording: Recording, folder: Path, *, linked: bool) -> None:

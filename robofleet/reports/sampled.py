@@ -1,6 +1,7 @@
 """A run that is too long for memory: some of its ticks in columns, and the figures of all its ticks."""
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,9 +10,10 @@ from numpy.typing import NDArray
 
 from robofleet.bus.keys import BUSY, NOTE, SENSORS, named
 from robofleet.bus.messages import RunState
+from robofleet.core.arrays import Array
 from robofleet.recording.reading import TOGETHER, Imports, nothing_imported, parts
-from robofleet.recording.reduced import Reduced, joined
-from robofleet.recording.run import Array, Own, Run
+from robofleet.recording.reduced import joined
+from robofleet.recording.run import Own, Run
 from robofleet.reports.metrics import reduced
 
 _MOST_TICK_BYTES = 24 << 20  # a quarter to half an hour of four robots
@@ -39,7 +41,8 @@ class Sampled(Run):
     """Every n-th tick of a run in columns, and the last one; its phases, its news, its figures of all ticks."""
 
     def __init__(self) -> None:
-        """Begin with nothing: ``add`` the parts of a run in order, then ``close``."""
+        """Begin with nothing: ``taking`` takes the parts of a run in order, ``run`` puts them together."""
+        self._whole: Run | None = None  # of a short run: its only part
         self.own, self.every = Own(), 1
         self._count = 0  # ticks so far
         self._kept: list[_Ticks] = []
@@ -50,9 +53,25 @@ class Sampled(Run):
         self._messages: list[tuple[str, bytes]] = []
         self.states: list[tuple[int, RunState]] = []
 
-    def add(self, run: Run, reduced: Reduced) -> None:
-        """Take the next part, and its figures."""
-        self.reduced = reduced if self.reduced is None else joined([self.reduced, reduced])
+    def taking(self, parts: Iterable[Run]) -> Iterator[Run]:
+        """Yield the parts of a run, and take each."""
+        for part in parts:
+            if part.own == Own(0):
+                self._whole = part
+            else:
+                self._add(part)
+            yield part
+            del part  # before the next one is read
+
+    def run(self) -> Run:
+        """Return the run that was taken: all of a short one."""
+        if self._whole is None:
+            self._close()
+        return self._whole or self
+
+    def _add(self, run: Run) -> None:
+        figures = reduced(run, peaks=True)
+        self.reduced = figures if self.reduced is None else joined([self.reduced, figures])
         self.recording, self.config = run.recording, run.config
         self.start_ns, self.began = run.start_ns, run.began
         self._add_ticks(run)
@@ -82,8 +101,7 @@ class Sampled(Run):
             self.every *= 2
             self._kept = [kept.every(self.every) for kept in self._kept]
 
-    def close(self) -> None:
-        """Put it together."""
+    def _close(self) -> None:
         kept, self._kept = self._kept, []
         if self._count and (self._count - 1) % self.every:
             kept.append(self._newest)
@@ -110,13 +128,8 @@ def look(run: Path, imports: Imports = nothing_imported, together: int = TOGETHE
         RecordingError: if there is none that can be read.
     """
     sampled = Sampled()
-    for part in looks(run, imports, together):
-        if part.own == Own(0):
-            return part
-        sampled.add(part, reduced(part, peaks=True))
-        del part  # before the next one is read
-    sampled.close()
-    return sampled
+    deque(sampled.taking(looks(run, imports, together)), maxlen=0)
+    return sampled.run()
 
 
 def looks(run: Path, imports: Imports = nothing_imported, together: int = TOGETHER) -> Iterator[Run]:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from robofleet.bus import sensors
 from robofleet.bus.keys import SENSORS, key
+from robofleet.core.arrays import Array
 from robofleet.core.files import replaced
-from robofleet.recording.run import Array, Recording
+from robofleet.recording.run import Recording
 
 CSV = "sensors.csv"
 _AXES = "xyz"
@@ -48,13 +49,9 @@ def columns(recording: Recording, robot: str) -> SensorColumns:
         return filled
 
     return SensorColumns(
-        np.array([stamp_ns for stamp_ns, _ in own], np.int64),
-        rows("gyro", 3),
-        rows("accelerometer", 3),
-        rows("magnetometer", 3),
-        rows("heading", 1)[:, 0],
-        rows("distances", most),
-    )
+        np.array([stamp_ns for stamp_ns, _ in own], np.int64), rows("gyro", 3), rows("accelerometer", 3),
+        rows("magnetometer", 3), rows("heading", 1)[:, 0], rows("distances", most),
+    )  # fmt: skip
 
 
 def write_csv(recording: Recording, file: Path) -> None:

@@ -9,10 +9,9 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from robofleet.behaviours.interface import scale
 from robofleet.config.tree import Config
-from robofleet.reports.own_figures import asked, heading, own_figures
-from robofleet.reports.paper import CONTROL_ERROR_MM, FIGURE_KEY, is_papers
+from robofleet.reports.own_figures import as_asked, heading, own_figures
+from robofleet.reports.paper import is_papers, papers_mean
 from robofleet.reports.stops import together
 
 Make = Callable[[Sequence[str]], Table]  # is given the columns that are left out
@@ -120,26 +119,19 @@ def _caption(s: Summary) -> Iterator[str]:
 
 
 def _errors(s: Summary, config: Config) -> Iterator[_Row]:
-    """Yield the groups' own figures."""
-    papers = f"about {CONTROL_ERROR_MM:g}"
     for name, group in s["groups"].items():
         if len(s["groups"]) > 1:
             yield _Row(heading(name, group["behaviour"]), "", "", group["robots"])
         for figure in own_figures(group):
-            paper = papers if figure.key == FIGURE_KEY else "-"
-            should = asked(group, figure)
-            if figure.mean is None:
+            mean = papers_mean(config, figure.key)
+            paper = "-" if mean is None else f"about {mean:g}"
+            shown = as_asked(group, figure)
+            digits = 2 if shown.asked is None else 1
+            if shown.mean is None:
                 yield _Row(figure.title, "not measured", paper)
-            elif should is None:
-                largest = "" if figure.largest is None else f" ({figure.largest:.1f})"
-                yield _Row(figure.title, f"{figure.mean:.2f}{largest}", paper, _each(figure.each, 2))
             else:
-                value, unit = should
-                factor = scale(figure.unit, unit)
-                each = _each([v if v is None else v * factor for v in figure.each], 1)
-                label = f"{figure.label}, {unit} (of {value:g})"
-                largest = "" if figure.largest is None else f" ({figure.largest * factor:.1f})"
-                yield _Row(label, f"{figure.mean * factor:.1f}{largest}", "-", each)
+                largest = "" if shown.largest is None else f" ({shown.largest:.1f})"
+                yield _Row(shown.title, f"{shown.mean:.{digits}f}{largest}", paper, _each(shown.each, digits))
             if figure.deviation is not None:
                 off, unit = figure.deviation
                 yield _Row(f"{figure.label}'s deviation, {unit}", f"({off:.1f})")
@@ -177,7 +169,6 @@ def _health(s: Summary) -> Iterator[_Row]:
 
 
 def _stops(stops: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Yield who stopped by itself, and whom the operator stopped."""
     own = [stop for stop in stops if not stop["by_operator"]]
     if own:
         yield f"stops of a robot by itself: {len(own)}"

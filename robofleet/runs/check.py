@@ -45,14 +45,9 @@ class Study(NamedTuple):
 
 
 def load_checked(
-    file: FilePath,
-    overrides: Sequence[str | Change] = (),
-    faults_file: FilePath | None = None,
-    *,
-    lockstep: bool = False,
-    change: Callable[[Config], Config] | None = None,
-    study: Study | None = None,
-) -> Config:
+    file: FilePath, overrides: Sequence[str | Change] = (), faults_file: FilePath | None = None, *,
+    lockstep: bool = False, change: Callable[[Config], Config] | None = None, study: Study | None = None,
+) -> Config:  # fmt: skip
     """Read a configuration that can work; ConfigError with every fault at its line and column.
 
     Where nothing else is wrong with the robots, each is opened once: what does not answer is a fault too. ``change``
@@ -85,12 +80,10 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     if impossible := list(_impossible(config)):
         return complaints + impossible
     for bound in _worst(bound for bound in _bounds(config) if not bound.holds):
-        relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
-        value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
         key = bound.path.rpartition(".")[2]
         itself = bound.what.startswith(key) and not bound.at_least  # not something that it brings about
         hint = units.meant(bound.value, bound.limit, key) if itself else ""
-        complaints.append((bound.path, f"{bound.what} is {value}{hint}, must be {relation} {limit}: {bound.mend}"))
+        complaints.append((bound.path, _broken(bound, hint)))
     complaints += _ways(config)
     if not any(path.startswith(("robots.", "groups.")) for path, _ in complaints):
         complaints += [
@@ -178,9 +171,13 @@ def _ways(config: Config) -> Iterator[Complaint]:
 def _refused(bounds: Iterable[Bound]) -> Iterator[Refusal]:
     for bound in bounds:
         if not bound.holds:
-            relation = "at least" if bound.at_least else "at most"
-            value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
-            yield Refusal(bound.path, f"{bound.what} is {value}, must be {relation} {limit}: {bound.mend}")
+            yield Refusal(bound.path, _broken(bound))
+
+
+def _broken(bound: Bound, hint: str = "") -> str:
+    relation = "at least" if bound.at_least else "less than" if bound.strict else "at most"
+    value, limit = _shown(bound.value, bound.unit), _shown(bound.limit, bound.unit)
+    return f"{bound.what} is {value}{hint}, must be {relation} {limit}: {bound.mend}"
 
 
 def _absolute(config: Config, group: int, key: str) -> str:

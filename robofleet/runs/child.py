@@ -22,23 +22,17 @@ from robofleet.hosts.link_log import FewLines, say_linked, say_refused
 from robofleet.hosts.network import Keys, network
 from robofleet.nodes.node import Lifeline, Node, ahead_of_others, realtime_priority, run
 from robofleet.nodes.unit.state_store import FileStateStore
-from robofleet.runs.table import RECORDER, ROUTER, TRACKER, Edges, Row
+from robofleet.runs.table import RECORDER, ROUTER, TRACKER, Edges, Row, say
 from robofleet.tracking.sources import CameraError
 from robofleet.vehicles.interface import DriverError
 
-_RESTARTS_WITHIN_NS = 5 * S  # a router that begins anew
+_ROUTER_RESTARTS_WITHIN_NS = 5 * S
 
 
 def main(
-    row: Row,
-    config: Config,
-    folder: Path,
-    lifeline: int | None,
-    robots: tuple[str, ...] = (),
-    camera: str = "",
-    *,
+    row: Row, config: Config, folder: Path, lifeline: int | None, robots: tuple[str, ...] = (), camera: str = "", *,
     take_over: bool = False,
-) -> None:
+) -> None:  # fmt: skip
     """Run one process of a run until its lifeline is cut. ``folder``: where the run is recorded.
 
     ``camera``: whose tracker this is, where there are several.
@@ -97,22 +91,22 @@ def _route(config: Config, lifeline: Lifeline) -> None:
     """
     keys = Keys(config)
     beyond = network(config, all_units=config.bus.router != "service")  # a unit's revocation does not end it
-    say = FewLines(_say, WallClock().now_ns)
+    say_rarely = FewLines(say, WallClock().now_ns)
     if beyond is not None:
-        _log_refused(say)
+        _log_refused(say_rarely)
     router = open_router(config.bus.endpoint, beyond)
     try:
         if beyond is not None:
-            router.info.declare_link_events_listener(say_linked(beyond.permitted, say), history=True)
+            router.info.declare_link_events_listener(say_linked(beyond.permitted, say_rarely), history=True)
         lifeline.ready()
         while not lifeline.cut:
             if beyond is not None and keys.changed(beyond.permitted):
-                _say("the keys have changed: the router begins anew")
+                say("the keys have changed: the router begins anew")
                 beyond = network(config, all_units=False)
                 assert beyond is not None
                 router.close()  # type: ignore[no-untyped-call]
                 router = _opened_again(config, beyond)
-                router.info.declare_link_events_listener(say_linked(beyond.permitted, say), history=True)
+                router.info.declare_link_events_listener(say_linked(beyond.permitted, say_rarely), history=True)
             threading.Event().wait(0.05)
     finally:
         router.close()  # type: ignore[no-untyped-call]
@@ -121,7 +115,7 @@ def _route(config: Config, lifeline: Lifeline) -> None:
 def _opened_again(config: Config, beyond: Network) -> zenoh.Session:
     """Open a router where one has just been closed: a QUIC socket is there for a moment longer."""
     clock = WallClock()
-    end_ns = clock.now_ns() + _RESTARTS_WITHIN_NS
+    end_ns = clock.now_ns() + _ROUTER_RESTARTS_WITHIN_NS
     while True:
         try:
             return open_router(config.bus.endpoint, beyond)
@@ -131,7 +125,7 @@ def _opened_again(config: Config, beyond: Network) -> zenoh.Session:
         clock.sleep_until(clock.now_ns() + 10 * MS)
 
 
-def _log_refused(say: FewLines) -> None:
+def _log_refused(say_rarely: FewLines) -> None:
     """Log which links Zenoh refuses, at a limited rate: it writes them to stdout as often as peers try."""
     sys.stdout.flush()
     read, write = os.pipe()
@@ -139,12 +133,8 @@ def _log_refused(say: FewLines) -> None:
     os.dup2(write, sys.__stdout__.fileno() if sys.__stdout__ is not None else 1)
     os.close(write)
     lines = os.fdopen(read, errors="replace")
-    threading.Thread(target=say_refused, args=(lines, say), daemon=True).start()
+    threading.Thread(target=say_refused, args=(lines, say_rarely), daemon=True).start()
     zenoh.init_log_from_env_or("warn")
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _joined(config: Config, roles: tuple[str, ...], clock: Clock) -> ZenohBus:

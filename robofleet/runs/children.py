@@ -54,7 +54,6 @@ class Child:
 
     @property
     def died(self) -> bool:
-        """Whether it is there no more."""
         return self.process.poll() is not None
 
     def hear(self, word: bytes) -> None:
@@ -72,7 +71,6 @@ class Child:
         return self.progress is not None and not self.ready
 
     def last_lines(self) -> str:
-        """Return the end of what it wrote."""
         lines = self.log.read_text(errors="replace").strip().splitlines()[-_LAST_LINES:]
         return "".join(f"\n    {line}" for line in lines)
 
@@ -109,7 +107,6 @@ class Children:
         return Child(name, arguments, process, ours, log)
 
     def signal(self, name: str, number: signal.Signals) -> None:
-        """Send a signal to a child."""
         self._named(name).process.send_signal(number)
 
     def kill(self, name: str) -> None:
@@ -120,7 +117,6 @@ class Children:
         child.process.wait()
 
     def start_again(self, name: str) -> None:
-        """Start a child that was killed."""
         child = self._named(name)
         child.lifeline.close()
         self.children[self.children.index(child)] = self.started(name, child.arguments)
@@ -148,7 +144,6 @@ class Children:
                         deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
 
     def compiling(self) -> tuple[Progress, ...]:
-        """Return how far those are that compile."""
         return tuple(child.progress for child in self.children if child.progress is not None and child.compiles)
 
     def check(self, spare: Collection[str] = ()) -> None:

@@ -45,12 +45,10 @@ class Companion:
                 self._child.lifeline.send(words.encode() + b"\n", socket.MSG_DONTWAIT)
 
     def look(self) -> None:
-        """Report it if the process has ended."""
         if self._child.died:
             self._gone()
 
     def end(self) -> None:
-        """Tell the process that the run is over."""
         self._over = True
         with suppress(OSError):  # it is gone
             self._child.lifeline.shutdown(socket.SHUT_WR)

@@ -28,10 +28,11 @@ from robofleet.nodes.unit import driver_settings
 from robofleet.nodes.unit.driver import LOOP_NS, DriverProcess
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.nodes.unit.state_store import FileStateStore
+from robofleet.runs.table import say
 from robofleet.vehicles.interface import DriverError
 
 _IDLE_NS = S // 10
-_PRIORITY = 15  # as that of a driver that the run starts
+_DRIVER_PRIORITY = 15
 
 Say = Callable[[str], None]
 
@@ -153,24 +154,20 @@ def main() -> None:
     held = Lifeline(None)
     ahead_of_others()
     clock, waker = WallClock(), Waker()
-    _say(f"{robot.unit} of {robot.arena}: waiting for the router at {', '.join(robot.router)}")
+    say(f"{robot.unit} of {robot.arena}: waiting for the router at {', '.join(robot.router)}")
     with closing(_joined(robot, clock, own, session_id(certificate))) as bus:
         host = {
             "version": version("robofleet"), "host": socket.gethostname(), "since": f"{utc_now():%Y-%m-%dT%H:%M:%SZ}",
             "certificate_ends": f"{certificate.not_after:%Y-%m-%d}",
         }  # fmt: skip
-        node = Daemon(robot, file, bus, clock, waker, host, _say)
-        realtime_priority(_PRIORITY)
+        node = Daemon(robot, file, bus, clock, waker, host, say)
+        realtime_priority(_DRIVER_PRIORITY)
         run(node, clock, held, waker)
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
     try:
         main()
     except RefusedError as refused:
-        _say(str(refused))
+        say(str(refused))
         sys.exit(2)

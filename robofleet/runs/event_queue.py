@@ -48,7 +48,6 @@ class Slot:
         self.schedule(instant_ns)
 
     def kill(self) -> None:
-        """Drop the process as it is."""
         self.node = None
         if self.bus is not None:
             self.bus.alive = False
@@ -59,13 +58,10 @@ class Slot:
             return
         scheduled = self.next_ns == instant_ns
         ahead_ns = 0 if self.clock is None else self.clock.offset_ns()
+        started_ns = stopwatch_ns() if self.timed else 0
+        next_ns = self.node.step(instant_ns + ahead_ns) - ahead_ns
         if self.timed:
-            started_ns = stopwatch_ns()
-            next_ns = self.node.step(instant_ns + ahead_ns)
             self.durations_ns.append(stopwatch_ns() - started_ns)
-        else:
-            next_ns = self.node.step(instant_ns + ahead_ns)
-        next_ns -= ahead_ns
         if scheduled or next_ns != self.next_ns:
             self.schedule(max(next_ns, instant_ns + 1))
 
@@ -79,7 +75,6 @@ class EventQueue:
         self.slots: dict[str, Slot] = {}
 
     def add(self, name: str, make: Callable[[Slot], Node]) -> Slot:
-        """Add a process and start it."""
         slot = self.slots[name] = Slot(name, len(self.slots), self, make)
         slot.start(self._clock.now_ns())
         return slot

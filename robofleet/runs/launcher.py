@@ -72,17 +72,9 @@ class Launcher:
     """
 
     def __init__(
-        self,
-        config: Config,
-        folder: Path,
-        watch: Watch,
-        console: Console,
-        *,
-        reset: bool = False,
-        take_over: bool = False,
-        web: PageWanted | None = None,
-        viewers: Mapping[str, str] | None = None,
-    ) -> None:
+        self, config: Config, folder: Path, watch: Watch, console: Console, *, reset: bool = False,
+        take_over: bool = False, web: PageWanted | None = None, viewers: Mapping[str, str] | None = None,
+    ) -> None:  # fmt: skip
         self._config, self._folder, self._watch, self._console = config, folder, watch, console
         self._reset, self._take_over, self._web, self._served = reset, take_over, web, viewers or {}
         self._clock = WallClock()
@@ -92,7 +84,7 @@ class Launcher:
         self._state_key = key(self._arena, STATE)
         started = table.started_by("run", config)
         self._trackers = tuple(config.trackers) if len(config.trackers) > 1 else ()  # one of them may die
-        # started first and ended last: the recorder keeps how the others end, a twin answers until its driver is closed
+        # ended last: the recorder keeps how the others end, a twin answers until its driver is closed
         self._first = [process for process in started if process.row.first]
         self._others = [process for process in started if not process.row.first]
         self._phase = "starting"
@@ -136,7 +128,8 @@ class Launcher:
 
     def _start(self, fleet: Children) -> None:
         for process in self._first:
-            fleet.start(process.name, *process.command)
+            if process.row is not table.RECORDER:
+                fleet.start(process.name, *process.command)
         self._start_companions(fleet)
 
         def wait() -> None:
@@ -146,6 +139,7 @@ class Launcher:
             self._show("compiling" if compiling else "starting", words)
 
         fleet.wait_ready(self._clock, wait)
+        fleet.start(table.RECORDER.name, table.RECORDER.name)  # it may compile kernels, too
         for process in self._others:
             taking = ["--takeover"] if self._take_over and process.row is table.CONTROLLER else []
             fleet.start(process.name, *process.command, *taking)
@@ -362,7 +356,6 @@ class Launcher:
         raise EmergencyError(f"at the gates; {silent}") if self._stopped_at_gates() else RunError(silent)
 
     def _heed(self) -> None:
-        """Raise what the terminal's signals ask for."""
         counted, attended = self._interrupts, self._config.run.attended
         if attended and (counted.hung_up or self._console.lost):
             raise EmergencyError("the operator's terminal is gone")
@@ -372,7 +365,6 @@ class Launcher:
             raise InterruptedRunError("the operator interrupted")
 
     def _obey(self, keys: str) -> None:
-        """Raise what the keys ask for."""
         if EMERGENCY_KEYS.intersection(keys):
             raise EmergencyError("by key")
         if "q" in keys and not self._ending:
@@ -405,7 +397,6 @@ class Launcher:
             self._bus.ask(REQUEST, "supervisor", b"attended")
 
     def _stopped_at_gates(self) -> bool:
-        """Whether an emergency stop has reached a gate."""
         statuses = [self.recording.newest_status(robot) for robot in self._robots]
         return any(status is not None and status.latch == Latch.EMERGENCY_STOP for status in statuses)
 
@@ -430,7 +421,6 @@ class ChildFaults:
         self._schedule.begin(self._clock.now_ns())
 
     def step(self) -> None:
-        """Begin and end the faults that are due."""
         now_ns = self._clock.now_ns()
         for injection in self._schedule.of("killed", "stopped"):
             acts = injection.acts(now_ns)

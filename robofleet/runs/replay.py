@@ -23,6 +23,7 @@ from robofleet.bus.messages import FLEET_POSES, RUN_STATE, SCRIPT_WISH, TICK_REC
 from robofleet.bus.setpoints import setpoint_topics
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S, SimulatedClock, TickGrid
 from robofleet.nodes.controller import Controller
 from robofleet.recording.provenance import Provenance
@@ -31,7 +32,6 @@ from robofleet.recording.run import Recording
 from robofleet.safety.supervisor import Event
 
 Rows = NDArray[Any]
-Array = NDArray[np.float64]
 Name = tuple[int, int]  # of a message: its sender's epoch, and its number
 NO_NAME = (0, 0)
 
@@ -52,7 +52,6 @@ class Difference(NamedTuple):
     now: float
 
     def __str__(self) -> str:
-        """Return it as a line."""
         return f"tick {self.tick}: {self.what}: {self.recorded!r} was recorded, now {self.now!r}"
 
 
@@ -65,7 +64,6 @@ class Hole:
     why: str
 
     def __str__(self) -> str:
-        """Return it as a line."""
         return f"ticks {self.first} to {self.last} were not compared: {self.why}"
 
 
@@ -161,7 +159,6 @@ class _Takings:
                     self._messages.setdefault((head.epoch, head.seq), payload)
 
     def of(self, name: Name) -> bytes | None:
-        """Return a message, None where it was not recorded."""
         return self._messages.get(name)
 
 
@@ -266,16 +263,16 @@ def _compare_ticks(config: Config, names: list[str], recorded: Rows, now: Rows, 
     for name in _HEAD:
         for k in np.flatnonzero(recorded[name] != now[name]):
             verdict.differences.append(Difference(int(now["tick"][k]), name, int(recorded[name][k]), int(now[name][k])))
-    old, new = _columns(recorded), _columns(now)
-    for k, row, column in np.argwhere(_different(old, new, verdict.tolerance)):
-        what = f"{config.members[row].id}: {RobotTick._fields[column]}"
-        values = float(old[k, row, column]), float(new[k, row, column])
-        verdict.differences.append(Difference(int(now["tick"][k]), what, *values))
-    old, new = np.ascontiguousarray(recorded["figures"]), np.ascontiguousarray(now["figures"])
-    unknown = np.isnan(old) & np.isnan(new)
-    for k, column in np.argwhere(_different(old, new, verdict.tolerance) & ~unknown):
-        values = float(old[k, column]), float(new[k, column])
-        verdict.differences.append(Difference(int(now["tick"][k]), names[column], *values))
+
+    def compare(old: Array, new: Array, named: Callable[..., str]) -> None:
+        for k, *column in np.argwhere(_different(old, new, verdict.tolerance)):
+            values = float(old[k, *column]), float(new[k, *column])
+            verdict.differences.append(Difference(int(now["tick"][k]), named(*column), *values))
+
+    fields = RobotTick._fields
+    compare(_columns(recorded), _columns(now), lambda row, column: f"{config.members[row].id}: {fields[column]}")
+    old, new = recorded["figures"], now["figures"]
+    compare(old, np.where(np.isnan(old) & np.isnan(new), old, new), names.__getitem__)
 
 
 def _compare_commands(

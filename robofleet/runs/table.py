@@ -12,6 +12,7 @@ import shutil
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -106,7 +107,6 @@ def processes(config: "Config") -> list[Process]:
 
 
 def started_by(starter: Starter, config: "Config") -> list[Process]:
-    """Return those that somebody starts."""
     return [process for process in processes(config) if _starter(process, config) == starter]
 
 
@@ -146,11 +146,11 @@ def _recorder(edges: Edges) -> Node:
 
     assert edges.folder is not None
     file = edges.folder / FILE
+    log = partial(RunLog, file, edges.config, epoch_ns=epoch_ns())
     try:
-        log = RunLog(file, edges.config, epoch_ns=epoch_ns())
+        return Recorder(edges.config, edges.bus, edges.rng, log, edges.last_word)
     except OSError as error:
         raise RefusedError(f"{file}: {error.strerror}: a run is recorded in a folder of its own") from error
-    return Recorder(edges.config, edges.bus, edges.rng, log, edges.last_word)
 
 
 def _twins(edges: Edges) -> Node:
@@ -177,7 +177,7 @@ def _supervisor(edges: Edges) -> Node:
         free = faulty_disk.free_bytes(free, edges.faults)
     return Supervisor(
         edges.config, edges.bus, edges.clock, edges.wake, edges.rng, free_bytes=free,
-        attended=edges.real_time and edges.config.run.attended, say=_say if edges.real_time else lambda _: None,
+        attended=edges.real_time and edges.config.run.attended, say=say if edges.real_time else lambda _: None,
         machine=MachineProbe(edges.config.ids) if edges.real_time else lambda _: None,
     )  # fmt: skip
 
@@ -192,7 +192,7 @@ def _room(folder: Path | None) -> Callable[[], int]:
     return lambda: free_bytes(held)
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 

@@ -71,7 +71,6 @@ class ArmingSettings(NamedTuple):
 
 
 def begin(now_ns: int) -> ArmingState:
-    """Return the first state."""
     return ArmingState(since_ns=now_ns)
 
 

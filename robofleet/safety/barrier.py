@@ -150,7 +150,7 @@ def _filter(
         _stop(poses[i], turning[i], bodies[i], ahead, l, stops[i])
         grown[i] = bodies[i, _TOP] * min(max(unseen[i] - age, 0.0), lost_after)
         v, _ = _body_from_wheels(turning[i, 0], turning[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
-        believed[i] = bodies[i, _BELIEVED] * max(abs(v), lately[i].max())
+        believed[i] = bodies[i, _BELIEVED] * max(abs(v), _largest(lately[i]))
     asking = np.zeros(n, dtype=np.bool_)
     for i in range(len(wheels)):
         v, omega = _body_from_wheels(wheels[i, 0], wheels[i, 1], bodies[i, _WHEEL], bodies[i, _BASE])
@@ -175,8 +175,9 @@ def _filter(
         count = first
         if len(rings) > 0:
             fast = bodies[i, _FASTEST]
-            first = _solid_rows(rows, first, stops[i], edges, rings[:floors], margin, rate, fast, back)
-            count = _solid_rows(rows, first, stops[i], edges, rings[floors:], margin, rate, fast, back)
+            for k in range(2):
+                solid = rings[:floors] if k == 0 else rings[floors:]
+                first, count = count, _solid_rows(rows, count, stops[i], edges, solid, margin, rate, fast, back)
             whose[first:count] = _OBSTACLE
         for k in range(others):
             j = found[k]
@@ -202,6 +203,16 @@ def _filter(
 
 
 @kernel
+def _largest(values: Array) -> float:
+    """Return the largest value, NaN if there is one: values.max() takes a second to compile."""
+    largest = values[0]
+    for value in values:
+        if value > largest or np.isnan(value):
+            largest = value
+    return float(largest)
+
+
+@kernel
 def _reach(
     bodies: Array, between: tuple[float, float], grown: Array, believed: Array, pushed: Array, rate: float, share: float
 ) -> float:
@@ -213,7 +224,7 @@ def _reach(
         counts = bodies[i, _TOP] * bodies[i, _BELIEVED]  # so far from what is kept a robot has its top speed
         if counts > 0.0:
             slowing = max(slowing, counts / (1.0 - share) if share < 1.0 else np.inf)
-    pressed = believed.max() + 2.0 * (fastest + fastest_push) / rate
+    pressed = _largest(believed) + 2.0 * (fastest + fastest_push) / rate
     return float(2.0 * (disc + margin) + between[0] + between[1] + max(pressed, slowing))
 
 

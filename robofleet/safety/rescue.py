@@ -56,7 +56,7 @@ def watch(
     before: Rescue, words: Iterable[Word], status: RunStatus, standing: tuple[Happening, ...], view: FleetView
 ) -> Rescue:
     """Return who may be driven out now, by the words that came since the last step, in their order."""
-    now = before._replace(robot=NOBODY, request=Event.NOTHING)
+    now = before if before.robot == NOBODY else before._replace(robot=NOBODY, request=Event.NOTHING)
     several = False
     for word in words:
         own = now.word is None or word.hand == now.word.hand
@@ -71,7 +71,7 @@ def watch(
             now = now._replace(word=None) if own else now
     held = status.phase is Phase.HOLD and status.held is Phase.RUNNING
     if now.word is None or not (held and now.pressed and _fresh(now, view)):
-        return now._replace(pressed=False)
+        return now._replace(pressed=False) if now.pressed else now
     another = several or before.robot not in (NOBODY, now.word.robot)
     if another or not _is_well(now.word.robot, standing, view):
         return now._replace(pressed=False)

@@ -83,7 +83,6 @@ class Rows(Sequence[RobotView]):
         self.array = array
 
     def __len__(self) -> int:
-        """Return how many robots these are."""
         return len(self.array)
 
     @overload
@@ -93,13 +92,11 @@ class Rows(Sequence[RobotView]):
     def __getitem__(self, row: slice) -> "Rows": ...
 
     def __getitem__(self, row: int | slice) -> "RobotView | Rows":
-        """Return one robot, or some."""
         if isinstance(row, slice):
             return Rows(self.array[row])
         return _robot(self.array[row].item())
 
     def __iter__(self) -> Iterator[RobotView]:
-        """Yield them in their order."""
         return map(_robot, self.array.tolist())
 
     def copied(self) -> "Rows":

@@ -1,77 +1,89 @@
 """The true world, as the simulated drivers publish it."""
 
 import math
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.bus.bus import Bus, Stream
+from robofleet.bus.keys import TRUTH, key
 from robofleet.bus.messages import UNIT_TRUTH
+from robofleet.config.robots import Robot
+from robofleet.config.tree import Config
 from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
 from robofleet.vehicles import differential_drive
 
+_HISTORY = 32  # true samples a robot, 10 ms apart
 NOBODY = -1  # as a row: a robot of which nothing is kept
-_BEYOND = 1e9  # any arena [m], any heading [rad]: such a truth is none
-_BEYOND_NS = 100_000_000  # after the newest sample a robot is taken to have gone on; then its driver is gone
+_FAR = 1e9  # [m, rad] beyond any arena and heading: such a truth is none
+_GOES_ON_NS = 100_000_000  # after its newest sample a robot is taken to go on; then its driver is gone
 
 _arc = kernel(differential_drive.arc)
 
 
-class TruthHistory:
-    """The newest true samples of N robots: where each was at any instant among them, and a little beyond.
+class World:
+    """The true poses that the simulated drivers publish: all that a simulated source knows of its N robots.
 
     Between two samples a robot moved along the arc of the earlier one's body velocity, corrected so that it ends where
-    the later one is.
+    the later one is. After the newest one it goes on for a little.
     """
 
-    def __init__(self, robots: int, capacity: int) -> None:
-        """Take how many robots there are, and how many samples are kept of each."""
-        self._stamps = np.zeros((robots, capacity), np.int64)  # a ring for each robot
-        self._samples = np.zeros((robots, capacity, 5))
-        self._count = np.zeros(robots, np.int64)  # of all samples
-        self.moving(np.zeros(robots, np.int64), 1)  # compiles, or loads
-        self.poses_at(np.zeros(robots, np.int64))
+    def __init__(self, config: Config, robots: Sequence[Robot], bus: Bus) -> None:
+        self.tags = [robot.tag for robot in robots]
+        rows = {robot.id: row for row, robot in enumerate(robots)}
+        self._streams: list[tuple[Stream, NDArray[np.intp]]] = [
+            (
+                bus.stream(key(config.arena.name, TRUTH, unit), capacity=_HISTORY),
+                np.array([rows.get(robot, NOBODY) for robot in members], np.intp),
+            )
+            for unit, members in config.units.items()
+            if not rows.keys().isdisjoint(members)
+        ]
+        n = len(robots)
+        # A ring of stamps and samples for each robot, and the count of all its samples.
+        self._history = np.zeros((n, _HISTORY), np.int64), np.zeros((n, _HISTORY, 5)), np.zeros(n, np.int64)
+        self.moving(np.zeros(n, np.int64), 1)  # compiles, or loads
         self.reported_at(0)
-        self.take(np.zeros(0, np.intp), 0, np.frombuffer(b"", UNIT_TRUTH.item_dtype))
+        take(*self._history, np.zeros(0, np.intp), 0, np.frombuffer(b"", UNIT_TRUTH.item_dtype))
 
-    def add(self, row: int, stamp_ns: int, sample: tuple[float, float, float, float, float]) -> None:
-        """Add a robot's x, y [m], psi [rad] in the world, v [m/s], omega [rad/s]; ignored if not its newest."""
-        count, capacity = int(self._count[row]), self._stamps.shape[1]
-        if not count or stamp_ns > self._stamps[row, (count - 1) % capacity]:
-            self._stamps[row, count % capacity] = stamp_ns
-            self._samples[row, count % capacity] = sample
-            self._count[row] = count + 1
-
-    def take(self, rows: NDArray[np.intp], stamp_ns: int, truths: NDArray[Any]) -> None:
-        """Add what a unit says of its robots (K,) in one message; ``rows``: of each place in the unit, or NOBODY."""
-        take(self._stamps, self._samples, self._count, rows, stamp_ns, truths)
-
-    def reported_at(self, instant_ns: int) -> Array:
-        """Return poses (N, 3) at one instant, each by the robot's own word; NaN where that was said long ago."""
-        return reported_at(self._stamps, self._samples, self._count, instant_ns)
-
-    def poses_at(self, instants_ns: Instants) -> Array:
-        """Return x, y [m], psi [rad] (N, 3), each robot's at its own instant; before its first sample that one's.
-
-        NaN of a robot without a sample.
-        """
-        return poses_at(self._stamps, self._samples, self._count, instants_ns)
+    def update(self) -> None:
+        """Take what the drivers said since the last call."""
+        for stream, rows in self._streams:
+            for _, _, payload in stream.drain():
+                if (message := UNIT_TRUTH.view(payload)) is not None:
+                    truth, robots = message
+                    take(*self._history, rows, truth.stamp_ns, robots)
 
     def moving(self, instants_ns: Instants, half_ns: int) -> tuple[Array, Array]:
-        """Return the poses (N, 3) and velocities (N, 3) [m/s, rad/s] over so long before and after the instants."""
-        return moving(self._stamps, self._samples, self._count, instants_ns, half_ns)
+        """Return the poses (N, 3) and velocities (N, 3) [m/s, rad/s] over so long before and after the instants (N,).
+
+        Before its first sample a robot is at that one; NaN of a robot that has not spoken yet.
+        """
+        return moving(*self._history, instants_ns, half_ns)
+
+    def reported_at(self, instant_ns: int) -> Array:
+        """Return poses (N, 3) at one instant; NaN also of a robot whose driver has told nothing that can be used for
+        long.
+
+        An image shows a robot wherever it stands; where there is none, only its own word tells where it is.
+        """
+        return reported_at(*self._history, instant_ns)
 
 
 @kernel
 def take(  # type: ignore[no-untyped-def]
     stamps, samples, count, rows, stamp_ns, truths
 ):
-    """See ``TruthHistory.take``."""
+    """Add what a unit says of its robots (K,) in one message; ``rows``: of each place in the unit, or NOBODY.
+
+    A sample that is not a robot's newest, or no pose, is ignored.
+    """
     capacity = stamps.shape[1]
     for truth in truths:
         n = rows[truth.place] if truth.place < len(rows) else NOBODY
-        if n == NOBODY or not (abs(truth.x_m) < _BEYOND and abs(truth.y_m) < _BEYOND and abs(truth.psi_rad) < _BEYOND):
+        if n == NOBODY or not (abs(truth.x_m) < _FAR and abs(truth.y_m) < _FAR and abs(truth.psi_rad) < _FAR):
             continue
         if count[n] and stamp_ns <= stamps[n, (count[n] - 1) % capacity]:
             continue
@@ -83,20 +95,10 @@ def take(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def poses_at(stamps: Instants, samples: Array, count: Instants, instants_ns: Instants) -> Array:
-    """See ``TruthHistory.poses_at``."""
-    poses = np.empty((len(stamps), 3))
-    for n in range(len(stamps)):
-        poses[n, 0], poses[n, 1], poses[n, 2] = _pose_at(stamps[n], samples[n], count[n], instants_ns[n])
-    return poses
-
-
-@kernel
 def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: int) -> Array:
-    """See ``TruthHistory.reported_at``."""
     poses, capacity = np.full((len(stamps), 3), np.nan), stamps.shape[1]
     for n in range(len(stamps)):
-        if count[n] > 0 and instant_ns - stamps[n, (count[n] - 1) % capacity] <= _BEYOND_NS:
+        if count[n] > 0 and instant_ns - stamps[n, (count[n] - 1) % capacity] <= _GOES_ON_NS:
             poses[n, 0], poses[n, 1], poses[n, 2] = _pose_at(stamps[n], samples[n], count[n], instant_ns)
     return poses
 
@@ -105,12 +107,13 @@ def reported_at(stamps: Instants, samples: Array, count: Instants, instant_ns: i
 def moving(
     stamps: Instants, samples: Array, count: Instants, instants_ns: Instants, half_ns: int
 ) -> tuple[Array, Array]:
-    """See ``TruthHistory.moving``."""
     poses, velocities = np.empty((len(stamps), 3)), np.empty((len(stamps), 3))
     per_s = 0.5e9 / half_ns
     for n in range(len(stamps)):
-        x, y, psi = _pose_at(stamps[n], samples[n], count[n], instants_ns[n] - half_ns)
-        x_late, y_late, psi_late = _pose_at(stamps[n], samples[n], count[n], instants_ns[n] + half_ns)
+        x = y = psi = x_late = y_late = psi_late = 0.0
+        for instant_ns in (instants_ns[n] - half_ns, instants_ns[n] + half_ns):
+            x, y, psi = x_late, y_late, psi_late
+            x_late, y_late, psi_late = _pose_at(stamps[n], samples[n], count[n], instant_ns)
         d_x, d_y, turned = x_late - x, y_late - y, _remainder(psi_late - psi)
         # The middle of an arc lies beside that of its chord.
         poses[n, 0] = x + d_x / 2.0 + 0.125 * turned * d_y
@@ -133,7 +136,7 @@ def _pose_at(stamps: Instants, samples: Array, count: int, stamp_ns: int) -> tup
     x, y, psi, v, omega = samples[at, 0], samples[at, 1], samples[at, 2], samples[at, 3], samples[at, 4]
     if stamps[at] > stamp_ns:
         return x, y, psi
-    elapsed_s = min(stamp_ns - stamps[at], _BEYOND_NS) * 1e-9
+    elapsed_s = min(stamp_ns - stamps[at], _GOES_ON_NS) * 1e-9
     there_x, there_y, there_psi = _arc(x, y, psi, v, omega, elapsed_s)
     if k + 1 == count:
         return there_x, there_y, there_psi
@@ -153,4 +156,4 @@ def _remainder(angle: float) -> float:
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-KERNELS = (poses_at, reported_at, moving, take)  # that are called from Python
+KERNELS = (reported_at, moving, take)  # that are called from Python

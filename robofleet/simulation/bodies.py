@@ -19,7 +19,7 @@ BODY, BUILD, COMING = row_type(Body), row_type(Build), row_type(Coming)
 _CALLS = 32  # after so many the random numbers are counted anew
 
 advance, measured = kernel_of_plain(plant.advance), kernel_of_plain(plant.measured)
-_command = kernel_of_plain(plant.command)
+command = kernel_of_plain(plant.command)
 
 
 class Sensors(NamedTuple):
@@ -56,10 +56,6 @@ class Bodies:
             for row in range(n):
                 self._draw(row, 0)
                 self._draw(row, 1)
-
-    def __len__(self) -> int:
-        """Return how many robots these are."""
-        return len(self.bodies)
 
     def prepare(self) -> int:
         """Make ready for kernels that let time pass up to the present, and return that instant [ns]."""
@@ -99,6 +95,7 @@ class Bodies:
         self._calls += 1
         if now_ns <= self._enough_ns and self._calls < _CALLS:
             return
+        self._refill()
         b = self.bodies
         reached_ns, coming = int(b["reached_ns"].min()), int(b["waiting"].max())
         steps = (now_ns - reached_ns) // self._step_ns + coming + 3
@@ -108,13 +105,11 @@ class Bodies:
             self._calls, spare = 0, left - coming - 3 - 2 * _CALLS
             self._enough_ns = reached_ns + max(0, spare) * self._step_ns
             return
-        self._refill()
         while DRAWS * steps > RANDOM_BLOCK and (b["reached_ns"] < now_ns).any():
             advance_all(b, self.builds, self.coming, self.noise, now_ns)
             self._refill()
 
     def _refill(self) -> None:
-        """Draw again the blocks of random numbers that were used up."""
         drawn = self.bodies["drawn"]
         for row in np.flatnonzero(drawn >= RANDOM_BLOCK).tolist():
             # The block that is under way comes first, a new one behind it.
@@ -137,4 +132,4 @@ def advance_all(bodies, builds, coming, noise, now_ns):  # type: ignore[no-untyp
 def write(b, p, coming, noise, left, right, now_ns):  # type: ignore[no-untyped-def]
     """Command a robot's wheels from an instant on [rad/s]."""
     advance(b, p, coming, noise, now_ns)
-    _command(b, p, coming, left, right, now_ns + WATCHDOG_NS)
+    command(b, p, coming, left, right, now_ns + WATCHDOG_NS)

@@ -13,14 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.core.arrays import Array, Image
+from robofleet.core.arrays import Array, Array32, Image, Indices
 from robofleet.simulation.draw import BLUR_PX, cells, centres, draw, renew
 from robofleet.simulation.floor import WIDEST, Floor
 from robofleet.tracking.camera import CameraGeometry, Lens
 from robofleet.tracking.tags.targets import Target
-
-Array32 = NDArray[np.float32]
-Boxes = NDArray[np.int64]
 
 _BODY_RADIUS = 0.8  # [sides of the tag's print]
 _BODY_DROP_M = 0.02  # the body's top lies below the tag
@@ -38,16 +35,6 @@ class Print(NamedTuple):
     psi: float  # of the print's right [rad; CCW +]
 
 
-class Shutter(NamedTuple):
-    """When pixels see."""
-
-    exposure: float = 0.0  # of each row [s]
-    line_time: float = 0.0  # from a row's to the next one's [s]
-
-
-_AT_ONCE = Shutter()
-
-
 class SceneRenderer:
     """Draws what a calibrated camera sees of N robots. Same arguments and generator state, same images."""
 
@@ -59,7 +46,8 @@ class SceneRenderer:
         noise_gray: float,
         rng: np.random.Generator,
         *,
-        shutter: Shutter = _AT_ONCE,
+        exposure_s: float = 0.0,
+        line_time_s: float = 0.0,
         prints: Sequence[Print] = (),
         offsets: Array | None = None,
         light: float = 1.0,
@@ -67,10 +55,12 @@ class SceneRenderer:
     ) -> None:
         """Take the image's (width, height), the tags on the N robots, all of one side, and those that lie still.
 
-        offsets (N, 3): forward, left [m], turn [rad] of the tags on their robots. light: as ``expose`` takes it.
-        obstacles (K, 2) each: outlines on the floor [m].
+        exposure_s: of each row. line_time_s: from a row's to the next one's. offsets (N, 3): forward, left [m], turn
+        [rad] of the tags on their robots. light: as ``expose`` takes it. obstacles (K, 2) each: outlines on the floor
+        [m].
         """
-        self._size, self._robots, self._prints, self._shutter = image_size, tuple(robots), tuple(prints), tuple(shutter)
+        self._size, self._robots, self._prints = image_size, tuple(robots), tuple(prints)
+        self._shutter = exposure_s, line_time_s
         self._offsets = np.zeros((len(robots), 3)) if offsets is None else offsets
         self._whole, self._rng = robots[0].whole, rng
         self._height = max(target.height for target in robots)
@@ -96,7 +86,6 @@ class SceneRenderer:
         self.render(np.full((len(robots), 3), np.nan))  # compiles the kernels, or loads them
 
     def moved(self, geometry: CameraGeometry) -> None:
-        """Look from another place from now on."""
         self._geometry = geometry
         plane = self._plane_at(geometry, self._height)
         self._plane = plane[0].astype(np.float32), plane[1].astype(np.float32)
@@ -125,7 +114,6 @@ class SceneRenderer:
         self._light_ground()
 
     def _light_ground(self) -> None:
-        """Draw what lies still, in the present light."""
         self._ground = np.minimum(np.rint(self._floor_grays * self._gain), 255).astype(np.uint8)
         self._boxes[:] = 0
         quiet = np.full_like(self._ground, self._offset)
@@ -173,7 +161,7 @@ class SceneRenderer:
 
     def _draw(
         self, image: Image, noise: Image, looks: Array32, side: float, heights: Array, further: Array,
-        poses: Array, velocities: Array, offsets: Array, boxes: Boxes, *, bodies: bool = False,
+        poses: Array, velocities: Array, offsets: Array, boxes: Indices, *, bodies: bool = False,
     ) -> None:  # fmt: skip
         draw(
             image, noise, self._offset, *self._plane, self._gain, looks, self._blurs, side, self._geometry.flat,

@@ -1,38 +1,22 @@
-"""A simulated motion-capture system: it measures simulated robots, behind the interface of the real ones.
+"""A simulated motion-capture system: it measures simulated robots, and is read as the real ones are.
 
 Its frames are its own: ``tracker.mocap.rate_hz`` in a second, each ``latency_s`` late, with the noise that the settings
 give, in the axes, units and frame that they say. ``camera.simulated.tag_offsets`` say where the bodies sit.
 """
 
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
 from robofleet.bus.bus import Bus
-from robofleet.config.calibrated import TagOffset
 from robofleet.config.mocap import MocapSettings
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
-from robofleet.simulation.sources import World
+from robofleet.simulation.arena import World
+from robofleet.simulation.scene import true_offsets
+from robofleet.tracking.bodies import Body
+from robofleet.tracking.capture import CaptureFrame
 from robofleet.tracking.offset import tag_from_centre
-
-
-class Rotation(NamedTuple):
-    """A quaternion."""
-
-    x: float
-    y: float
-    z: float
-    w: float
-
-
-class MeasuredBody(NamedTuple):
-    """A body of a frame."""
-
-    position: tuple[float, float, float]
-    rotation: Rotation
 
 
 class SimulatedCapture:
@@ -43,19 +27,15 @@ class SimulatedCapture:
         self._clock, self._rng = clock, rng
         self._robots = config.seen
         self._world = World(config, self._robots, bus)
-        true = {offset.robot: offset for offset in config.camera.simulated.tag_offsets}
-        believed = {robot.id: robot.calibration.tag_offset for robot in self._robots if robot.calibration is not None}
-        self._offsets = [true.get(robot.id) or believed.get(robot.id) or TagOffset() for robot in self._robots]
+        self._offsets = true_offsets(config)
         self._sigma = np.array([s.position_sigma_m, s.position_sigma_m, s.heading_sigma_rad])
         self._period_ns, self._latency_ns = round(S / s.rate_hz), round(s.latency_s * S)
         self._exposure_ns = clock.now_ns() + self._period_ns  # of the next frame
-        self._bodies: dict[str, MeasuredBody] = {}
 
     def ready_ns(self) -> int:
-        """Return when the next frame arrives [ns]."""
         return self._exposure_ns + self._latency_ns
 
-    def waitForNextFrame(self) -> None:
+    def read(self) -> CaptureFrame:
         """Wait for the next frame; frames that were not waited for in time are lost."""
         now_ns = self._clock.now_ns()
         self._exposure_ns += max(0, (now_ns - self.ready_ns()) // self._period_ns) * self._period_ns
@@ -66,18 +46,17 @@ class SimulatedCapture:
         measured = np.array([tag_from_centre(x, y, psi, offset) for (x, y, psi), offset in robots]).reshape(-1, 3)
         measured += self._sigma * self._rng.standard_normal(measured.shape)
         rows = zip(self._robots, measured.tolist(), strict=True)
-        self._bodies = {
+        bodies = {
             robot.body_name: body_of(x, y, psi, self._settings) for robot, (x, y, psi) in rows if not math.isnan(x)
         }
         self._exposure_ns += self._period_ns
+        return CaptureFrame(bodies, self._clock.now_ns())
 
-    @property
-    def rigidBodies(self) -> Mapping[str, MeasuredBody]:
-        """The bodies of the newest frame."""
-        return self._bodies
+    def close(self) -> None:
+        """Nothing to let go of."""
 
 
-def body_of(x: float, y: float, psi: float, settings: MocapSettings) -> MeasuredBody:
+def body_of(x: float, y: float, psi: float, settings: MocapSettings) -> Body:
     """Return a body that lies flat at a pose [m, rad; world], in a system's own axes, units and frame."""
     origin = settings.origin
     c, s = math.cos(origin.psi), math.sin(origin.psi)
@@ -85,5 +64,5 @@ def body_of(x: float, y: float, psi: float, settings: MocapSettings) -> Measured
     ahead, left = c * dx + s * dy, c * dy - s * dx
     half = (psi - origin.psi) / 2.0
     if settings.up == "y":
-        return MeasuredBody((ahead, 0.0, -left), Rotation(0.0, math.sin(half), 0.0, math.cos(half)))
-    return MeasuredBody((ahead, left, 0.0), Rotation(0.0, 0.0, math.sin(half), math.cos(half)))
+        return Body(ahead, 0.0, -left, 0.0, math.sin(half), 0.0, math.cos(half))
+    return Body(ahead, left, 0.0, 0.0, 0.0, math.sin(half), math.cos(half))

@@ -8,14 +8,12 @@ Arithmetic is in single precision: 0.2 micrometres of a plane's two metres.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array32
 from robofleet.core.kernels import image_kernel, infinite_kernel
 from robofleet.simulation.floor import BLACK, WHITE
 from robofleet.tracking.projection import project
 from robofleet.tracking.tags.families import pattern
-
-Array32 = NDArray[np.float32]
 
 BLUR_PX = math.sqrt(0.5**2 + 1.0 / 12.0)  # standard deviation: lens, and a pixel's square
 

@@ -16,7 +16,6 @@ _PATTERN_SPEED_PX = 120.0  # at which it moves [px/s]
 
 
 def effects(settings: SimulatedCameraSettings, size: tuple[int, int], rng: np.random.Generator) -> list[Effect]:
-    """Return the effects that are configured, for images of (width, height)."""
     chosen: list[Effect] = []
     if settings.projector_gray:
         chosen.append(_projector(settings.projector_gray, size, rng))

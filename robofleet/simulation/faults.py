@@ -35,7 +35,6 @@ class Injection:
         self.effects = 0
 
     def acts(self, now_ns: int) -> bool:
-        """Return whether it acts now."""
         return self.start_ns <= now_ns < self.end_ns
 
     def strike(self, now_ns: int) -> bool:
@@ -102,7 +101,6 @@ class Schedule:
             self.begin(now_ns)
 
     def rng(self, *key: str) -> np.random.Generator:
-        """Return the randomness of one part of the faults."""
         return generator(self._seed, "faults", *key)
 
     def body_trouble(self, robot: str) -> Callable[[], BodyTrouble] | None:
@@ -129,7 +127,6 @@ class Schedule:
         return tuple(Truth(index, *driver.truth()) for index, driver in drivers if isinstance(driver, SimulatedDriver))
 
     def disk_is_full(self) -> bool:
-        """Return whether the disk takes nothing now."""
         return struck(self.of("disk_full"), self.now_ns())
 
 
@@ -146,9 +143,7 @@ class SteppedClock:
         return sum(step_ns for injection, step_ns in self._steps if injection.acts(now_ns))
 
     def now_ns(self) -> int:
-        """Return the process's instant [ns]."""
         return self._clock.now_ns() + self.offset_ns()
 
     def sleep_until(self, instant_ns: int, *, precise: bool = False) -> None:
-        """Do nothing, as lockstep's clock."""
         self._clock.sleep_until(instant_ns - self.offset_ns(), precise=precise)

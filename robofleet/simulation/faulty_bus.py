@@ -8,9 +8,8 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robofleet.bus.bus import Answer, Arrival, Bus, BySender, Publish, Request, Stream, Subscription, Wake
+from robofleet.bus.bus import Arrival, Bus, BySender, Publish, Request, Stream, Subscription, Wake
 from robofleet.bus.keys import COMMAND, ENABLE, POSES, STATE, STATUS, TICK, TRUTH, AnyLayout, Topic, named, said_by
 from robofleet.bus.layouts import ListLayout
 from robofleet.bus.messages import TICK_RECORD, UNIT_TRUTH
@@ -37,10 +36,10 @@ class FaultyBus:
     ) -> None:
         self._bus, self._schedule, self._process, self._clock = bus, schedule, process, clock
         self._simulated_router = simulated_router
+        self.listen, self.listen_by_sender, self.ask, self.close = bus.listen, bus.listen_by_sender, bus.ask, bus.close
         self.alive = True  # a killed process's subscriptions wake nobody
 
     def publisher(self, topic: Topic, name: str = "") -> Publish:
-        """Return the function that publishes on a topic."""
         publish, layout = self._bus.publisher(topic, name), _STAMPED.get(topic)
         if layout is None or not self._clock_steps:
             return publish
@@ -53,7 +52,6 @@ class FaultyBus:
         return restamped
 
     def newest(self, topic: Topic, name: str = "", wake: Wake | None = None) -> Subscription:
-        """Subscribe to a topic."""
         woken = self._guarded(wake)
         fate = _Fate(self._schedule, self._process, topic, name, self._cuts(topic, name))
         if fate.harmless and self._simulated_router and not self._clock_steps:
@@ -63,21 +61,12 @@ class FaultyBus:
         return subscription
 
     def newest_by_sender(self, topic: Topic, name: str) -> BySender:
-        """Subscribe to a topic that tells senders apart."""
         fate = _Fate(self._schedule, self._process, topic, name, self._cuts(topic, name))
         if fate.harmless and self._simulated_router and not self._clock_steps:
             return self._bus.newest_by_sender(topic, name)
         senders = BySender(lambda: _FaultySubscription(self._schedule, topic, fate, None, self._ahead_ns))
         self._bus.listen_by_sender(topic, name, senders.put)
         return senders
-
-    def listen(self, topic: Topic, name: str, put: Callable[[int, bytes], None]) -> None:
-        """Pass every message on as it arrives."""
-        self._bus.listen(topic, name, put)
-
-    def listen_by_sender(self, topic: Topic, name: str, put: Callable[[str, int, bytes], None]) -> None:
-        """Pass every message on as it arrives."""
-        self._bus.listen_by_sender(topic, name, put)
 
     def stream(self, *expressions: str, capacity: int) -> Stream:
         """Subscribe to one key; of a simulated world no network lies between."""
@@ -102,14 +91,6 @@ class FaultyBus:
             return request
 
         return through if cuts else take
-
-    def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
-        """Send a request; it is lost, if so, where it should arrive."""
-        return self._bus.ask(topic, name, payload)
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._bus.close()
 
     @property
     def _clock_steps(self) -> bool:
@@ -155,7 +136,6 @@ class _FaultySubscription:
         self._wake(arrival_ns)
 
     def take(self) -> bytes | None:
-        """Return the newest message that is there."""
         pending = self._there()
         if not pending:
             return None
@@ -187,7 +167,6 @@ class _FaultyStream(_FaultySubscription):
     key: str
 
     def drain(self) -> list[Arrival]:
-        """Return what is there."""
         return [Arrival(at_ns, self.key, payload) for at_ns, payload in self._there()]
 
 
@@ -278,18 +257,13 @@ def _with_nan(layout: AnyLayout | None, payload: bytes) -> bytes:
     """Return a message with NaN in place of a float: the first one of its head, else the last one of its last item."""
     changed = bytearray(payload)
     if isinstance(layout, ListLayout) and (arrays := layout.arrays(payload)) is not None:
-        head, items = (np.ndarray(part.shape, part.dtype, changed, at) for part, at in _placed(arrays))
+        offsets = 0, layout.head_dtype.itemsize
+        head, items = (np.ndarray(p.shape, p.dtype, changed, at) for p, at in zip(arrays, offsets, strict=True))
         if floats := [name for name in layout.head_dtype.names or () if layout.head_dtype[name].kind == "f"]:
             head[floats[0]] = math.nan
         elif len(items) and layout.item_floats:
             layout.floats(items)[-1, -1] = math.nan
     return bytes(changed)
-
-
-def _placed(arrays: tuple[NDArray[Any], NDArray[Any]]) -> list[tuple[NDArray[Any], int]]:
-    """Return head and items, each with the byte at which it begins."""
-    head, items = arrays
-    return [(head, 0), (items, head.dtype.itemsize)]
 
 
 _ACTS = {

@@ -26,7 +26,6 @@ class FaultyStore(Generic[State]):
         self.load, self.lose, self._store, self._schedule = store.load, store.lose, store, schedule
 
     def save(self, robot: str, kept: State) -> None:
-        """Keep it, if the disk takes it."""
         _refuse_if_full(self._schedule)
         self._store.save(robot, kept)
 
@@ -38,7 +37,6 @@ class FaultyLog(io.TextIOBase):
         self._schedule = schedule
 
     def write(self, text: str) -> int:
-        """Take a line, if the disk takes it."""
         _refuse_if_full(self._schedule)
         return len(text)
 

@@ -7,14 +7,7 @@ from typing import Protocol
 
 from robofleet.simulation.bodies import Bodies, Sensors
 from robofleet.simulation.faults import Schedule, struck
-from robofleet.vehicles.interface import (
-    WIRED_STOP,
-    Driver,
-    DriverContext,
-    DriverReading,
-    SimulatedDriver,
-    WheelSpeeds,
-)
+from robofleet.vehicles.interface import WIRED_STOP, Driver, DriverContext, DriverReading, SimulatedDriver
 
 _LOW_CHARGE = 0.05
 
@@ -42,7 +35,6 @@ class FaultyDrivers:
         return replace(context, simulation=simulation, now_ns=self._schedule.now_ns)
 
     def driver(self, context: DriverContext) -> Driver:
-        """Return the driver; raises what making it raises."""
         drivers, robot = self._schedule.drivers, context.robot
         if robot not in drivers:
             drivers[robot] = self._drivers.driver(context)
@@ -55,45 +47,37 @@ class FaultyDrivers:
             made = self._drivers.bodies(contexts)
             if made is None:
                 return None
-            made.sensors = [(row, reading) for row, robot in enumerate(robots) if (reading := self._sensors(robot))]
+            wrong = ((row, wrong_sensors(self._schedule, robot)) for row, robot in enumerate(robots))
+            made.sensors = [(row, sensors) for row, sensors in wrong if sensors is not None]
             bodies[robots] = made
         return bodies[robots]
-
-    def _sensors(self, robot: str) -> Callable[[], Sensors] | None:
-        """Return what tells what a robot's sensors say wrongly; None if they never do."""
-        schedule = self._schedule
-        low, pressed = schedule.of("low_battery", robot=robot), schedule.of("wired_stop", robot=robot)
-
-        def sensors() -> Sensors:
-            now_ns = schedule.now_ns()
-            charge = _LOW_CHARGE if struck(low, now_ns) else math.nan
-            return Sensors(int(WIRED_STOP) if struck(pressed, now_ns) else 0, charge)
-
-        return sensors if low or pressed else None
 
 
 class FaultyDriver:
     """A driver whose robot reads wrongly."""
 
     def __init__(self, driver: Driver, schedule: Schedule, robot: str) -> None:
-        self._driver, self._now_ns = driver, schedule.now_ns
-        self._low, self._pressed = schedule.of("low_battery", robot=robot), schedule.of("wired_stop", robot=robot)
+        self._read, self._sensors = driver.read, wrong_sensors(schedule, robot)
+        self.write, self.close = driver.write, driver.close
         if isinstance(driver, SimulatedDriver):
             self.truth = driver.truth
 
-    def write(self, wheels: WheelSpeeds) -> None:
-        """Command the wheels."""
-        self._driver.write(wheels)
-
     def read(self) -> DriverReading:
-        """Return the reading as it is now."""
-        reading, now_ns = self._driver.read(), self._now_ns()
-        if struck(self._low, now_ns):
-            reading = reading._replace(battery=_LOW_CHARGE)
-        if struck(self._pressed, now_ns):
-            reading = reading._replace(faults=reading.faults | WIRED_STOP)
-        return reading
+        reading = self._read()
+        if self._sensors is None:
+            return reading
+        faults, charge = self._sensors()
+        battery = reading.battery if math.isnan(charge) else charge
+        return reading._replace(battery=battery, faults=reading.faults | faults)
 
-    def close(self) -> None:
-        """Motors off."""
-        self._driver.close()
+
+def wrong_sensors(schedule: Schedule, robot: str) -> Callable[[], Sensors] | None:
+    """Return what tells what a robot's sensors say wrongly; None if they never do."""
+    low, pressed = schedule.of("low_battery", robot=robot), schedule.of("wired_stop", robot=robot)
+
+    def sensors() -> Sensors:
+        now_ns = schedule.now_ns()
+        charge = _LOW_CHARGE if struck(low, now_ns) else math.nan
+        return Sensors(int(WIRED_STOP) if struck(pressed, now_ns) else 0, charge)
+
+    return sensors if low or pressed else None

@@ -31,11 +31,9 @@ class TwinTroubles:
         return reduce(or_, (flag for flag, touches in self._felt if struck(touches, now_ns)), RobotFault(0))
 
     def unplugged(self, now_ns: int) -> bool:
-        """Return whether its line is pulled out."""
         return struck(self._unplugged, now_ns)
 
     def hangs(self, now_ns: int) -> bool:
-        """Return whether its firmware does nothing."""
         return struck(self._hangs, now_ns)
 
 
@@ -62,7 +60,6 @@ class LineTroubles:
 
 
 def cut(line: bytes, rng: np.random.Generator) -> bytes:
-    """Return a line that has lost its end."""
     return line[: rng.integers(len(line))]
 
 
@@ -94,12 +91,10 @@ class Ledger:
         self._wrong_since_ns: int | None = None
 
     def opened(self, now_ns: int) -> None:
-        """The driver has opened the port."""
         self._healthy.opened(now_ns)
         self._note(now_ns)
 
     def sent(self, data: bytes, now_ns: int) -> None:
-        """The driver has written this."""
         self._healthy.receive(data, now_ns)
         self._healthy.loop(now_ns)  # it may look at its newest orders then only, and the robot at any of them
         self._note(now_ns)

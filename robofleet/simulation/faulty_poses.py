@@ -20,18 +20,13 @@ class FaultyFeed:
     """A camera that stalls or freezes: what watches it has to notice by itself."""
 
     def __init__(self, feed: Feed, schedule: Schedule) -> None:
-        self._feed, self.device = feed, feed.device
+        self._take, self.next_ns, self.close, self.device = feed.take, feed.next_ns, feed.close, feed.device
         self._stalled, self._frozen = schedule.of("camera_stalled"), schedule.of("camera_frozen")
         self._now_ns = schedule.now_ns
         self._last: Frame | None = None
 
-    def next_ns(self) -> int | None:
-        """Return when there will be something to take."""
-        return self._feed.next_ns()
-
     def take(self, now_ns: int) -> Frame | Lost | None:
-        """Return the image that is there, or why there is none."""
-        taken = self._feed.take(now_ns)
+        taken = self._take(now_ns)
         if not isinstance(taken, Frame):
             return taken
         at_ns = self._now_ns()
@@ -43,16 +38,12 @@ class FaultyFeed:
         self._last = taken
         return taken
 
-    def close(self) -> None:
-        """Let go of the camera."""
-        self._feed.close()
-
 
 class _WatchedTruth:
     """Poses without pixels, behind the watch of a camera: a picture of one pixel that always changes stands in."""
 
     def __init__(self, source: PoseSource, schedule: Schedule, config: Config) -> None:
-        self._source, self._now_ns = source, schedule.now_ns
+        self._source, self._now_ns, self.close = source, schedule.now_ns, source.close
         self._stalled, self._frozen = schedule.of("camera_stalled"), schedule.of("camera_frozen")
         self._watch = CameraWatch((1, 1), round(config.controller.tick_s * S), True, schedule.now_ns())
         self._image = np.zeros((1, 1), np.uint8)
@@ -74,9 +65,6 @@ class _WatchedTruth:
     def news(self) -> tuple[Notice, ...]:
         return self._source.news() + self._watch.news()
 
-    def close(self) -> None:
-        self._source.close()
-
 
 class FaultyPoses:
     """A source whose poses are missing, wrong or late."""
@@ -84,7 +72,7 @@ class FaultyPoses:
     def __init__(self, source: PoseSource, schedule: Schedule, config: Config) -> None:
         self._source = _WatchedTruth(source, schedule, config) if config.tracker.source == "truth" else source
         self._silent = schedule.of("camera_stalled") if config.tracker.own_times else ()
-        self._now_ns = schedule.now_ns
+        self._now_ns, self.close = schedule.now_ns, self._source.close
         self._tags = {robot.id: robot.tag for robot in config.robots}
         self._rng = schedule.rng("poses")
         self._faults = schedule.of("pose_dropout", "pose_noise", "duplicate_tag", "id_swap")
@@ -93,13 +81,11 @@ class FaultyPoses:
         self._news = News()
 
     def next_ns(self) -> int | None:
-        """Return when the next observation will be ready; None: a message or a camera will wake the process."""
         times = [ready_ns for ready_ns, _ in list(self._held)[:1]]
         next_ns = self._source.next_ns()
         return min(times if next_ns is None else [*times, next_ns], default=None)
 
     def observe(self, now_ns: int) -> Observation | None:
-        """Return the observation that is ready, or None."""
         observation, at_ns = self._source.observe(now_ns), self._now_ns()
         if struck(self._silent, at_ns):
             observation = None
@@ -117,12 +103,7 @@ class FaultyPoses:
         return self._held.popleft()[1] if self._held and self._held[0][0] <= now_ns else None
 
     def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
         return self._source.news() + self._news.take()
-
-    def close(self) -> None:
-        """Let go of the device."""
-        self._source.close()
 
     def _dropout(self, injection: Injection, seen: Observation, _now_ns: int) -> Observation:
         tag = self._tags[injection.fault.robot]

@@ -5,11 +5,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array, Image
-
-Array32 = NDArray[np.float32]
 
 BLACK, WHITE = 30.0, 215.0  # greys of print and paper in full light: assumed, and in the range of a laboratory
 _OBSTACLE, _OBSTACLE_EDGE = 105, 75  # greys

@@ -10,7 +10,7 @@ from robofleet.config import obstacles
 from robofleet.config.calibrated import FloorTag, TagOffset
 from robofleet.config.camera import Cover, Knock, Outage, SimulatedCameraSettings
 from robofleet.config.tree import Config
-from robofleet.simulation.camera import Print, SceneRenderer, Shutter
+from robofleet.simulation.camera import Print, SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target, robot_targets
 
@@ -22,25 +22,28 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
     """Return what draws the configuration's robots, floor tags, posters and obstacles."""
     camera, simulated = config.camera, config.camera.simulated
     lying = [*config.tracker.floor_tags, *simulated.posters]
-    true = {offset.robot: offset for offset in simulated.tag_offsets}
-    calibrated = {robot.id: robot.calibration.tag_offset for robot in config.robots if robot.calibration is not None}
-    offsets = [true.get(robot.id) or calibrated.get(robot.id) or TagOffset() for robot in config.seen]
     return SceneRenderer(
         CameraGeometry.from_model(camera.model),
         (camera.width, camera.height),
         robot_targets(config),
         camera.noise_gray,
         rng,
-        shutter=Shutter(camera.exposure_s, camera.model.line_time_s),
+        exposure_s=camera.exposure_s,
+        line_time_s=camera.model.line_time_s,
         prints=[_print(tag, config.tracker.family) for tag in lying],
-        offsets=np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in offsets]),
+        offsets=np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in true_offsets(config)]),
         light=light_at(simulated, 0.0),
         obstacles=[solid.outline for solid in obstacles.standing(config.arena)],
     )
 
 
+def true_offsets(config: Config) -> list[TagOffset]:
+    """Return where the tags, or bodies, of the robots that are seen sit: as simulated, else as measured."""
+    true = {offset.robot: offset for offset in config.camera.simulated.tag_offsets}
+    return [true.get(robot.id, robot.tag_offset) for robot in config.seen]
+
+
 def light_at(settings: SimulatedCameraSettings, t: float) -> float:
-    """Return the share of full light at a time."""
     if not settings.daylight:
         return settings.light
     return float(np.interp(t, *np.array([(then.at_s, then.light) for then in settings.daylight]).T))
@@ -76,7 +79,6 @@ class ScenePlay:
         return looks
 
     def frozen(self, t: float) -> bool:
-        """Return whether the same picture is sent again."""
         return any(outage.kind == "frozen" and _remaining(outage, t) > 0.0 for outage in self._settings.outages)
 
     def stalled_for(self, t: float) -> float:

@@ -100,13 +100,11 @@ class Wire:
         self._chunks.append((at_ns, data))
 
     def take(self, now_ns: int) -> bytes:
-        """Return what has arrived since the last call."""
         arrived = []
         while self._chunks and self._chunks[0][0] <= now_ns:
             arrived.append(self._chunks.popleft()[1])
         return b"".join(arrived)
 
     def clear(self) -> None:
-        """Lose what is under way."""
         self._chunks.clear()
         self._free_ns = 0.0

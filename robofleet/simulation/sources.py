@@ -1,38 +1,29 @@
-"""Simulated sources of poses: a rendered camera, or the truth with errors added."""
+"""Simulated sources of poses: a rendered camera, and the truth with errors added."""
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.bus.bus import Bus, Stream
-from robofleet.bus.keys import TRUTH, key
-from robofleet.bus.messages import UNIT_TRUTH, TagPose
+from robofleet.bus.bus import Bus
+from robofleet.bus.messages import TagPose
+from robofleet.bus.ticks import TickFollower
 from robofleet.config.faults import Complaint
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
-from robofleet.simulation.arena import NOBODY, TruthHistory
+from robofleet.simulation.arena import World
 from robofleet.simulation.effects import effects
 from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.tracking.cameras.exposure import nothing_left
-from robofleet.tracking.sources import CameraContext, Exposure, ExposureLimits, Frame, Observation
-
-
-class Ticks(Protocol):
-    """The controller's newest tick: number, and instant on the one clock of a simulation's host [ns]."""
-
-    newest: int
-    newest_stamp_ns: int
-    began_ns: int  # the run's first tick; 0: none yet
+from robofleet.tracking.sources import CameraContext, Exposure, ExposureLimits, Frame
 
 
 class Trigger:
     """Gives mid-exposures one after the other; each is given once."""
 
-    def __init__(self, config: Config, ticks: Ticks, clock: Clock) -> None:
+    def __init__(self, config: Config, ticks: TickFollower, clock: Clock) -> None:
         self._ticks = ticks
         self._locked = config.camera.trigger == "tick"
         self._lead_ns = round(config.camera.trigger_lead_s * S)
@@ -59,49 +50,8 @@ class Trigger:
         self._next_free_ns += self._period_ns * max(1, (now_ns - self._next_free_ns) // self._period_ns)
 
 
-Array = NDArray[np.float64]
-
-_HISTORY = 32  # true samples a robot, 10 ms apart
 _POLL_NS = S // 1000
-_LIMITS = ExposureLimits(Exposure(1e-5, 0.0), Exposure(1.0, 24.0), Exposure(1e-5, 0.1), 1.0)
-_BEYOND = 1e9  # any arena [m], any heading [rad]: a pose that is not a number is sent as one that is further away
-
-
-class World:
-    """The true poses that the simulated drivers publish: all that a simulated source knows."""
-
-    def __init__(self, config: Config, robots: Sequence[Robot], bus: Bus) -> None:
-        self.tags = [robot.tag for robot in robots]
-        rows = {robot.id: row for row, robot in enumerate(robots)}
-        self._streams: list[tuple[Stream, NDArray[np.intp]]] = [
-            (
-                bus.stream(key(config.arena.name, TRUTH, unit), capacity=_HISTORY),
-                np.array([rows.get(robot, NOBODY) for robot in members], np.intp),
-            )
-            for unit, members in config.units.items()
-            if not rows.keys().isdisjoint(members)
-        ]
-        self._history = TruthHistory(len(robots), _HISTORY)
-
-    def update(self) -> None:
-        """Take what the drivers said since the last call."""
-        for stream, rows in self._streams:
-            for _, _, payload in stream.drain():
-                if (message := UNIT_TRUTH.view(payload)) is not None:
-                    truth, robots = message
-                    self._history.take(rows, truth.stamp_ns, robots)
-
-    def moving(self, instants_ns: NDArray[np.int64], half_ns: int) -> tuple[Array, Array]:
-        """Return poses (N, 3) and velocities (N, 3) at instants (N,); NaN of a robot that has not spoken yet."""
-        return self._history.moving(instants_ns, half_ns)
-
-    def reported_at(self, instant_ns: int) -> Array:
-        """Return poses (N, 3) at one instant; NaN also of a robot whose driver has told nothing that can be used for
-        long.
-
-        An image shows a robot wherever it stands; where there is none, only its own word tells where it is.
-        """
-        return self._history.reported_at(instant_ns)
+_EXPOSURE_LIMITS = ExposureLimits(Exposure(1e-5, 0.0), Exposure(1.0, 24.0), Exposure(1e-5, 0.1), 1.0)
 
 
 class SimulatedCamera:
@@ -127,9 +77,8 @@ class SimulatedCamera:
 
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:
-        """Return what cannot work with this configuration."""
         if config.camera.adjusts_exposure:
-            yield from nothing_left(config, _LIMITS)
+            yield from nothing_left(config, _EXPOSURE_LIMITS)
 
     def ready_ns(self) -> int | None:
         """Return when the next image will be read out; None while its trigger has not come.
@@ -143,7 +92,6 @@ class SimulatedCamera:
         return None if exposure_ns is None else exposure_ns + self._after_ns()
 
     def read(self) -> Frame:
-        """Wait for the next image, and render it."""
         while (ready_ns := self.ready_ns()) is None:
             self._ticks.update()
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
@@ -159,7 +107,7 @@ class SimulatedCamera:
 
     def exposure_limits(self) -> ExposureLimits:
         """Return what it can be set to. Its gain is in decibels."""
-        return _LIMITS
+        return _EXPOSURE_LIMITS
 
     def adjust(self, exposure: Exposure) -> None:
         """Expose so from the image after the next one, which may have begun. Mid-exposures stay where they are."""
@@ -222,34 +170,3 @@ class VirtualPoses:
             for tag, (x, y, psi), drop in zip(self._world.tags, poses, dropped, strict=True)
             if not (drop or math.isnan(x))
         )
-
-
-class TruthSource:
-    """Poses without pixels of a whole fleet, with a delay and its jitter."""
-
-    def __init__(self, config: Config, bus: Bus, ticks: Ticks, clock: Clock, rng: np.random.Generator) -> None:
-        self._settings = config.tracker.truth
-        self._clock, self._rng = clock, rng
-        self._poses = VirtualPoses(config, config.robots, bus, rng)
-        self._trigger = Trigger(config, ticks, clock)
-        self._delay_ns = self._draw_delay()
-
-    def ready_ns(self) -> int | None:
-        """Return when the next poses will be there; None while their trigger has not come."""
-        exposure_ns = self._trigger.next_ns()
-        return None if exposure_ns is None else exposure_ns + self._delay_ns
-
-    def read(self) -> Observation:
-        """Return the poses that are due."""
-        exposure_ns = self._trigger.next_ns()
-        assert exposure_ns is not None
-        self._trigger.fire(self._clock.now_ns())
-        self._delay_ns = self._draw_delay()
-        return Observation(exposure_ns, self._poses.at(exposure_ns), 0)
-
-    def close(self) -> None:
-        """Nothing to let go of."""
-
-    def _draw_delay(self) -> int:
-        p = self._settings
-        return round((p.delay_s + p.jitter_s * self._rng.random()) * S)

@@ -33,6 +33,7 @@ class Twin:
         kind = config.robot(robot)
         s = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
         self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=now_ns, trouble=s.trouble)
+        self.truth = self._plant.truth  # at the last step
         self.hardware, spare = (Hardware(s.drive, s.imperfections, self._plant) for _ in range(2))
         self.radius, self.others = s.radius, others
         if s.sensing is not None:
@@ -53,10 +54,6 @@ class Twin:
     def descriptor(self) -> int | None:
         """What becomes readable when the driver writes; None while it has not opened the port."""
         return self._line.descriptor
-
-    def truth(self) -> TruePose:
-        """Return the true pose at the last step."""
-        return self._plant.truth()
 
     def _sense(self, now_ns: int) -> SensorReading:
         others = self.others()

@@ -30,7 +30,6 @@ class Cluster:
         self.jobs = jobs
 
     def each(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Results[Result]:
-        """See ``Engine``."""
         import ray  # noqa: PLC0415 - an extra
 
         task: Any = ray.remote(num_cpus=1, max_retries=_RETRIES)(attempt)
@@ -60,17 +59,14 @@ def cluster(address: str, jobs: int | None) -> Iterator[Cluster]:
     """Connect to the cluster at ``HOST:PORT``; to a new one on this machine where that is empty."""
     need_extra("ray", "ray")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a laboratory's runs are nobody else's business
-    with _of_others(address) if address else _own(jobs or len(os.sched_getaffinity(0))) as ray:
+    if address:
+        _reach(address)
+        started = _started(f"ray://{address}", _TOKEN, address=f"ray://{address}")
+    else:
+        started = _own(jobs or len(os.sched_getaffinity(0)))
+    with started as ray:
         cores = round(ray.cluster_resources().get("CPU", 1))
         yield Cluster(min(jobs or cores, cores))
-
-
-@contextmanager
-def _of_others(address: str) -> Iterator[Any]:
-    """Connect to a cluster that is there."""
-    _reach(address)
-    with _started(f"ray://{address}", _TOKEN, address=f"ray://{address}") as ray:
-        yield ray
 
 
 @contextmanager

@@ -4,6 +4,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -19,13 +20,14 @@ from robofleet.studies import cluster
 from robofleet.studies.engine import Engine
 from robofleet.studies.progress import bar
 from robofleet.studies.storm import report as storm_report
-from robofleet.studies.storm import workers
+from robofleet.studies.storm import tally as storms
+from robofleet.studies.storm.episode import Episode
 from robofleet.studies.sweep import journal, page, table
 from robofleet.studies.sweep import report as sweep_report
 from robofleet.studies.sweep.journal import Journal
 from robofleet.studies.sweep.load import Study, load
 from robofleet.studies.sweep.table import Ran
-from robofleet.studies.sweep.unit import Job, play
+from robofleet.studies.sweep.unit import play
 
 Watch = Callable[[Ran], None]  # called after every run
 
@@ -36,8 +38,7 @@ def run(study: Study, engine: Engine, journal: Journal, watch: Watch) -> list[Ra
     failures: dict[int, str] = {}
     if left:
         compile_kernels(left[0].config)  # once, on disk, before every worker wants the same
-    jobs = [Job(study.config.stem, run.config) for run in left]
-    with closing(engine.each(play, jobs)) as results:
+    with closing(engine.each(partial(play, study.config.stem), [run.config for run in left])) as results:
         for index, played, failure in results:
             plan = left[index]
             if played is None:
@@ -76,8 +77,13 @@ def storm(
     replay = f"robofleet storm {config}{' --pixels' if pixels else ''}"
     with hangup_interrupts(), cluster.opened(on, jobs) as where:
         started_ns = WallClock().now_ns()
-        with storm_report.progress(seeds, replay) as watch:
-            tally = workers.storm(tree, range(first, first + seeds), where, watch)
+        with bar("storm", seeds) as shown:
+
+            def watch(_tally: storms.Tally, episode: Episode) -> None:
+                shown.say(*storm_report.lines(episode, replay))
+                shown.add(failed=bool(episode.violations))
+
+            tally = storms.storm(tree, range(first, first + seeds), where, watch)
     if not storm_report.summarise(tally, (WallClock().now_ns() - started_ns) / S):
         raise typer.Exit(1)
 

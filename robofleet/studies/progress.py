@@ -25,7 +25,6 @@ class Bar:
         self._task = progress.add_task(what, total=total, completed=done)
 
     def add(self, *, failed: bool = False) -> None:
-        """Count one more."""
         self._done += 1
         self._failed += failed
         words = f"{self._what}, {self._failed} failed" if self._failed else self._what
@@ -36,11 +35,9 @@ class Bar:
 
     @property
     def failed(self) -> int:
-        """How many failed so far."""
         return self._failed
 
     def say(self, *lines: str) -> None:
-        """Print lines above the bar."""
         for line in lines:
             self._progress.console.print(printable(line), markup=False, highlight=False, soft_wrap=True)
 

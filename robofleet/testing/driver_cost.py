@@ -5,8 +5,7 @@ import os
 import resource
 import threading
 import tracemalloc
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,9 @@ import pytest
 
 from robofleet.core.clock import S
 from robofleet.testing.driver_bench import LOOP_NS, DriverBench, DriverSubject
-from robofleet.testing.driver_motion import cruise, on_the_line
+from robofleet.testing.driver_motion import Checks, cruise, on_the_line
 from robofleet.testing.serial_world import open_descriptors
-from robofleet.vehicles.interface import DriverError, WheelSpeeds
+from robofleet.vehicles.interface import DriverError
 
 LOOPS = 200
 LOOP_COST_S = 0.8e-3  # of the processor, one read and a third of a write: 8 % at 100 Hz
@@ -26,10 +25,8 @@ HOUR_LOOPS = 360_000
 LEFT_BYTES = 16.0  # a loop, at most: an object that stays is larger
 
 
-class Cost:
-    """Checks of cost. ``subject`` is the driver under test."""
-
-    subject: DriverSubject
+class Cost(Checks):
+    """Checks of cost."""
 
     def test_it_does_not_keep_the_processor_busy(self) -> None:
         with DriverBench(self.subject) as bench:
@@ -73,7 +70,7 @@ class Cost:
 
     def test_its_memory_does_not_grow(self) -> None:
         loops = 100
-        with self.driving() as bench:
+        with self.driving(self.setpoint) as bench:
             tracemalloc.start()
             try:
                 before = self.held_after(bench, 400)  # buffers of the robot are full by now
@@ -85,30 +82,17 @@ class Cost:
     @pytest.mark.slow
     @pytest.mark.long
     def test_its_memory_does_not_grow_in_an_hour(self) -> None:
-        with self.driving() as bench:
+        with self.driving(self.setpoint) as bench:
             before = _resident_bytes()
             for _ in range(HOUR_LOOPS // 3000):
                 bench.drive(self.setpoint, 30.0)
             assert _resident_bytes() - before <= LEFT_BYTES * HOUR_LOOPS
-
-    @contextmanager
-    def driving(self) -> Iterator[DriverBench]:
-        """Give a bench whose driver has all that it needs to go on."""
-        with DriverBench(self.subject) as bench:
-            bench.make()
-            bench.drive(self.setpoint, 0.5)
-            yield bench
 
     def held_after(self, bench: DriverBench, loops: int) -> int:
         """Return what Python has allocated after so many loops [bytes]."""
         bench.drive(self.setpoint, loops * LOOP_NS / S)
         gc.collect()
         return tracemalloc.get_traced_memory()[0]
-
-    @property
-    def setpoint(self) -> WheelSpeeds:
-        """The commanded speeds."""
-        return cruise(self.subject, 1.0, -0.6)
 
 
 def _resident_bytes() -> int:

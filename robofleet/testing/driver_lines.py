@@ -19,9 +19,9 @@ from robofleet.nodes.unit.driver import DriverProcess
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.nodes.unit.state_store import MemoryStateStore
 from robofleet.safety.latches import Latch
-from robofleet.testing.driver_bench import LOOP_NS, DriverBench, DriverSubject, Moment
-from robofleet.testing.driver_motion import EVEN_S, OFF, OFF_RAD_S, SETTLE_S, cruise, mean, on_the_line, run_out, travel
-from robofleet.vehicles.interface import DriverError, RobotFault, WheelSpeeds
+from robofleet.testing.driver_bench import LOOP_NS, DriverBench, Moment
+from robofleet.testing.driver_motion import EVEN_S, OFF, OFF_RAD_S, SETTLE_S, Checks, mean, on_the_line, run_out, travel
+from robofleet.vehicles.interface import DriverError, RobotFault
 
 BAD_S, SHARE, LATE_S = 2.0, 0.15, 0.05
 SILENT_S = 0.6  # at most, until a robot that does not answer is an error
@@ -36,15 +36,8 @@ _CALLS = 1000
 LineTrouble = Literal["line_cut", "line_garbage", "line_late"]
 
 
-class BadLines:
-    """Checks of bad lines. ``subject`` is the driver under test."""
-
-    subject: DriverSubject
-
-    @property
-    def setpoint(self) -> WheelSpeeds:
-        """The commanded speeds."""
-        return cruise(self.subject, 1.0, -0.6)
+class BadLines(Checks):
+    """Checks of bad lines."""
 
     def driven(self, bench: DriverBench, *, hold: bool = False) -> list[Moment]:
         """Drive until the wheels turn evenly, and return the half second after that."""

@@ -3,7 +3,8 @@
 import math
 import os
 import tempfile
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 
@@ -48,10 +49,27 @@ def on_the_line(subject: DriverSubject) -> None:
         pytest.skip("its driver simulates it: there is no line")
 
 
-class Motion:
-    """Checks of motion. ``subject`` is the driver under test."""
+class Checks:
+    """What all checks have: ``subject``, the driver under test."""
 
     subject: DriverSubject
+
+    @property
+    def setpoint(self) -> WheelSpeeds:
+        """Commanded speeds that differ."""
+        return cruise(self.subject, 1.0, -0.6)
+
+    @contextmanager
+    def driving(self, wheels: WheelSpeeds | None, faster: float = 1.0) -> Iterator[DriverBench]:
+        """Give a bench whose driver is made and whose wheels turn evenly."""
+        with DriverBench(self.subject, faster=faster) as bench:
+            bench.make()
+            bench.drive(wheels, SETTLE_S)
+            yield bench
+
+
+class Motion(Checks):
+    """Checks of motion."""
 
     def test_it_tells_of_its_sensors_where_it_is_asked(self) -> None:
         with DriverBench(self.subject) as bench:
@@ -70,18 +88,13 @@ class Motion:
     @pytest.mark.parametrize("turn", TURNS)
     def test_each_wheel_turns_as_it_is_told(self, turn: str) -> None:
         setpoint = cruise(self.subject, *TURNS[turn])
-        with DriverBench(self.subject) as bench:
-            bench.make()
-            bench.drive(setpoint, SETTLE_S)
+        with self.driving(setpoint) as bench:
             done = mean(bench.drive(setpoint, EVEN_S))
         assert done == pytest.approx(setpoint, rel=OFF, abs=OFF_RAD_S)
 
     def test_the_angles_that_it_reads_are_those_that_the_wheels_turned(self) -> None:
-        setpoint = cruise(self.subject, 1.0, -0.6)
-        with DriverBench(self.subject) as bench:
-            bench.make()
-            bench.drive(setpoint, SETTLE_S)
-            first, *_, last = bench.drive(setpoint, 1.0)
+        with self.driving(self.setpoint) as bench:
+            first, *_, last = bench.drive(self.setpoint, 1.0)
         assert first.reading is not None
         assert last.reading is not None
         for side in (0, 1):
@@ -89,11 +102,8 @@ class Motion:
             assert last.reading[:2][side] - first.reading[:2][side] == pytest.approx(turned, rel=0.05)
 
     def test_the_speeds_that_it_reads_are_those_of_the_wheels(self) -> None:
-        setpoint = cruise(self.subject, 1.0, -0.6)
-        with DriverBench(self.subject) as bench:
-            bench.make()
-            bench.drive(setpoint, SETTLE_S)
-            moments = bench.drive(setpoint, 1.0)
+        with self.driving(self.setpoint) as bench:
+            moments = bench.drive(self.setpoint, 1.0)
         for side in (0, 1):
             read = [moment.reading[2:4][side] for moment in moments if moment.reading is not None]
             turned = mean(moments)[side] if self.subject.encoders else 0.0
@@ -125,9 +135,7 @@ class Motion:
             (-straight, -straight),
             (drive.max_wheel_speed, -drive.max_wheel_speed),
         ):
-            with DriverBench(self.subject, faster=2.0) as bench:
-                bench.make()
-                bench.drive(WheelSpeeds(left, right), SETTLE_S)
+            with self.driving(WheelSpeeds(left, right), faster=2.0) as bench:
                 done = mean(bench.drive(WheelSpeeds(left, right), EVEN_S))
             assert max(map(abs, done)) <= 1.01 * abs(left)  # what its gate allows
             assert abs(done.left + done.right) / 2.0 <= 1.01 * drive.max_speed / drive.wheel_radius
@@ -138,32 +146,28 @@ class Motion:
         if silence_s is None:
             pytest.skip("this robot does not stop by itself: drivers/dead_man.py does it for a process that is dead")
         setpoint = cruise(self.subject, 1.0, 1.0)
-        with DriverBench(self.subject) as bench:
-            bench.make()
-            bench.drive(setpoint, SETTLE_S)
+        with self.driving(setpoint) as bench:
             moments = bench.drive(None, silence_s + 1.0)
         assert travel(moments) <= run_out(self.subject, setpoint) + silence_s * max(setpoint)
         assert max(map(abs, moments[-1].speeds)) < OFF_RAD_S
 
     def test_it_stands_when_it_was_closed(self) -> None:
-        setpoint = cruise(self.subject, 1.0, -0.6)
-        with DriverBench(self.subject) as bench:
-            driver = bench.make()
-            bench.drive(setpoint, SETTLE_S)
-            driver.close()
+        with self.driving(self.setpoint) as bench:
+            assert bench.driver is not None
+            bench.driver.close()
             before = bench.angles
             bench.let_pass(1.0)
             rest = bench.angles
             bench.let_pass(0.5)
-            assert max(abs(b - a) for a, b in zip(before, rest, strict=True)) <= run_out(self.subject, setpoint)
+            assert max(abs(b - a) for a, b in zip(before, rest, strict=True)) <= run_out(self.subject, self.setpoint)
             assert bench.angles == pytest.approx(rest, abs=1e-3)
 
     def test_nothing_is_written_after_it_was_closed(self) -> None:
         """Not to the robot, and not to a file that got the line's number since."""
         on_the_line(self.subject)  # a robot of lockstep outlives its driver's process
-        with DriverBench(self.subject) as bench, ExitStack() as files:
-            driver = bench.make()
-            bench.drive(cruise(self.subject, 1.0, 1.0), SETTLE_S)
+        with self.driving(cruise(self.subject, 1.0, 1.0)) as bench, ExitStack() as files:
+            driver = bench.driver
+            assert driver is not None
             bench.give_up()
             others = [files.enter_context(tempfile.TemporaryFile()) for _ in range(5)]
             bench.let_pass(1.0)

@@ -13,8 +13,8 @@ from robofleet.core.plugins import load
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.nodes.unit import driver_settings
 from robofleet.simulation.firmware import Hardware
-from robofleet.testing.driver_bench import DriverBench, DriverSubject
-from robofleet.testing.driver_motion import cruise, on_the_line, travel
+from robofleet.testing.driver_bench import DriverBench
+from robofleet.testing.driver_motion import Checks, cruise, on_the_line, travel
 from robofleet.vehicles.interface import STOP, DriverError, is_concurrent
 
 # Other devices that may be at the port, and the kind of robot that each is given out for.
@@ -77,10 +77,8 @@ class Interrupted(DriverBench):
         super()._pass_while_waiting(deadline_ns)
 
 
-class Port:
-    """Checks of the port. ``subject`` is the driver under test."""
-
-    subject: DriverSubject
+class Port(Checks):
+    """Checks of the port."""
 
     def test_a_setting_that_there_is_not_is_refused_in_words(self) -> None:
         with DriverBench(replace(self.subject, settings={**self.subject.settings, "prot": "/dev/ttyUSB0"})) as bench:

@@ -48,11 +48,8 @@ def planar(body: Body, settings: MocapSettings) -> tuple[float, float, float] | 
     origin, unit = settings.origin, settings.unit_m
     c, s = math.cos(origin.psi), math.sin(origin.psi)
     psi = math.remainder(math.atan2(forward[1], forward[0]) + origin.psi, math.tau)
-    return (
-        origin.x_m + unit * (c * here[0] - s * here[1]),
-        origin.y_m + unit * (s * here[0] + c * here[1]),
-        psi,
-    )
+    turned = c * here[0] - s * here[1], s * here[0] + c * here[1]
+    return origin.x_m + unit * turned[0], origin.y_m + unit * turned[1], psi
 
 
 class _Seen:
@@ -71,16 +68,14 @@ class FleetBodies:
 
     def __init__(self, config: Config) -> None:
         self._settings = settings = config.tracker.mocap
-        self._seen = {
-            robot.body_name: _Seen(robot.tag, robot.calibration.tag_offset if robot.calibration else TagOffset())
-            for robot in config.seen
-        }
+        self._seen = {robot.body_name: _Seen(robot.tag, robot.tag_offset) for robot in config.seen}
         self._others = frozenset(settings.others)
         self._noisy = settings.position_sigma_m > 0
         across, turned = settings.position_sigma_m**2, settings.heading_sigma_rad**2
         known = across > 0 and turned > 0
         self._covariance = (across, 0.0, across, 0.0, 0.0, turned) if known else ()
         self._news = News()
+        self.news = self._news.take
 
     def poses(self, bodies: Mapping[str, Body], instant_ns: int) -> tuple[tuple[TagPose, ...], int]:
         """Return the robots' poses of one frame, and how many bodies are nobody's."""
@@ -99,10 +94,6 @@ class FleetBodies:
             found.append(TagPose(seen.tag, 0, 0, *centre, *self._covariance))
         strange = sum(name not in self._seen and name not in self._others for name in bodies)
         return tuple(found), strange
-
-    def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
-        return self._news.take()
 
     def _moves(self, seen: _Seen, body: Body) -> bool:
         """Return whether a pose is a new measurement: some systems repeat the last one of a body that they lost."""

@@ -47,7 +47,6 @@ class CameraGeometry:
         return cls([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]], model.distortion, T, model.lens)
 
     def moved(self, T_world_camera: ArrayLike) -> "CameraGeometry":
-        """Return the same camera in another place."""
         return CameraGeometry(self.K, self.distortion, T_world_camera, self.lens)
 
     @property

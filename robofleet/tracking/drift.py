@@ -16,11 +16,11 @@ subtracted, if the survey's tolerance explains it. Landmarks that a camera canno
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.config.calibrated import FloorTag
 from robofleet.core.arrays import Array, Flags
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.camera_motion import corrected, pose_covariance, sensitivity
@@ -44,32 +44,22 @@ _NOISE_GAIN = 0.05
 _MEDIAN = 0.6745 * math.sqrt(2.0)  # of the magnitude of the difference of two sightings [standard deviations of one]
 
 _GATE, _SURVEY_GATE = 6.0**2, 4.0**2  # squared distance from which a landmark disagrees
-_LEARNT = 20  # sightings, of a landmark's own offset, and more if the camera shakes
+_LEARNT_SIGHTINGS = 20  # of a landmark's own offset, and more if the camera shakes
 _LEAST_FREE = 0.2  # share of a sighting's variance that its image's camera must leave to tell its noise
 _CALM_IMAGES = 2  # in agreement, after which a knock is over
-_LOST = 30  # images in a row that are not explained, after which the camera is given up
-_FAR_OFF = 3  # the same, if the landmarks are out of bounds
+_LOST_IMAGES = 30  # in a row that are not explained, after which the camera is given up
+_FAR_OFF_IMAGES = 3  # the same, if the landmarks are out of bounds
 _OFF_IMAGES = 10  # of a landmark that moved itself
-_BACK_IMAGES = 30  # until it is used again
-_STALE = 5e-5  # change of a landmark's place that is worth a new geometry [m]
+_BACK_AFTER_IMAGES = 30  # until it is used again
+_STALE_M = 5e-5  # change of a landmark's place that is worth a new geometry
 _REPORTED_M = 1e-3  # least change that is reported
-_TOLERATED = 4e-3  # error up to which an image is believed to show what a knock did [m]
-_BOUND = 0.02  # of the camera's height: largest correction on the floor, 50 mm of 2.5 m, or about a degree
+_TOLERATED_M = 4e-3  # error up to which an image is believed to show what a knock did
+_BOUND_SHARE = 0.02  # of the camera's height: largest correction on the floor, 50 mm of 2.5 m, or about a degree
 _ONE, _NOTHING = np.eye(6), np.zeros((6, 6))
 
 
-class Landmark(NamedTuple):
-    """A surveyed tag that lies still."""
-
-    tag: int
-    x: float  # [m; world]
-    y: float
-    psi: float  # of the print's right [rad; CCW +]
-    height: float  # [m]
-
-
 class DriftMonitor:
-    """Compares where landmarks are seen with where they lie.
+    """Compares where landmarks, surveyed tags that lie still, are seen with where they lie.
 
     ``geometry``: where the camera hangs; by it the next image's landmarks are to be placed. ``trusted``: poses may be
     used. Not while a knock of more than 4 mm goes on, not when landmarks disagree for a second, and not when the camera
@@ -80,14 +70,14 @@ class DriftMonitor:
     arena's corners place a robot to better than a tenth of a millimetre, relative to the calibration.
     """
 
-    def __init__(self, geometry: CameraGeometry, landmarks: Sequence[Landmark]) -> None:
-        """Take the calibrated camera."""
+    def __init__(self, geometry: CameraGeometry, landmarks: Sequence[FloorTag]) -> None:
         self.trusted, self.floor_seen = True, False
         n = len(landmarks)
-        table = np.array(landmarks, dtype=np.float64).reshape(n, 5)
+        places = [(mark.x_m, mark.y_m, math.radians(mark.heading_deg), mark.height_m) for mark in landmarks]
+        table = np.array(places, np.float64).reshape(n, 4)
         self._rows = {landmark.tag: row for row, landmark in enumerate(landmarks)}
         self._tags = [landmark.tag for landmark in landmarks]
-        self._survey, self._points = table[:, 1:4].copy(), table[:, [1, 2, 4]].copy()
+        self._survey, self._points = table[:, :3].copy(), table[:, [0, 1, 3]].copy()
         self._calibrated = self.geometry = geometry
         self._sensitivity = sensitivity(geometry, self._points)
         self._state = np.zeros(6)  # what remains, since ``geometry``
@@ -132,7 +122,7 @@ class DriftMonitor:
         seen = self._seen(self._state + self._shaken)
         if self.geometry is before:
             self._follow_noise(residual - seen, variance)
-        if self._given_up or np.abs(seen[:, :2]).max() < _STALE:
+        if self._given_up or np.abs(seen[:, :2]).max() < _STALE_M:
             return self.geometry, happenings
         return corrected(self.geometry, self._state + self._shaken), happenings
 
@@ -240,11 +230,11 @@ class DriftMonitor:
                 most = _SHAKEN_MORE * self._vibration + _SHAKEN
                 self._vibration = self._vibration + np.minimum(jump**2, most)
         errors = np.hypot(offset[voting, 0], offset[voting, 1])
-        error, bound = float(np.median(errors)), _BOUND * self.geometry.position[2]
-        self.trusted = self.trusted and error <= _TOLERATED
+        error, bound = float(np.median(errors)), _BOUND_SHARE * self.geometry.position[2]
+        self.trusted = self.trusted and error <= _TOLERATED_M
         self._worst = max(self._worst, float(errors.max()))
         self._lost = 0 if self.trusted and explained else self._lost + 1
-        patience = _FAR_OFF if error > bound and len(voting) >= 2 else _LOST
+        patience = _FAR_OFF_IMAGES if error > bound and len(voting) >= 2 else _LOST_IMAGES
         return self._give_up(self._worst) if self._lost >= patience else ()
 
     def _give_up(self, error: float) -> tuple[Notice, ...]:
@@ -273,16 +263,15 @@ class DriftMonitor:
         if not np.count_nonzero(elsewhere) and not np.count_nonzero(self._off):
             return ()
         moved = self._off >= _OFF_IMAGES
-        self._off = np.where(elsewhere, np.where(moved, _OFF_IMAGES + _BACK_IMAGES, self._off + 1), self._off)
+        self._off = np.where(elsewhere, np.where(moved, _OFF_IMAGES + _BACK_AFTER_IMAGES, self._off + 1), self._off)
         self._off = np.where(agree, np.maximum(self._off - 1, 0), self._off)
         fresh = np.flatnonzero((self._off >= _OFF_IMAGES) & ~moved)
-        self._off[fresh] = _OFF_IMAGES + _BACK_IMAGES
+        self._off[fresh] = _OFF_IMAGES + _BACK_AFTER_IMAGES
         return tuple(Notice(TrackerEvent.TAG_JUMPED, self._tags[row], float(distance[row])) for row in fresh)
 
     def _learn(self, residual: Array, agree: Flags) -> None:
-        """Learn what landmarks are off by themselves."""
         shaking = self._sensitivity**2 @ self._vibration
-        patience = _LEARNT * (1.0 + np.sqrt(shaking.reshape(-1, 3)[:, :2].max(1)) / self._noise[:2].max())
+        patience = _LEARNT_SIGHTINGS * (1.0 + np.sqrt(shaking.reshape(-1, 3)[:, :2].max(1)) / self._noise[:2].max())
         fresh = agree & (self._learnt < patience)
         if np.count_nonzero(fresh):
             self._learnt[fresh] += 1.0
@@ -293,13 +282,13 @@ class DriftMonitor:
     def _settled(self) -> tuple[Notice, ...]:
         """Take the camera for where it is now, if that differs, and within bounds."""
         self._lost, self._worst = 0, 0.0
-        if self.trusted and np.abs(self._seen(self._state)[:, :2]).max() < _STALE:
+        if self.trusted and np.abs(self._seen(self._state)[:, :2]).max() < _STALE_M:
             return ()
         geometry = corrected(self.geometry, self._state)
         points = self._points
         shift = self._calibrated.to_plane(geometry.project(points), points[:, 2]) - points[:, :2]
         largest = float(np.hypot(shift[:, 0], shift[:, 1]).max())
-        if largest > _BOUND * self._calibrated.position[2]:
+        if largest > _BOUND_SHARE * self._calibrated.position[2]:
             return self._give_up(largest)
         report = self._given_up or float(np.abs(shift - self._reported).max()) > _REPORTED_M
         self.trusted, self._given_up = True, False

@@ -105,7 +105,6 @@ class News:
         self._reported_ns: dict[tuple[TrackerEvent, int], int] = {}
 
     def say(self, event: TrackerEvent, tag: int, value: float, now_ns: int) -> None:
-        """Add an event."""
         reported_ns = self._reported_ns.get((event, tag))
         if reported_ns is None or now_ns - reported_ns >= _REPEAT_NS:
             self._reported_ns[event, tag] = now_ns
@@ -116,6 +115,5 @@ class News:
         self._happenings.append(notice)
 
     def take(self) -> tuple[Notice, ...]:
-        """Return what was added since the last call."""
         taken, self._happenings = tuple(self._happenings), []
         return taken

@@ -3,7 +3,10 @@
 import math
 
 from robofleet.config.calibrated import TagOffset
-from robofleet.tracking.tags.covariance import Covariance
+
+# Of a planar pose x, y [m; world], psi [rad]: xx, xy, yy [m^2], x psi, y psi [m rad], psi psi [rad^2].
+Covariance = tuple[float, ...]
+UNKNOWN: Covariance = (0.0,) * 6
 
 
 def centre_from_tag(x: float, y: float, psi: float, offset: TagOffset) -> tuple[float, float, float]:

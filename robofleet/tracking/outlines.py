@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.bus.messages import TagPose
-from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.offset import tag_from_centre
@@ -21,8 +20,7 @@ class TagOutlines:
     def __init__(self, config: Config) -> None:
         self._geometry = CameraGeometry.from_model(config.camera.model)
         self._targets = {target.tag: target for target in robot_targets(config)}
-        measured = {robot.tag: robot.calibration for robot in config.seen}
-        self._offsets = {tag: c.tag_offset if c is not None else TagOffset() for tag, c in measured.items()}
+        self._offsets = {robot.tag: robot.tag_offset for robot in config.seen}
 
     def of(self, poses: Iterable[TagPose]) -> dict[int, NDArray[np.float64]]:
         """Return the corners (4, 2) [px] of each tag of the fleet's, by its number."""

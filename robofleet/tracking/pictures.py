@@ -15,7 +15,6 @@ def picture_size(width: int, height: int) -> tuple[int, int]:
 
 
 def jpeg(image: NDArray[np.uint8]) -> bytes:
-    """Return the picture of an image (H, W)."""
     height, width = image.shape
     size = picture_size(width, height)
     small = image if size == (width, height) else cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -1,32 +1,20 @@
 """From an image to the poses of the robots' centres: tags, where they sit on their robots, and the camera's drift."""
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.cameras.light import Light, TagLight
-from robofleet.tracking.drift import DriftMonitor, Landmark
-from robofleet.tracking.events import News, Notice
+from robofleet.tracking.drift import DriftMonitor
+from robofleet.tracking.events import News
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
-from robofleet.tracking.tags.covariance import covariance
 from robofleet.tracking.tags.targets import floor_tags_in_view, floor_targets, robot_targets
-from robofleet.tracking.tags.tracker import TagSighting, TagTracker
+from robofleet.tracking.tags.tracker import Sightings, TagSighting, TagTracker
 
 _BLIND_IMAGES = 10  # with robots in sight and no floor tag that lies where it was: the camera may look elsewhere
-
-
-class Sight(NamedTuple):
-    """What one image tells."""
-
-    robots: tuple[TagSighting, ...]  # poses of the robots' centres
-    refused: int
-    happenings: tuple[Notice, ...]
 
 
 class FleetSight:
@@ -41,24 +29,19 @@ class FleetSight:
         self._light = TagLight(targets)
         self._measured: list[TagSighting] = []  # in the newest image
         self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s)
-        calibrated = {robot.tag: robot.calibration for robot in config.seen}
-        self._offsets = {tag: c.tag_offset if c is not None else TagOffset() for tag, c in calibrated.items()}
-        landmarks = [
-            Landmark(floor.tag, floor.x_m, floor.y_m, math.radians(floor.heading_deg), floor.height_m)
-            for floor in lying
-        ]
-        self._drift = DriftMonitor(geometry, landmarks) if landmarks else None
+        self._offsets = {robot.tag: robot.tag_offset for robot in config.seen}
+        self._drift = DriftMonitor(geometry, lying) if lying else None
         self._camera = geometry  # of the newest image
         self._news = News()
         self._blind = 0
 
-    def see(self, image: NDArray[np.uint8], exposure_ns: int) -> Sight:
-        """Return what an image (H, W) tells. ``exposure_ns``: mid-exposure of its middle row."""
+    def see(self, image: NDArray[np.uint8], exposure_ns: int) -> Sightings:
+        """Return the poses of robots' centres in an image (H, W). ``exposure_ns``: mid-exposure of its middle row."""
         drift = self._drift
         if drift is None:
             poses, refused, happenings = self._tracker.track(image, exposure_ns)
             self._measured = [pose for pose in poses if pose.coasted_ns == 0]
-            return Sight(tuple(map(self._robot, poses)), refused, happenings)
+            return Sightings(tuple(map(self._robot, poses)), refused, happenings)
         placed = False
 
         def place(lying: list[TagSighting]) -> None:
@@ -80,7 +63,7 @@ class FleetSight:
         self._blind = 0 if drift.floor_seen else self._blind + 1
         if wrong or not drift.trusted or self._blind > _BLIND_IMAGES:
             robots = [pose for pose in robots if pose.coasted_ns]
-        return Sight(tuple(map(self._robot, self._doubted(drift, robots))), refused, happenings + self._news.take())
+        return Sightings(tuple(map(self._robot, self._doubted(drift, robots))), refused, happenings + self._news.take())
 
     def _doubted(self, drift: DriftMonitor, robots: list[TagSighting]) -> list[TagSighting]:
         """Add what is not known of this image's camera to what is not known of the tags in it."""
@@ -89,8 +72,8 @@ class FleetSight:
         spread = drift.covariance(np.array([[seen.x, seen.y, self._heights[seen.tag]] for seen in robots]))
         rows = spread[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]] + [seen.covariance for seen in robots]
         return [
-            seen if seen.coasted_ns else seen._replace(covariance=covariance(row))
-            for seen, row in zip(robots, rows, strict=True)
+            seen if seen.coasted_ns else seen._replace(covariance=tuple(row))
+            for seen, row in zip(robots, rows.tolist(), strict=True)
         ]
 
     def _place(self, drift: DriftMonitor, lying: Sequence[TagSighting], exposure_ns: int) -> None:
@@ -112,7 +95,6 @@ class FleetSight:
         return camera
 
     def light(self, image: NDArray[np.uint8]) -> Light:
-        """Return how bright the image (H, W) is that was seen last."""
         return self._light.of(image, self._tracker.geometry, self._measured)
 
     def _robot(self, seen: TagSighting) -> TagSighting:

@@ -2,7 +2,8 @@
 ``robofleet.cameras`` or as ``module:Class``.
 
 A camera just reads and raises. One that fails is closed and opened again, ever more patiently, for as long as it takes:
-by a thread where reading waits (``CameraReader``), between two steps where it does not (``CameraPoller``).
+by a thread where reading waits (``Reader``), between two steps where it does not (``Poller``). Motion-capture systems
+are read in the same way.
 """
 
 import threading
@@ -10,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,9 @@ from robofleet.tracking.events import Notice, TrackerEvent
 _FIRST_PAUSE_S = 0.2  # before a camera that failed is opened again; doubled from one failure to the next
 _LONGEST_PAUSE_S = 2.0
 _LAST_IMAGE_S = 0.2  # a reader that ends waits so long for the image that is under way
+
+
+Image_co = TypeVar("Image_co", covariant=True)  # a Frame of a camera, or a CaptureFrame
 
 
 class CameraError(RobofleetError):
@@ -183,7 +187,6 @@ class ExposureChange:
         self._requested = exposure
 
     def take(self) -> Exposure | None:
-        """Return what was asked for since the last call."""
         change, self._requested = self._requested, None
         return change
 
@@ -200,25 +203,33 @@ def unmeasured(config: Config) -> Iterator[Complaint]:
     """Refuse a real camera with a lens that nobody measured: the shipped one's numbers are of no camera at all."""
     model = config.camera.model
     if model.intrinsics is None and not model.camera:
-        yield (
-            "camera.source",
-            (
-                "nobody has measured this camera's lens: `robofleet calibrate intrinsics` writes a file for "
-                "camera.model; if it was measured by other means, write the device's name as `camera` into that file"
-            ),
-        )
+        why = "nobody has measured this camera's lens: `robofleet calibrate intrinsics` writes a file for camera.model"
+        other = "if it was measured by other means, write the device's name as `camera` into that file"
+        yield "camera.source", f"{why}; {other}"
 
 
-class ReopenedCamera:
+class Readable(Protocol[Image_co]):
+    """A camera, or a motion-capture system."""
+
+    def read(self) -> Image_co | None:
+        """Wait for the next image. None: nothing new came."""
+
+    def close(self) -> None:
+        """Let go of the device. Idempotent."""
+
+
+class ReopenedCamera(Generic[Image_co]):
     """A camera that is opened again when it fails, and that must be the one which was calibrated."""
 
-    def __init__(self, camera: Camera, open_again: Callable[[], Camera], calibrated: str) -> None:
+    def __init__(
+        self, camera: Readable[Image_co], open_again: Callable[[], Readable[Image_co]], calibrated: str
+    ) -> None:
         """Take a camera that is open; ``calibrated``: its identity, empty if any camera will do."""
-        self.camera: Camera | None = camera
+        self.camera: Readable[Image_co] | None = camera
         self._open, self._calibrated = open_again, calibrated
         self._pause_s = _FIRST_PAUSE_S
 
-    def read(self) -> Frame | Lost | None:
+    def read(self) -> Image_co | Lost | None:
         """Return the next image, waiting for it, or why there is none; None when the camera was opened just now."""
         camera = self.camera
         try:
@@ -323,7 +334,7 @@ class Feed(Protocol):
     """A camera's images as they become ready; the camera is opened again when it fails."""
 
     @property
-    def device(self) -> ReopenedCamera:
+    def device(self) -> ReopenedCamera[Frame]:
         """The camera."""
 
     def next_ns(self) -> int | None:
@@ -351,12 +362,12 @@ class PoseContext(CameraContext):
     around: Callable[[Feed], Feed]
 
 
-class CameraReader:
+class Reader(Generic[Image_co]):
     """Reads a camera that blocks, in a thread of its own. Of images that nobody took the newest one is kept."""
 
-    def __init__(self, device: ReopenedCamera, wake: Wake) -> None:
+    def __init__(self, device: ReopenedCamera[Image_co], wake: Wake) -> None:
         self.device, self._wake = device, wake
-        self._taken: deque[Frame | Lost] = deque()
+        self._taken: deque[Image_co | Lost] = deque()
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -366,13 +377,14 @@ class CameraReader:
         """Return None: an image wakes the process."""
         return None
 
-    def take(self, now_ns: int) -> Frame | Lost | None:
+    def take(self, now_ns: int) -> Image_co | Lost | None:
         """Return the newest image not taken yet, or what happened before it."""
         with self._lock:
             return self._taken.popleft() if self._taken else None
 
     def close(self) -> None:
-        """End the thread and let go of the camera."""
+        """End the thread, over which an interpreter that ends may abort, and let go of the camera; one that is silent
+        keeps its thread."""
         self._closing.set()
         self._thread.join(_LAST_IMAGE_S)
         self.device.close()
@@ -383,7 +395,7 @@ class CameraReader:
             if taken is None:
                 continue
             with self._lock:
-                if isinstance(taken, Frame) and self._taken and isinstance(self._taken[-1], Frame):
+                if self._taken and not isinstance(taken, Lost) and not isinstance(self._taken[-1], Lost):
                     self._taken.pop()
                 self._taken.append(taken)
             self._wake(0)
@@ -393,24 +405,22 @@ class CameraReader:
                 self._closing.wait(self.device.pause_s())
 
 
-class CameraPoller:
-    """Reads a :class:`ScheduledCamera` when its image is there."""
+class Poller(Generic[Image_co]):
+    """Reads a :class:`ScheduledCamera` when its image is there: lockstep has no threads."""
 
-    def __init__(self, device: ReopenedCamera) -> None:
+    def __init__(self, device: ReopenedCamera[Image_co]) -> None:
         self.device = device
         self._again_ns = 0
         self._ended = False
 
     def next_ns(self) -> int | None:
-        """Return when there will be something to take; None while that is not known."""
         if self._ended:
             return None
         camera = self.device.camera
         ready_ns = getattr(camera, "ready_ns", None)  # faster than to ask whether it is a ScheduledCamera
         return self._again_ns if ready_ns is None else ready_ns()
 
-    def take(self, now_ns: int) -> Frame | Lost | None:
-        """Return the image that is there, or why there is none."""
+    def take(self, now_ns: int) -> Image_co | Lost | None:
         due_ns = self.next_ns()
         if due_ns is None or due_ns > now_ns:
             return None
@@ -421,5 +431,4 @@ class CameraPoller:
         return taken
 
     def close(self) -> None:
-        """Let go of the camera."""
         self.device.close()

@@ -29,7 +29,6 @@ class BicycleParameters:
     rear_stiffness: float  # C_alpha,r [N/rad]
 
     def numbers(self) -> Numbers:
-        """Return the fields in their order."""
         return astuple(self)
 
 

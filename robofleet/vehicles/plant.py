@@ -117,7 +117,6 @@ def built(drive: DifferentialDrive, imperfections: Imperfections, rng: np.random
 
 
 def placed(pose: tuple[float, float, float], now_ns: int) -> Body:
-    """Return a body that stands at a pose."""
     x, y, psi = pose
     return Body(x=x, y=y, psi=psi, reached_ns=now_ns)
 
@@ -128,13 +127,11 @@ def capacity(delay_ns: int) -> int:
 
 
 def random_numbers(rng: np.random.Generator) -> list[float]:
-    """Return the next block of random numbers."""
     numbers: list[float] = rng.standard_normal(RANDOM_BLOCK)[::-1].tolist()
     return numbers
 
 
 def befall(b: Body, trouble: BodyTrouble) -> None:
-    """Let something be wrong with a robot from now on."""
     b.stuck, b.slip = trouble.stuck, trouble.slip
     b.left_runs = math.nan if trouble.left is None else trouble.left
     b.right_runs = math.nan if trouble.right is None else trouble.right
@@ -158,12 +155,12 @@ def advance(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float],
 
     Time is cut at the instants at which commands act.
     """
-    if now_ns >= b.off_ns:
-        _pass(b, p, coming, noise, b.off_ns)
-        if b.reached_ns < b.off_ns:
+    while True:  # with one call of _pass: of every call the compiler makes a copy
+        off = now_ns >= b.off_ns
+        _pass(b, p, coming, noise, b.off_ns if off else now_ns)
+        if not off or b.reached_ns < b.off_ns:
             return
         command(b, p, coming, 0.0, 0.0, NEVER_NS)
-    _pass(b, p, coming, noise, now_ns)
 
 
 def _pass(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float], now_ns: int) -> None:
@@ -306,11 +303,9 @@ class Plant:
         return self.reading().battery
 
     def reading(self) -> DriverReading:
-        """Return what the robot's own sensors say."""
         return DriverReading(*measured(self._b, self._p), self._b.faults)
 
     def truth(self) -> TruePose:
-        """Return the true pose and body velocity."""
         b = self._b
         return TruePose(b.x, b.y, b.psi, b.v, b.omega)
 

@@ -61,7 +61,6 @@ class SensorKind:
 
     @property
     def places(self) -> tuple[tuple[float, float, float], ...]:
-        """Places and directions of its distance sensors."""
         return () if self.distances is None else self.distances.places
 
 
@@ -206,7 +205,6 @@ def numbers(parts: int, distances: int) -> int:
 
 
 def unpacked(parts: int, distances: int, numbers: Sequence[float]) -> SensorReading:
-    """Return the reading that was packed."""
     rest = iter(numbers)
 
     def axes(part: int) -> tuple[float, float, float] | None:

@@ -55,7 +55,6 @@ def area(points: Sequence[Point]) -> float:
 
 
 def outlines(solids: Sequence[Solid]) -> Outlines:
-    """Return what the kernels read."""
     edges, rings, count = [np.empty((0, 4))], [], 0
     for solid in solids:
         at = np.array(solid.points)

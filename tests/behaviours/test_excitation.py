@@ -58,6 +58,7 @@ def platoon() -> Floor:
 
 
 def test_robots_drive_one_after_the_other_and_rest_at_the_end(platoon: Floor) -> None:
+    assert platoon.gap > 0.02, "nothing is touched"
     moving = (np.array(platoon.commands) != 0.0).any(axis=2)
     assert (moving.sum(axis=1) <= 1).all()
     ends = (platoon.drive.ends / TICK).astype(int)
@@ -87,10 +88,6 @@ def test_wheel_speeds_keep_their_limits_and_change_all_the_time(platoon: Floor) 
     for row in range(4):
         for side in range(2):
             assert (np.diff(wheels[:, row, side]) != 0.0).sum() > 100
-
-
-def test_nothing_is_touched_in_the_platoon(platoon: Floor) -> None:
-    assert platoon.gap > 0.02
 
 
 @pytest.mark.slow_after_first

@@ -67,6 +67,10 @@ class Floor:
         self.references = decision.references
         self.figures, self.t = decision.figures, self.t + team.tick
 
+    def ticks(self, count: int) -> None:
+        for _ in range(count):
+            self.tick()
+
     def until(self, seconds: float) -> bool:
         """Go on until all have arrived; False if they have not after so long."""
         end = self.t + seconds
@@ -138,23 +142,15 @@ def recorded(figures: Sequence[Any]) -> Past:
     nowhere, known = np.full((ticks, robots, 3), np.nan), np.zeros(robots, dtype=np.bool_)
     values = {figure.name: columns[:, k] for k, figure in enumerate(GoTo.figures)}
     counts = np.ones(ticks, dtype=np.bool_)
-    t = np.arange(ticks) * 0.033
     return Past(
-        t=t,
-        poses=nowhere,
-        points=nowhere[..., :2],
-        known=known,
-        settled=counts,
-        spaced=counts,
-        references=nowhere[..., :2],
-        figures=values,
-    )
+        t=np.arange(ticks) * 0.033, poses=nowhere, points=nowhere[..., :2], known=known, settled=counts, spaced=counts,
+        references=nowhere[..., :2], figures=values,
+    )  # fmt: skip
 
 
 def test_a_robot_that_stands_is_waited_for_and_then_all_arrive() -> None:
     floor = Floor(made(OPPOSITE), CROSSING)
-    for _ in range(60):
-        floor.tick()
+    floor.ticks(60)
     floor.driving[0] = False
     stood = floor.poses[0].copy()
     assert not floor.until(15.0)
@@ -164,14 +160,8 @@ def test_a_robot_that_stands_is_waited_for_and_then_all_arrive() -> None:
     assert floor.until(30.0)
 
 
-@pytest.mark.parametrize(
-    ("along", "beside", "turned"),
-    [
-        (0.013, 0.0, 0.0),
-        (0.0, 0.013, 0.0),
-        (-0.008, -0.01, -0.14),
-        (0.002, -0.016, 0.2),
-    ],  # the last: its point is there
+@pytest.mark.parametrize(  # the last: its point is there
+    ("along", "beside", "turned"), [(0.013, 0.0, 0.0), (0.0, 0.013, 0.0), (-0.008, -0.01, -0.14), (0.002, -0.016, 0.2)]
 )
 def test_a_robot_that_is_not_quite_where_it_waits_comes_there_though_its_wheels_stick(
     along: float, beside: float, turned: float
@@ -180,8 +170,7 @@ def test_a_robot_that_is_not_quite_where_it_waits_comes_there_though_its_wheels_
     floor = Floor(made(OPPOSITE), CROSSING)
     floor.starts_rad_s = 0.7
     floor.driving[0] = False
-    for _ in range(300):
-        floor.tick()
+    floor.ticks(300)
     waiting = floor.poses[1].copy()
     floor.tick()
     assert np.array_equal(floor.poses[1], waiting)
@@ -190,8 +179,7 @@ def test_a_robot_that_is_not_quite_where_it_waits_comes_there_though_its_wheels_
     c, s = math.cos(psi), math.sin(psi)
     x, y = floor.references[1] - floor.behaviour.team.point_ahead * np.array([c, s])
     floor.poses[1] = x + c * along - s * beside, y + s * along + c * beside, psi + turned
-    for _ in range(150):
-        floor.tick()
+    floor.ticks(150)
     assert math.dist(floor.poses[1, :2], (x, y)) < 0.009
     stands = floor.poses[1].copy()
     floor.tick()
@@ -200,27 +188,21 @@ def test_a_robot_that_is_not_quite_where_it_waits_comes_there_though_its_wheels_
     assert floor.until(30.0)
 
 
-def test_a_robot_that_was_carried_away_gets_another_plan() -> None:
+@pytest.mark.parametrize("noticed", [True, False])
+def test_a_robot_that_was_moved_gets_another_plan(noticed: bool) -> None:
     floor = Floor(made(OPPOSITE), CROSSING)
-    for _ in range(100):
-        floor.tick()
-    floor.poses[0] = -1.2, 0.7, 1.0
-    floor.behaviour.carried(0)
-    assert floor.until(40.0)
-
-
-def test_a_robot_that_was_pushed_unnoticed_gets_another_plan_too() -> None:
-    floor = Floor(made(OPPOSITE), CROSSING)
-    for _ in range(100):
-        floor.tick()
-    floor.poses[1, :2] += 0.0, 0.3
+    floor.ticks(100)
+    if noticed:
+        floor.poses[0] = -1.2, 0.7, 1.0
+        floor.behaviour.carried(0)
+    else:
+        floor.poses[1, :2] += 0.0, 0.3
     assert floor.until(40.0)
 
 
 def test_around_what_came_to_stand_in_the_way_another_way_is_found() -> None:
     floor = Floor(made([(0.8, 0.0, 0.0)]), [(-0.8, 0.0, 0.0)])
-    for _ in range(45):
-        floor.tick()
+    floor.ticks(45)
     obstacle = np.array([0.3, 0.0])
     floor.others = np.array([(*obstacle, 0.055)])
     gaps = []
@@ -281,27 +263,22 @@ def test_with_the_plants_errors_and_the_barrier_all_arrive(seed: int) -> None:
     assert found.gap >= 0.01
 
 
-def refused(behaviour: GoTo) -> list[tuple[str, str]]:
-    return [(refusal.key, refusal.message) for refusal in behaviour.refusals()]
-
-
 def broken(behaviour: GoTo) -> list[str]:
     return [bound.path for bound in behaviour.bounds() if not bound.holds]
 
 
-def test_a_goal_for_a_stranger_and_a_robot_without_one_are_refused() -> None:
-    behaviour = made(OPPOSITE, team(2))
-    assert [key for key, _ in refused(behaviour)] == ["settings.goals.r3"]
-    assert "r1, r2" in refused(behaviour)[0][1]
-    behaviour = made(OPPOSITE[:2], team(3))
-    assert [key for key, _ in refused(behaviour)] == ["settings.goals"]
-    assert "r3" in refused(behaviour)[0][1]
-    assert not refused(made(OPPOSITE))
-
-
-def test_nearest_needs_as_many_goals_as_robots() -> None:
-    assert [key for key, _ in refused(made(OPPOSITE[:2], team(3), assignment="nearest"))] == ["settings.goals"]
-    assert not refused(made(OPPOSITE, assignment="nearest"))
+@pytest.mark.parametrize(
+    ("goals", "robots", "more", "key", "words"),
+    [
+        (OPPOSITE, 2, {}, "settings.goals.r3", "r1, r2"),
+        (OPPOSITE[:2], 3, {}, "settings.goals", "r3"),
+        (OPPOSITE[:2], 3, {"assignment": "nearest"}, "settings.goals", "as many goals as the group has robots"),
+    ],
+)
+def test_goals_and_robots_belong_together(goals: Poses, robots: int, more: Any, key: str, words: str) -> None:
+    assert not list(made(OPPOSITE, **more).refusals())
+    ((found, message),) = made(goals, team(robots), **more).refusals()
+    assert found == key and words in message
 
 
 def test_goals_outside_the_arena_and_too_near_each_other_are_refused() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from robofleet.behaviours.platoon import Platoon
 from robofleet.config import groups, slices
-from robofleet.config.load import load_config, resolved_yaml
+from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
@@ -43,14 +43,6 @@ def test_one_that_is_left_out_stands_behind_the_one_that_it_follows() -> None:
     x, y, psi = behaviour(config).places()[0]
     assert slices.start_pose(config.robots[2]) == pytest.approx((x, y, psi), abs=1e-12)
     assert config.robots[0].start == platoon().robots[0].start
-
-
-def test_the_resolved_configuration_has_them(tmp_path: Path) -> None:
-    config = platoon(*UNPLACED)
-    (tmp_path / "config.yaml").write_text(resolved_yaml(config))
-    again = load_config(tmp_path / "config.yaml")
-    assert again == config
-    assert all(robot.start is not None for robot in again.robots)
 
 
 def test_a_path_without_such_places_leaves_them_out() -> None:

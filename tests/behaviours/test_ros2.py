@@ -7,32 +7,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.behaviours.interface import Situation, Wish, WishKind
+from robofleet.behaviours.interface import Wish, WishKind
 from robofleet.behaviours.ros2 import Ros2
 from robofleet.config import groups
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
+from robofleet.testing import situation
 
 CONFIG = load_config(SHIPPED / "ros2.yaml")
 TEAM = groups.team(CONFIG, CONFIG.groups[0])
 N = len(TEAM)
-SITUATION = Situation(
-    t=0.0, poses=np.zeros((N, 3)), driving=np.ones(N, np.bool_), disturbance=np.zeros((N, 2)), others=np.empty((0, 3))
-)
+SITUATION = situation(np.zeros((N, 3)))
 SILENT_S = 0.15
 
 
 def decided(age: float, own: list[float], commanded: list[bool], kind: WishKind = WishKind.BODY) -> np.ndarray:
     values = np.column_stack([np.full(N, 0.1), np.full(N, 0.5), own])
-    wish = Wish(
-        kind=kind,
-        values=np.where(np.array(commanded)[:, None], values, 0.0),
-        told=np.array(commanded),
-        order=0,
-        age=age,
-        epoch=1,
-        seq=1,
-    )
+    is_commanded = np.array(commanded)
+    values = np.where(is_commanded[:, None], values, 0.0)
+    wish = Wish(kind=kind, values=values, told=is_commanded, order=0, age=age, epoch=1, seq=1)
     decision = Ros2(Ros2.Settings(), TEAM).decide(replace(SITUATION, wish=wish))
     assert decision.of == "body" and decision.hold is None
     return np.asarray(decision.velocities)
@@ -49,13 +42,10 @@ def test_a_robot_does_what_is_fresh_and_stands_else(age: float, own: list[float]
             assert velocity == pytest.approx((0.1, 0.5) if fresh else (0.0, 0.0))
 
 
-def test_no_command_is_younger_than_a_sender_can_know() -> None:
-    assert not decided(SILENT_S + 2 * TEAM.tick, [-1e5] * N, [True] * N).any()
-
-
-@pytest.mark.parametrize("kind", [kind for kind in WishKind if kind is not WishKind.BODY])
-def test_whatever_else_is_wished_the_robots_stand(kind: WishKind) -> None:
-    assert not decided(0.0, [0.0] * N, [True] * N, kind).any()
+@pytest.mark.parametrize("kind", WishKind)
+def test_no_command_is_younger_than_a_sender_can_know_and_nothing_else_is_done(kind: WishKind) -> None:
+    assert not decided(SILENT_S + 2 * TEAM.tick, [-1e5] * N, [True] * N, kind).any()
+    assert decided(0.0, [0.0] * N, [True] * N, kind).any() == (kind is WishKind.BODY)
 
 
 def test_the_robots_stand_while_nothing_was_commanded() -> None:

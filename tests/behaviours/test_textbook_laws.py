@@ -21,15 +21,10 @@ def anywhere(n: int, seed: int) -> np.ndarray:
 # Consensus
 
 
-@pytest.mark.parametrize(
-    "graph",
-    [
-        {"graph": "ring"},
-        {"graph": "line"},
-        {"graph": "complete"},
-        {"edges": [["r1", "r4"], ["r2", "r4"], ["r3", "r4"]]},
-    ],
-)
+STAR = {"edges": [["r1", "r4"], ["r2", "r4"], ["r3", "r4"]]}
+
+
+@pytest.mark.parametrize("graph", [{"graph": "ring"}, {"graph": "line"}, {"graph": "complete"}, STAR])
 def test_consensus_leads_all_to_one_point_and_the_edges_never_grow(graph: dict[str, object]) -> None:
     behaviour = make(Consensus, graph, team(4, tick=SLOW))
     past = drive(behaviour, anywhere(4, 1), 120.0)
@@ -112,11 +107,7 @@ def test_a_peak_draws_the_robots_near() -> None:
     assert away[1] < 0.5 * away[0]
 
 
-def test_one_robot_covers_from_the_middle() -> None:
+def test_one_robot_covers_from_the_middle_and_robots_at_one_place_get_finite_velocities() -> None:
     past = drive(make(Coverage, {}, team(1, tick=SLOW)), np.array([[-1.0, 0.5, 0.0]]), 60.0)
     assert past.points[-1] == pytest.approx(np.zeros((1, 2)), abs=1e-3)
-
-
-def test_robots_at_the_same_place_get_finite_velocities() -> None:
-    velocities = make(Coverage, {}, team(3, tick=SLOW)).decide(situation(np.zeros((3, 3)))).velocities
-    assert np.isfinite(velocities).all()
+    assert np.isfinite(make(Coverage, {}, team(3, tick=SLOW)).decide(situation(np.zeros((3, 3)))).velocities).all()

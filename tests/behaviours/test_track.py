@@ -106,14 +106,10 @@ def test_it_goes_on_from_what_its_robots_were_really_asked_for() -> None:
 
 
 @pytest.mark.parametrize("law", ["point_ahead", "unicycle"])
-def test_good_settings_are_not_refused(law: str) -> None:
-    assert refusals(track(ON_THE_OVAL, TABLE, WAY, WAY | {"closed": True}, law=law)) == []
-
-
-def test_its_own_dump_is_read_back() -> None:
-    behaviour = track(ON_THE_OVAL, TABLE, WAY)
-    again = make(Track, behaviour.settings.model_dump(mode="json"), team(3))
-    assert refusals(again) == []
+def test_good_settings_are_not_refused_and_their_dump_is_read_back(law: str) -> None:
+    behaviour = track(ON_THE_OVAL, TABLE, WAY, WAY | {"closed": True}, law=law)
+    again = make(Track, behaviour.settings.model_dump(mode="json"), team(4))
+    assert refusals(behaviour) == refusals(again) == []
     assert again.settings == behaviour.settings
 
 

@@ -1,7 +1,7 @@
 """Every layout with messages to fill it, and a memory bus with its clock."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -12,34 +12,12 @@ from robofleet.bus.bus import MemoryBus
 from robofleet.bus.layouts import Layout, ListLayout
 from robofleet.core.clock import SimulatedClock
 
-LAYOUTS: dict[str, tuple[Any, type[Any]]] = {
-    "UnitCommand": (messages.UNIT_COMMAND, messages.UnitCommand),
-    "UnitStatus": (messages.UNIT_STATUS, messages.UnitStatus),
-    "UnitEnable": (messages.UNIT_ENABLE, messages.UnitEnable),
-    "RunState": (messages.RUN_STATE, messages.RunState),
-    "BusyMachine": (messages.BUSY_MACHINE, messages.BusyMachine),
-    "UnitTruth": (messages.UNIT_TRUTH, messages.UnitTruth),
-    "UnitSensors": (messages.UNIT_SENSORS, messages.UnitSensors),
-    "FleetPoses": (messages.FLEET_POSES, messages.FleetPoses),
-    "TickRecord": (messages.TICK_RECORD, messages.TickRecord),
-    "TrackerNews": (messages.TRACKER_NEWS, messages.TrackerNews),
-    "RecorderStatus": (messages.RECORDER_STATUS, messages.RecorderStatus),
-    "LeaseRequest": (messages.LEASE_REQUEST, messages.LeaseRequest),
-    "UnitLeases": (messages.UNIT_LEASES, messages.UnitLeases),
+LAYOUTS: dict[str, Layout[Any] | ListLayout[Any]] = {
+    layout.describe()[0]: layout
+    for layout in vars(messages).values()
+    if isinstance(layout, ListLayout) or (isinstance(layout, Layout) and not layout.blob)
 }
-ITEMS: dict[str, type[Any]] = {
-    "UnitCommand": messages.WheelCommand,
-    "UnitStatus": messages.RobotStatus,
-    "UnitEnable": messages.Enable,
-    "UnitTruth": messages.Truth,
-    "UnitSensors": messages.RobotSensors,
-    "UnitLeases": messages.LeaseAnswer,
-    "FleetPoses": messages.TagPose,
-    "TickRecord": messages.RobotTick,
-    "RunState": messages.RobotState,
-    "BusyMachine": messages.Late,
-}
-
+LISTS = {name: layout for name, layout in LAYOUTS.items() if isinstance(layout, ListLayout)}
 
 FURTHEST_NS = 2**62 - 1  # of an instant in a head
 
@@ -60,14 +38,14 @@ def _row(dtype: np.dtype[Any], skip: tuple[str, ...] = ()) -> st.SearchStrategy[
 
 @st.composite
 def any_message(draw: st.DrawFn, name: str) -> Any:
-    layout, make = LAYOUTS[name]
+    layout, make = LAYOUTS[name], getattr(messages, name)
     if isinstance(layout, Layout):
         return make(*draw(_row(layout.dtype, ("version",))))
+    item = next(get_args(hint)[0] for hint in get_type_hints(make).values() if get_origin(hint) is tuple)
     head = draw(_row(layout.head_dtype, ("version", "count")))
-    items = draw(st.lists(_row(layout.item_dtype), max_size=5))
-    numbers: tuple[float, ...] | None = () if name in ("TickRecord", "UnitSensors") else None
-    rows = tuple(ITEMS[name](*item) for item in items)
-    return make(*head, rows) if numbers is None else make(*head, rows, numbers)
+    rows = tuple(item(*row) for row in draw(st.lists(_row(layout.item_dtype), max_size=5)))
+    numbers: list[tuple[float, ...]] = [()] if "rest" in layout.describe()[1] else []
+    return make(*head, rows, *numbers)
 
 
 @pytest.fixture(scope="session", params=list(LAYOUTS))
@@ -77,19 +55,13 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def layout(kind: str) -> Layout[Any] | ListLayout[Any]:
-    return LAYOUTS[kind][0]  # type: ignore[no-any-return]
+    return LAYOUTS[kind]
 
 
 @pytest.fixture(scope="session")
 def any_of(kind: str) -> st.SearchStrategy[Any]:
     """Return the strategy for messages of this kind."""
     return any_message(kind)
-
-
-@pytest.fixture(scope="session", params=list(ITEMS))
-def listed(request: pytest.FixtureRequest) -> tuple[ListLayout[Any], st.SearchStrategy[Any]]:
-    """Return a layout with a list at its end, and the strategy for its messages."""
-    return LAYOUTS[request.param][0], any_message(request.param)
 
 
 @pytest.fixture

@@ -27,28 +27,23 @@ from robofleet.bus.messages import (
     UnitCommand,
     WheelCommand,
 )
-from tests.bus.conftest import FURTHEST_NS, LAYOUTS, any_message
+from tests.bus.conftest import FURTHEST_NS, LAYOUTS, LISTS, any_message
 
 EXACT = settings(deadline=None, derandomize=True, max_examples=20)
 AnyLayout = Layout[Any] | ListLayout[Any]
 Messages = st.SearchStrategy[Any]
 
 
-def floats_of(message: Any) -> list[tuple[int | None, str]]:
-    """Return (item, field) of every float in a message; item None: the head's."""
-    head = [(None, name) for name, value in message._asdict().items() if isinstance(value, float)]
-    items = message[-1] if isinstance(message[-1], tuple) else ()
-    inside = [(k, n) for k, row in enumerate(items) for n, v in row._asdict().items() if isinstance(v, float)]
-    return head + inside
-
-
 @EXACT
 @given(st.data())
 def test_round_trip(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
     message = data.draw(any_of)
-    decoded = layout.decode(layout.encode(message))
+    payload = layout.encode(message)
+    decoded = layout.decode(payload)
     assert decoded == message
     assert type(decoded) is type(message)
+    if isinstance(layout, Layout):
+        assert np.frombuffer(payload, layout.dtype)[0].item() == (VERSION, *message)
 
 
 @EXACT
@@ -56,20 +51,16 @@ def test_round_trip(layout: AnyLayout, any_of: Messages, data: st.DataObject) ->
 def test_not_a_number_in_any_float_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
     """Whoever sends it: our own encoding cannot say it, so it is written over the payload's last bytes."""
     message = data.draw(any_of)
-    if not floats_of(message):
-        return
-    payload = layout.encode(message)
-    for bad in (math.nan, math.inf, -math.inf):
-        for at in places(layout, message):
-            damaged = bytearray(payload)
-            struct.pack_into("<d", damaged, at, bad)
-            assert layout.decode(bytes(damaged)) is None
-            assert not isinstance(layout, ListLayout) or layout.view(bytes(damaged)) is None
-    for path, other in pairwise(places(layout, message)):  # infinities do not cancel out
+    payload, floats = layout.encode(message), places(layout, message)
+    wrong = [{at: bad} for at in floats for bad in (math.nan, math.inf, -math.inf)]
+    wrong += [{at: math.inf, other: -math.inf} for at, other in pairwise(floats)]  # infinities do not cancel out
+    for numbers in wrong:
         damaged = bytearray(payload)
-        struct.pack_into("<d", damaged, path, math.inf)
-        struct.pack_into("<d", damaged, other, -math.inf)
+        for at, number in numbers.items():
+            struct.pack_into("<d", damaged, at, number)
         assert layout.decode(bytes(damaged)) is None
+        if isinstance(layout, ListLayout):
+            assert layout.view(bytes(damaged)) is layout.arrays(bytes(damaged)) is None
 
 
 def places(layout: AnyLayout, message: Any) -> list[int]:
@@ -178,7 +169,7 @@ def test_what_counts_has_64_bits_and_goes_on_where_32_end() -> None:
     counting = {"seq", "tick", "poses_seq", "state_seq", "command_seq", "latch_id", "clear", "rejected", "refused",
                 "overruns", "messages", "dropped", "echo_tick", "nonce"}  # fmt: skip
     leases = {"UnitStatus", "UnitCommand", "UnitEnable", "UnitLeases"}
-    for name, (layout, _) in LAYOUTS.items():
+    for name, layout in LAYOUTS.items():
         _, described = layout.describe()
         for field, kind in [*described["fields"], *described.get("items", ())]:
             if field in counting or (field == "epoch" and name in leases):
@@ -211,47 +202,50 @@ def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bo
 
 @settings(EXACT, max_examples=40)
 @given(st.data())
-def test_flipped_bytes_never_raise(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
+def test_damaged_bytes_never_raise_and_a_view_is_what_is_decoded(
+    layout: AnyLayout, any_of: Messages, data: st.DataObject
+) -> None:
     payload = bytearray(layout.encode(data.draw(any_of)))
-    for _ in range(3):
-        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
-    message = layout.decode(bytes(payload))
-    assert message is None or layout.encode(message) == bytes(payload)
-
-
-@settings(EXACT, max_examples=40)
-@given(st.data())
-def test_a_view_is_what_is_decoded(listed: tuple[ListLayout[Any], Messages], data: st.DataObject) -> None:
-    layout, any_of = listed
-    payload = bytearray(layout.encode(data.draw(any_of)))
-    for _ in range(data.draw(st.integers(0, 2))):  # damaged, or not
+    for _ in range(data.draw(st.integers(0, 3))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     cut = bytes(payload)[: data.draw(st.integers(len(payload) - 1, len(payload)))]
-    decoded, viewed = layout.decode(cut), layout.view(cut)
-    assert (decoded is None) == (viewed is None)
-    if decoded is not None and viewed is not None:
-        head, items = viewed
-        listing = next(k for k, value in enumerate(head) if isinstance(value, tuple))
-        assert head[:listing] == decoded[:listing]
-        assert items.tolist() == [tuple(item) for item in decoded[listing]]
-        assert items.dtype.names == type(decoded[listing][0])._fields if decoded[listing] else not len(items)
-        assert not items.flags.writeable
+    decoded = layout.decode(cut)
+    assert decoded is None or layout.encode(decoded) == cut
+    if isinstance(layout, ListLayout):
+        viewed = layout.view(cut)
+        assert (decoded is None) == (viewed is None)
+        assert viewed is None or viewed[1].tolist() == [tuple(item) for item in decoded[layout_head(layout)]]
 
 
+def layout_head(layout: ListLayout[Any]) -> int:
+    """Return how many fields stand before a message's items."""
+    return len(layout.head_dtype.names or ()) - 2  # without version and count
+
+
+@pytest.mark.parametrize("name", LISTS)
 @EXACT
-@given(st.data())
-def test_numpy_reads_the_same_values(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
-    message = data.draw(any_of)
-    payload = layout.encode(message)
-    if isinstance(layout, Layout):
-        (row,) = np.frombuffer(payload, layout.dtype)
-        assert row.tolist() == (VERSION, *message)
-        return
-    count = len(layout.head_dtype.names or ()) - 2  # without version and count
-    head, items = message[:count], message[count]
-    (row,) = np.frombuffer(payload, layout.dtype(len(items)))
-    assert [row[name] for name in layout.head_dtype.names or ()] == [VERSION, *head, len(items)]
-    assert [tuple(item) for item in row["items"].tolist()] == [tuple(item) for item in items]
+@given(data=st.data())
+def test_heads_and_items_alone_say_what_the_message_says(name: str, data: st.DataObject) -> None:
+    """Also of an empty list, and of a message that is damaged."""
+    layout, message = LISTS[name], data.draw(any_message(name))
+    payload, count = layout.encode(message), layout_head(LISTS[name])
+    head, items = message[:count], [tuple(item) for item in message[count]]
+    arrays, viewed, alone = layout.arrays(payload), layout.view(payload), layout.decode_head(payload)
+    assert arrays is not None and viewed is not None and alone is not None
+    assert arrays[0][0].item()[1:-1] == viewed[0][:count] == alone[:count] == head
+    assert all(rest == () for rest in (*alone[count:], *viewed[0][count:]))
+    assert arrays[1].tolist() == viewed[1].tolist() == items
+    assert not viewed[1].flags.writeable
+    for field in layout.head_dtype.names or ():
+        assert field in ("version", "count") or layout.head_of(payload, field) == getattr(message, field)
+    for field in layout.item_dtype.names or ():
+        column = layout.column(payload, field)
+        assert column is not None and column.tobytes() == arrays[1][field].tobytes()
+    assert layout.floats(arrays[1]).tolist() == [[x for x in item if isinstance(x, float)] for item in items]
+    packed = np.array(items, dtype=layout.item_dtype)
+    assert layout.encode_parts(head, len(items), packed.tobytes()) == layout.encode_view(message, packed) == payload
+    for wrong in (payload[:-1], b"\0" + payload[1:]):
+        assert layout.arrays(wrong) is layout.view(wrong) is layout.decode_head(wrong) is None
 
 
 @EXACT
@@ -266,57 +260,6 @@ def test_figures_are_kept_whatever_they_are(tick: TickRecord, figures: list[floa
         np.testing.assert_array_equal(np.asarray(kept), np.asarray(figures, dtype=float))
     assert decoded.robots == tick.robots
     assert TICK_RECORD.decode(payload[:-1]) is None
-
-
-@EXACT
-@given(st.data())
-def test_a_heads_fields_alone(listed: tuple[ListLayout[Any], Messages], data: st.DataObject) -> None:
-    layout, any_of = listed
-    message = data.draw(any_of)
-    count = len(layout.head_dtype.names or ()) - 2  # without version and count
-    head, items = message[:count], message[count]
-    payload = layout.encode(message)
-    decoded_head = layout.decode_head(payload)
-    assert decoded_head is not None
-    assert decoded_head[:count] == tuple(head)
-    assert all(rest == () for rest in decoded_head[count:])
-    assert layout.decode_head(payload[:-1]) is None
-    assert layout.decode_head(b"\0" + payload[1:]) is None
-    packed = np.array([tuple(item) for item in items], dtype=layout.item_dtype).tobytes()
-    assert layout.encode_parts(tuple(head), len(items), packed) == payload
-
-
-@EXACT
-@given(st.data())
-def test_items_as_arrays_say_what_the_message_says(
-    listed: tuple[ListLayout[Any], Messages], data: st.DataObject
-) -> None:
-    """Also of an empty list, and of a message that is damaged."""
-    layout, any_of = listed
-    message = data.draw(any_of)
-    payload = layout.encode(message)
-    count = len(layout.head_dtype.names or ()) - 2  # without version and count
-    arrays, viewed = layout.arrays(payload), layout.view(payload)
-    assert arrays is not None
-    assert viewed is not None
-    (head, items), (without, same) = arrays, viewed
-    for name in layout.item_dtype.names or ():
-        column = layout.column(payload, name)
-        assert column is not None and column.tobytes() == items[name].tobytes()
-    assert head[0].item()[1:-1] == tuple(message[:count]) == without[:count]
-    assert items.tolist() == same.tolist() == [tuple(item) for item in message[count]]
-    floats = [[value for value in item if isinstance(value, float)] for item in message[count]]
-    assert layout.floats(items).tolist() == floats
-    if not message[count + 1 :]:
-        assert layout.encode_view(message, items) == payload
-    assert layout.arrays(payload[:-1]) is None
-    assert layout.arrays(b"\0" + payload[1:]) is None
-    for bad in ((math.nan, 1.0), (math.inf, -math.inf)):
-        for at in zip(places(layout, message), places(layout, message)[1:], strict=False):
-            damaged = bytearray(payload)
-            for value, path in zip(bad, at, strict=True):
-                struct.pack_into("<d", damaged, path, value)
-            assert layout.arrays(bytes(damaged)) is None
 
 
 @EXACT

@@ -1,10 +1,9 @@
 """Who may say and hear what beyond this computer: every identity, every topic, every way to use it, over real links."""
 
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 import zenoh
@@ -41,9 +40,9 @@ from robofleet.bus.permissions import (
     permissions,
 )
 from robofleet.bus.zenoh_bus import Network, ZenohBus, open_router
-from robofleet.core.clock import WallClock
 from robofleet.core.patterns import driver_role
 from robofleet.hosts.authority import ROUTER, Authority, identities
+from tests.bus.contract import CLOCK, until
 from tests.endpoints import free_port, own_endpoint
 
 ARENA = "lab"
@@ -56,8 +55,6 @@ NAMES = {
     "group": ("left", "right"),
 }
 MALLORY = "mallory"  # another script
-CLOCK = WallClock()
-WITHIN_S = 5.0
 
 
 def about(topic: Topic) -> tuple[str, ...]:
@@ -119,14 +116,6 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
         router.close()
 
 
-def until(true: Callable[[], bool]) -> bool:
-    """Wait for a condition."""
-    end_ns = CLOCK.now_ns() + round(WITHIN_S * 1e9)
-    while not true() and CLOCK.now_ns() < end_ns:
-        threading.Event().wait(0.005)
-    return true()
-
-
 def allowed(who: Identity, does: str) -> set[str]:
     """Return the keys that somebody may use in a way, by the table."""
     return {
@@ -139,78 +128,51 @@ def allowed(who: Identity, does: str) -> set[str]:
 
 
 class Tried:
-    """What came through of what somebody tried; ``marked`` after all of it has passed the router."""
+    """What came through of what somebody tried on every key, and on all at once."""
 
     def __init__(self, net: Net, session: zenoh.Session, who: Identity) -> None:
-        self._net, self._session, self._who = net, session, who
-        self._seen: set[str] = set()
+        self._probe, self._session, self._who = net.probe, session, who
 
-    def says(self) -> set[str]:
-        """Put on every key."""
-        senders: set[str] = set()
-        subscriber = self._net.probe.declare_subscriber("rf/**", _noted(senders))
-        expected = allowed(self._who, SAYS)
-
-        def said() -> bool:
-            for full in KEYS:
-                self._session.put(full, b"said")
-            return senders >= expected
-
-        until(said)
-        said()
-        self._marked("says")
-        subscriber.undeclare()
-        return senders
-
-    def hears(self) -> set[str]:
-        """Subscribe to every key, and to all at once; the witness puts on each until what may come has come."""
-        senders: set[str] = set()
-        subscribers = [self._session.declare_subscriber(full, _noted(senders)) for full in (*KEYS, "**")]
-        self._marked("hears")
-        expected = allowed(self._who, HEARS)
-
-        def said() -> bool:
-            for full in KEYS:
-                self._net.probe.put(full, b"told")
-            return senders >= expected
-
-        until(said)
-        said()
-        self._marked("heard")
-        for subscriber in subscribers:
-            subscriber.undeclare()
-        return senders
-
-    def asks(self) -> set[str]:
-        """Ask on every key; the witness answers wherever it is asked."""
-        queryable = self._net.probe.declare_queryable("rf/**", lambda query: query.reply(query.key_expr, b"yes"))
-        answered = _all_answers(self._session, allowed(self._who, ASKS))
-        queryable.undeclare()
-        return answered
-
-    def answers(self) -> set[str]:
-        """Offer answers on every key, and on all at once; the witness asks."""
-        queryables = [
-            self._session.declare_queryable(full, lambda query: query.reply(query.key_expr, b"yes"))
-            for full in (*KEYS, "rf/**")
-        ]
-        self._marked("answers")
-        answered = _all_answers(self._net.probe, allowed(self._who, ANSWERS))
+    def __call__(self, does: str) -> set[str]:
+        """Return the keys on which something came, or was answered; the witness does the other part."""
+        mine, everything = does in (HEARS, ANSWERS), ["rf/**"]
+        receiver, sender = (self._session, self._probe) if mine else (self._probe, self._session)
+        expressions = [*KEYS, *everything] if mine else everything
+        if does in (SAYS, HEARS):
+            return self._heard(receiver, expressions, sender, does)
+        queryables = [receiver.declare_queryable(full, lambda q: q.reply(q.key_expr, b"yes")) for full in expressions]
+        self.marked(does)
+        answered = _all_answers(sender, allowed(self._who, does))
         for queryable in queryables:
             queryable.undeclare()
         return answered
 
-    def _marked(self, mark: str) -> None:
+    def _heard(self, receiver: zenoh.Session, expressions: list[str], sender: zenoh.Session, does: str) -> set[str]:
+        keys: set[str] = set()
+        noted = zenoh.handlers.Callback(lambda sample: keys.add(str(sample.key_expr)), indirect=False)
+        subscribers = [receiver.declare_subscriber(full, noted) for full in expressions]
+        self.marked(does)
+        expected = allowed(self._who, does)
+
+        def put() -> bool:
+            for full in KEYS:
+                sender.put(full, b"said")
+            return keys >= expected
+
+        until(put)
+        put()
+        self.marked("end")
+        for subscriber in subscribers:
+            subscriber.undeclare()
+        return keys
+
+    def marked(self, mark: str) -> None:
         """Return when what this session said before has passed the router: its token, which it may say, is seen."""
         role = driver_role(self._who.name) if self._who.role == UNIT else self._who.role
         full = key(ARENA, ALIVE, f"{role}/{mark}/1")
         token = self._session.liveliness().declare_token(full)
-        assert until(lambda: full in _living(self._net.probe)), f"{self._who.name} may not say that it lives"
+        assert until(lambda: full in _living(self._probe)), f"{self._who.name} may not say that it lives"
         token.undeclare()
-
-
-def _noted(senders: set[str]) -> Any:
-    return zenoh.handlers.Callback(lambda sample: senders.add(str(sample.key_expr)), indirect=False)
 
 
 def _all_answers(session: zenoh.Session, expected: set[str]) -> set[str]:
@@ -244,8 +206,7 @@ def test_everybody_says_hears_asks_and_answers_what_the_table_says_and_nothing_e
     try:
         tried = Tried(net, bus._session, who)
         for does in OPERATIONS:
-            came = getattr(tried, does)() & KEYS.keys()
-            assert came == allowed(who, does), f"{name} {does}"
+            assert tried(does) & KEYS.keys() == allowed(who, does), f"{name} {does}"
     finally:
         bus.close()
 
@@ -293,7 +254,7 @@ def test_a_script_shadows_no_other_one_and_commands_as_no_person(net: Net) -> No
         for k in range(2000):
             second._session.put(forged[k % len(forged)], b"forged")
             floods(b"flood")
-        Tried(net, second._session, net.who[MALLORY])._marked("forged")
+        Tried(net, second._session, net.who[MALLORY]).marked("forged")
         assert until(lambda: (floods(b"flood"), came(b"newest", b"flood"))[1])
         assert found.pop(own) == b"newest"
         assert [sender.rpartition("/")[0] for sender in found] == [f"script/{MALLORY}"]

@@ -17,13 +17,13 @@ from robofleet.bus.credentials import Credentials, session_id
 from robofleet.bus.keys import STATUS
 from robofleet.bus.permissions import UNIT, access_control
 from robofleet.bus.zenoh_bus import Network, ZenohBus, open_router
-from robofleet.core.clock import WallClock, utc_now
+from robofleet.core.clock import utc_now
 from robofleet.hosts import authority as authorities
 from robofleet.hosts.authority import ROUTER, Authority, identities
+from tests.bus.contract import CLOCK, until
 from tests.endpoints import free_port, own_endpoint
 
 ARENA = "lab"
-CLOCK = WallClock()
 _GIVES_UP_MS = 800
 
 
@@ -40,14 +40,6 @@ class Lab(NamedTuple):
         """Whether the robot's word still arrives."""
         payload = b"%d" % CLOCK.now_ns()
         return until(lambda: (self.robot(payload), self.subscription.take() == payload)[1])
-
-
-def until(true: Callable[[], bool], within_s: float = 5.0) -> bool:
-    """Wait for a condition."""
-    end_ns = CLOCK.now_ns() + round(within_s * 1e9)
-    while not (found := true()) and CLOCK.now_ns() < end_ns:
-        CLOCK.sleep_until(CLOCK.now_ns() + 10_000_000)
-    return found
 
 
 @pytest.fixture(params=["tls", "quic"])
@@ -91,20 +83,23 @@ def opened(endpoint: str, own: Credentials | None, *, root: Path | None = None, 
     return zenoh.open(config)
 
 
-def test_without_a_certificate_of_this_authority_there_is_no_link(lab: Lab) -> None:
-    root = lab.authority.folder / "authority.pem"
-    theirs = Credentials.at(lab.elsewhere.folder, "r1")
-    for own in (None, theirs):
+def test_without_a_certificate_of_this_authority_there_is_no_link(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor without encryption, with a certificate that has ended, or to a router of another arena."""
+    own, theirs = (Credentials.at(keys.folder, "r1") for keys in (lab.authority, lab.elsewhere))
+    monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=100))
+    lab.authority.issue("old", UNIT, days=1)
+    plain = lab.endpoint.replace("tls/", "tcp/").replace("quic/", "udp/")
+    tried: list[tuple[str, Credentials | None, Path | None]] = [
+        (lab.endpoint, None, own.authority),
+        (lab.endpoint, theirs, own.authority),
+        (lab.endpoint, Credentials.at(lab.authority.folder, "r2"), theirs.authority),
+        (lab.endpoint, Credentials.at(lab.authority.folder, "old"), None),
+        (plain, None, None),
+    ]
+    for endpoint, credentials, root in tried:
         with pytest.raises(zenoh.ZError):
-            opened(lab.endpoint, own, root=root).close()
-    assert lab.hears_the_robot()
-
-
-def test_a_robot_does_not_join_a_router_of_another_arena(lab: Lab) -> None:
-    own = Credentials.at(lab.authority.folder, "r2")
-    with pytest.raises(zenoh.ZError):
-        opened(lab.endpoint, own, root=lab.elsewhere.folder / "authority.pem").close()
-    assert lab.hears_the_robot()
+            opened(endpoint, credentials, root=root).close()
+        assert lab.hears_the_robot()
 
 
 def test_nobody_takes_a_viewer_for_the_router_though_it_is_called_as_the_routers_host(lab: Lab) -> None:
@@ -138,13 +133,6 @@ def test_a_router_outside_the_networks_of_its_authority_is_not_believed(
                 continue
             with pytest.raises(zenoh.ZError):
                 opened(beyond, own).close()
-
-
-def test_what_is_not_encrypted_is_refused(lab: Lab) -> None:
-    plain = lab.endpoint.replace("tls/", "tcp/").replace("quic/", "udp/")
-    with pytest.raises(zenoh.ZError):
-        opened(plain, None).close()
-    assert lab.hears_the_robot()
 
 
 def test_an_old_tls_is_refused(lab: Lab) -> None:
@@ -189,15 +177,6 @@ def test_who_is_revoked_or_speaks_as_another_unit_says_nothing(lab: Lab) -> None
     assert lines == []
 
 
-def test_a_certificate_that_has_ended_is_refused(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=100))
-    lab.authority.issue("old", UNIT, days=1)
-    own = Credentials.at(lab.authority.folder, "old")
-    with pytest.raises(zenoh.ZError):
-        opened(lab.endpoint, own).close()
-    assert lab.hears_the_robot()
-
-
 @pytest.mark.slow_after_first
 def test_the_link_of_a_certificate_that_ends_is_ended(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """A day's certificate that was made a day ago, but for some seconds."""
@@ -207,6 +186,6 @@ def test_the_link_of_a_certificate_that_ends_is_ended(lab: Lab, monkeypatch: pyt
     with closing(opened(lab.endpoint, own)) as ends:
         links = ends.info.routers_zid
         assert links()
-        assert until(lambda: utc_now() > certificate.not_after, 10)
-        assert until(lambda: not links(), 10)
+        assert until(lambda: utc_now() > certificate.not_after, within_s=10)
+        assert until(lambda: not links(), within_s=10)
     assert lab.hears_the_robot()

@@ -29,17 +29,11 @@ def follower(memory_bus: MakeBus) -> tuple[TickFollower, Callable[[bytes], None]
 Follower = tuple[TickFollower, Callable[[bytes], None], list[int]]
 
 
-def test_nothing_is_known_at_first(follower: Follower) -> None:
-    ticks, publish, _ = follower
-    ticks.update()
-    assert ticks.newest == 0
+def test_the_least_delayed_record_tells_where_the_grid_is(follower: Follower, clock: SimulatedClock) -> None:
+    ticks, publish, woken = follower
     publish(b"\1 not a tick")
     ticks.update()
     assert ticks.newest == 0
-
-
-def test_the_least_delayed_record_tells_where_the_grid_is(follower: Follower, clock: SimulatedClock) -> None:
-    ticks, publish, woken = follower
     delays = np.random.default_rng(1).integers(0.3 * MS, 9 * MS, 50)
     for tick, delay in enumerate(delays.tolist(), start=1):
         clock.advance_to(ORIGIN + tick * PERIOD + delay)
@@ -48,7 +42,7 @@ def test_the_least_delayed_record_tells_where_the_grid_is(follower: Follower, cl
         assert ticks.newest == tick
         assert ticks.newest_stamp_ns == OTHER_CLOCK + tick * PERIOD
         assert ticks.instant(tick) == ORIGIN + tick * PERIOD + delays[:tick].min()
-    assert len(woken) == 50
+    assert len(woken) == 51
     assert ticks.instant(1000) - ticks.instant(0) == 1000 * PERIOD
 
 

@@ -1,9 +1,7 @@
 """The sheets as a printer gets them: the files' own coordinates, drawn with OpenCV, and read back by its detectors."""
 
-import io
 import json
 import re
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +11,7 @@ import numpy as np
 import pyapriltags
 import pytest
 import yaml
+from click.testing import Result
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
@@ -29,12 +28,15 @@ PX_PER_MM = 5
 Loops = list[NDArray[np.float64]]  # closed polygons (n, 2) [mm; right and down from the page's upper left corner]
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """Run the tool; return its exit code."""
-    done = CliRunner().invoke(cli.app, ["sheet", *arguments])
-    print(done.stdout, end="")
-    print(done.stderr, end="", file=sys.stderr)
-    return done.exit_code
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(cli.app, ["sheet", *map(str, arguments)])
+
+
+def drawn(*arguments: object) -> str:
+    """Run the tool, and return what it printed."""
+    done = run(*arguments)
+    assert done.exit_code == 0, done.output
+    return done.stdout
 
 
 def numbers(text: str) -> list[float]:
@@ -84,12 +86,10 @@ def picture(size: tuple[float, float], loops: Loops) -> NDArray[np.uint8]:
     return np.round(255 * (1 - np.minimum(ink, 1))).astype(np.uint8)
 
 
-def test_tags_are_where_and_as_large_as_they_say(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "tags", "--ids", "1-4,586", "--side-mm", "70", "--out", str(tmp_path / "tags.svg")) == 0
+def test_tags_are_where_and_as_large_as_they_say(tmp_path: Path) -> None:
+    output = drawn("tags", "--ids", "1-4,586", "--side-mm", "70", "--out", tmp_path / "tags.svg")
     files = [tmp_path / "tags-1.svg", tmp_path / "tags-2.svg"]
-    assert capsys.readouterr().out.split() == [str(file) for file in files]
+    assert output.split() == [str(file) for file in files]
     seen: dict[int, NDArray[np.float64]] = {}
     for file in files:
         size, named = shapes(file)
@@ -120,9 +120,9 @@ def test_tags_are_where_and_as_large_as_they_say(
     assert sorted(seen) == [1, 2, 3, 4, 586]
 
 
-def test_tags_with_bits_around_are_as_large_as_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tags_with_bits_around_are_as_large_as_they_say(tmp_path: Path) -> None:
     file, family = tmp_path / "tags.svg", "Standard41h12"
-    assert run(monkeypatch, "tags", "--ids", "3,2114", "--side-mm", "50", "--family", family, "--out", str(file)) == 0
+    drawn("tags", "--ids", "3,2114", "--side-mm", "50", "--family", family, "--out", file)
     size, named = shapes(file)
     tags = {name: loops for name, loops in named.items() if name.startswith("tag-")}
     image = picture(size, [loop for loops in tags.values() for loop in loops])
@@ -137,22 +137,6 @@ def test_tags_with_bits_around_are_as_large_as_they_say(tmp_path: Path, monkeypa
         assert arrow[1] + arrow[3] / 2 == pytest.approx((top_right[1] + bottom_right[1]) / 2, abs=0.25)
 
 
-def test_cells_lie_on_their_grid() -> None:
-    for size in (3.0, 23.7, 180.0):
-        (page,) = sheets.tag_pages([7], size, "a3", "")
-        buffer = io.BytesIO()
-        page.figure.savefig(buffer, format="svg")
-        x, y, width, _ = extent(_named(buffer, "tag-7"))
-        cells = (np.concatenate(_named(buffer, "tag-7")) - [x, y]) / size * 8
-        assert width == pytest.approx(size, abs=1e-3)
-        assert cells == pytest.approx(np.round(cells), abs=1e-3)
-
-
-def _named(svg: io.BytesIO, name: str) -> Loops:
-    svg.seek(0)
-    return shapes(svg)[1][name]  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(
     ("options", "size", "squares"),
     [
@@ -161,15 +145,12 @@ def _named(svg: io.BytesIO, name: str) -> Loops:
         (["--squares", "5x7", "--square-mm", "30", "--marker-mm", "22.5", "--paper", "letter"], (215.9, 279.4), (5, 7)),
     ],
 )
-def test_boards(
-    options: list[str], size: tuple[float, float], squares: tuple[int, int], tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    assert run(monkeypatch, "board", *options, "--out", str(tmp_path / "new" / "board.svg")) == 0
+def test_boards(options: list[str], size: tuple[float, float], squares: tuple[int, int], tmp_path: Path) -> None:
+    output = drawn("board", *options, "--out", tmp_path / "new" / "board.svg")
     given = dict(zip(options[::2], options[1::2], strict=True))
     square, marker = float(given.get("--square-mm", 40)), float(given.get("--marker-mm", 30))
     named_so = f"intrinsics --squares {squares[0]}x{squares[1]} --square-mm {square:g} --marker-mm {marker:g}"
-    assert named_so in capsys.readouterr().out
+    assert named_so in output
     paper, named = shapes(tmp_path / "new" / "board.svg")
     assert paper == pytest.approx(size, abs=1e-4)
     x, y, width, height = extent(named["chessboard"])
@@ -191,13 +172,10 @@ def test_boards(
 LAB = ROOT / "configs" / "lab.yaml"
 
 
-def test_floor_tags_are_true_to_scale_and_the_survey_shows_where_they_lie(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_floor_tags_are_true_to_scale_and_the_survey_shows_where_they_lie(tmp_path: Path) -> None:
     out = tmp_path / "floor.svg"
     changes = ("--set", "robots.1.tag=501", "--set", "arena.size_m=[3.2, 2.4]")
-    assert run(monkeypatch, "floor", str(LAB), "--out", str(out), "--count", "6", "--side-mm", "80", *changes) == 0
-    output = capsys.readouterr().out
+    output = drawn("floor", LAB, "--out", out, "--count", "6", "--side-mm", "80", *changes)
     ids = [500, 502, 503, 504, 505, 506]  # 501 is a robot's
     survey = yaml.safe_load(re.findall(r"^floor_tags:\n(?:  - .*\n)+", output, re.MULTILINE)[0])
     assert survey == {"floor_tags": [{"tag": tag, "side_m": 0.08, "x_m": None, "y_m": None} for tag in ids]}
@@ -217,23 +195,20 @@ def test_floor_tags_are_true_to_scale_and_the_survey_shows_where_they_lie(
     assert 10.0 < top < bottom < 150.0
 
 
-def test_floor_tags_of_a_configuration_are_printed_again_however_many(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_floor_tags_of_a_configuration_are_printed_again_however_many(tmp_path: Path) -> None:
     tags = [{"tag": 300 + k, "side_m": 0.06 + 0.01 * (k % 2), "x_m": 0.1 * k - 1.0, "y_m": 0.9} for k in range(20)]
     changes = f"tracker.floor_tags={json.dumps(tags)}"
-    assert run(monkeypatch, "floor", str(LAB), "--out", str(tmp_path / "f.svg"), "--set", changes) == 0
-    assert "survey.yaml" not in capsys.readouterr().out
+    assert "survey.yaml" not in drawn("floor", LAB, "--out", tmp_path / "f.svg", "--set", changes)
     named = {name: loops for file in tmp_path.iterdir() for name, loops in shapes(file)[1].items()}
     for tag in tags:
         assert extent(named[f"tag-{tag['tag']}"])[2] == pytest.approx(1e3 * tag["side_m"], abs=1e-3)
         assert f"place-{tag['tag']}" in named
 
 
-def test_pdf_is_the_same_drawing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pdf_is_the_same_drawing(tmp_path: Path) -> None:
     with mpl.rc_context({"pdf.compression": 0, "savefig.bbox": "tight"}):  # a user's own settings: no change of scale
-        assert run(monkeypatch, "tags", "--ids", "0-4", "--paper", "letter", "--out", str(tmp_path / "tags.pdf")) == 0
-        assert run(monkeypatch, "tags", "--ids", "0-4", "--paper", "letter", "--out", str(tmp_path / "tags.svg")) == 0
+        for name in ("tags.pdf", "tags.svg"):
+            drawn("tags", "--ids", "0-4", "--paper", "letter", "--out", tmp_path / name)
     data = (tmp_path / "tags.pdf").read_bytes().decode("latin1")
     size, named = shapes(tmp_path / "tags-1.svg")
     boxes = [numbers(box) for box in re.findall(r"/MediaBox \[([^]]*)\]", data)]
@@ -248,11 +223,11 @@ def test_pdf_is_the_same_drawing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert any(np.allclose(flipped.ravel(), path, atol=0.02) for path in polygons if len(path) == flipped.size)
 
 
-def test_same_command_same_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_same_command_same_file(tmp_path: Path) -> None:
     for suffix in ("svg", "pdf"):
         data = set()
         for _ in range(2):
-            assert run(monkeypatch, "tags", "--ids", "9", "--out", str(tmp_path / f"tag.{suffix}")) == 0
+            drawn("tags", "--ids", "9", "--out", tmp_path / f"tag.{suffix}")
             data.add((tmp_path / f"tag.{suffix}").read_bytes())
         assert len(data) == 1
         assert b"Date" not in data.pop()
@@ -285,13 +260,11 @@ def test_same_command_same_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         ("board --squares 40x30 --square-mm 20 --marker-mm 15 --paper a0 --out t.pdf", "more than 250 markers"),
     ],
 )
-def test_bad_input_is_one_line(
-    arguments: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_line(arguments: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    assert run(monkeypatch, *arguments.format(tmp_path).split()) == 2
-    error = capsys.readouterr().err
-    assert says.format(tmp_path) in error
-    assert error.count("\n") == 1
+    done = run(*arguments.format(tmp_path).split())
+    assert done.exit_code == 2
+    assert says.format(tmp_path) in done.stderr
+    assert done.stderr.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

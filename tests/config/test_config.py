@@ -1,6 +1,7 @@
 """Reading configurations: what is refused, where it is said to be, and what comes out."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from robofleet.config.tree import Config
 from robofleet.nodes.unit import driver_settings
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-TEXT = (CONFIGS / "platoon.yaml").read_text()
+PLATOON = CONFIGS / "platoon.yaml"
+TEXT = PLATOON.read_text()
 HERE = "«"  # in an edit: where the fault is to be reported
 
 
@@ -50,7 +52,7 @@ def platoon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_shipped_platoon_is_the_papers_run() -> None:
-    config = load_config(CONFIGS / "platoon.yaml")
+    config = load_config(PLATOON)
     c, settings = config.controller, config.groups[0].settings
     assert (c.point_ahead_m, settings["spacing_m"], c.alpha, c.horizon_s) == (0.08, 0.25, 45, 0.6)
     assert (c.tick_s, settings["path_rate"], config.run.duration_s) == (0.033, 0.0455, 88)
@@ -60,7 +62,7 @@ def test_the_shipped_platoon_is_the_papers_run() -> None:
 
 def test_an_ideal_robot_has_gternals_geometry_and_no_error() -> None:
     load = [f"robots.0.vehicle={name}" for name in ("gternal", "ideal")]
-    real, ideal = (load_config(CONFIGS / "platoon.yaml", [o]).robots[0].vehicle for o in load)
+    real, ideal = (load_config(PLATOON, [o]).robots[0].vehicle for o in load)
     for key in ("wheel_radius_m", "wheel_base_m", "body_radius_m", "max_wheel_speed_rad_s", "max_speed_m_s"):
         assert getattr(ideal, key) == getattr(real, key)
     errors = ideal.simulated.model_dump(exclude={"loop_period_s", "battery_life_s"})
@@ -98,7 +100,6 @@ def test_a_robot_that_exists_needs_neither_errors_nor_a_start(platoon: Path) -> 
 ALPHA = "alpha: 45 "
 TRAPS = [
     ((ALPHA, "alpha: «1e-3 "), "controller.alpha", "1.0e-3"),
-    ((ALPHA, "alpha: «4.5e1 "), "controller.alpha", "4.5e+1"),
     ((ALPHA, "alpha: «-.5 "), "controller.alpha", "-0.5"),
     ((ALPHA, "alpha: «045 "), "controller.alpha", "octal, 37: write 45"),
     ((ALPHA, "alpha: «08 "), "controller.alpha", "write 8"),
@@ -113,7 +114,6 @@ TRAPS = [
     (("trigger: tick", "trigger: «off"), "camera.trigger", "reads off as false"),
     (("trigger: tick", "trigger: «Yes"), "camera.trigger", "reads Yes as true"),
     (("trigger: tick", "trigger: «no"), "camera.trigger", "reads no as false"),
-    (("  alpha: 45", "  alpha: 45\n  «alpha: 50"), "controller.alpha", "written twice, first on line 19"),
     (("  alpha: 45", "  alpha: 45\n  «7: 50"), "controller.7", "quote it, '7'"),
     (("  alpha: 45", "  alpha: 45\n  «on: 50"), "controller.on", "quote it, 'on'"),
     (("  alpha: 45", "  alpha: 45\n  ? «[a]\n  : 50"), "controller: ", "a key must be text"),
@@ -133,28 +133,27 @@ def test_a_yaml_trap_is_refused_at_its_place_with_a_hint(
     assert hint in fault
 
 
-@given(st.from_regex(r"[-+]?([0-9]{1,9}(\.[0-9]{0,9})?|\.[0-9]{1,9})([eE][-+]?[0-9]{1,2})?", fullmatch=True))
-def test_what_looks_like_a_number_is_read_as_that_number_or_refused_with_its_spelling(text: str) -> None:
-    node, faults = parse_yaml(text, Source("file"))
-    if not faults:
-        assert node is not None
-        assert node.plain() == float(text)
-        return
-    spelling = re.search(r"write (\S+?)(,| without)", faults[0].message)
-    assert spelling is not None
-    assert yaml.safe_load(spelling[1]) == float(text)
+MANTISSAS = ["0", "7", "08", "09", "017", "045", "123456789", "0.", "1.", "1.5", "00.5", "010.25", ".5", ".05"]
+
+
+@pytest.mark.parametrize("exponent", ["", "e0", "e5", "E-3", "e+12", "E07", "e-99"])
+def test_what_looks_like_a_number_is_read_as_that_number_or_refused_with_its_spelling(exponent: str) -> None:
+    for text in (sign + mantissa + exponent for sign in ("", "-", "+") for mantissa in MANTISSAS):
+        node, faults = parse_yaml(text, Source("file"))
+        if not faults:
+            assert node is not None and node.plain() == float(text), text
+            continue
+        spelling = re.search(r"write (\S+?)(,| without)", faults[0].message)
+        assert spelling is not None and yaml.safe_load(spelling[1]) == float(text), text
 
 
 @pytest.mark.parametrize(
     ("content", "where", "message"),
     [
-        (b"", "1:1", "is empty"),
         (b"# nothing\n", "1:1", "is empty"),
-        (b"- 1\n", "1:1", "must be a mapping"),
         (b"hello\n", "1:1", "must be a mapping"),
         (b"a: 1\n---\na: 2\n", "2:1", "second document"),
         (b"a: 1\nb: [1, 2\nc: 3\n", "2:4", "this list is not closed"),
-        (b"a:\n\t- 1\n", "2:1", "indent with spaces"),
         (b"a: 1\nb: \xe9\n", "2:4", "is not UTF-8"),
         (b"{}\n" + b'"a\\nb": 1\n', "2:1", "is not YAML"),
         (b"a: 1\nbc: \x07\n", "2:5", "may not stand in YAML"),
@@ -182,14 +181,7 @@ def test_aliases_that_explode_are_refused_at_once(platoon: Path) -> None:
     assert sum("aliases are not read" in fault for fault in faults) == 59 * 9 + 1
 
 
-MISTAKES = [
-    (("spacing_m:", "«spacing:"), "groups.0.settings.spacing", "unknown key: did you mean 'spacing_m'?"),
-    (
-        ("    settings:", "    «spacing_m: 0.25\n    settings:"), "groups.0.spacing_m",
-        "is a setting of the behaviour platoon: write it under `settings:` (groups.0.settings.spacing_m)",
-    ),
-    (("behaviour: platoon", "behaviour: «plattoon"), "groups.0.behaviour", "did you mean 'platoon'?"),
-    (("behaviour: platoon", "behaviour: «gone:Gone"), "groups.0.behaviour", "or put gone.py beside the configuration"),
+MISTAKES = [  # others stand in tests/test_beginners_mistakes.py
     (
         (
             "platoon\n    robots: [r1, r2, r3, r4]  # the leader first\n    settings:\n      path",
@@ -202,14 +194,12 @@ MISTAKES = [
     (("  alpha: 45  # paper\n", ""), "controller.alpha", "is missing"),
     ((ALPHA, "alpha:« "), "controller.alpha", "is missing"),
     ((ALPHA, "alpha: «fast "), "controller.alpha", "must be a number, not 'fast'"),
-    ((ALPHA, "alpha: «'45' "), "controller.alpha", "must be a number, not '45': remove the quotes"),
     ((ALPHA, "alpha: «0 "), "controller.alpha", "must be at least 0.001, not 0"),
     ((ALPHA, "alpha: «.inf "), "controller.alpha", "must be a finite number"),
     ((ALPHA, "alpha: «true "), "controller.alpha", "must be a number, not True"),
     ((ALPHA, "alpha: «[45] "), "controller.alpha", "must be a number"),
     (("tag: 2", "tag: «2.0"), "robots.1.tag", "must be a whole number, not 2.0"),
     (("tag: 2", "tag: «65536"), "robots.1.tag", "must be at most 65535, not 65536"),
-    (("id: r2", "id: «R2"), "robots.1.id", "must be a small letter"),
     (("id: r2", "id: «2"), "robots.1.id", "must be text, not 2: quote it"),
     (("trigger: tick", "trigger: «tik"), "camera.trigger", "must be 'free' or 'tick', not 'tik'"),
     (("size_m: [3.2, 2.0]", "size_m: «[3.2]"), "arena.size_m.1", "has too few values"),
@@ -219,15 +209,10 @@ MISTAKES = [
     (("[r1, r2, r3, r4]", "«[]"), "groups.0.robots", "needs 1 or more, has 0"),
     (("arena: {name: platoon, size_m: [3.2, 2.0]}", "arena: «88"), "arena", "must be a mapping, not 88"),
     (("run: {", "bus: {endpoint: «udp/1.2.3.4:0}\nrun: {"), "bus.endpoint", "must be private, or look like"),
-    (("tag: 3", "tag: «2"), "robots.2.tag", "2 is robots.1's already"),
-    (("id: r3", "id: «r2"), "robots.2.id", "r2 is robots.1's already"),
-    (("[r1, r2, r3, r4]", "[r1, r2, «r1]"), "groups.0.robots.2", "r1 is in the group already"),
     (("[r1, r2, r3, r4]", "[r1, r2, «r33]"), "groups.0.robots.2", "no robot 'r33': did you mean 'r3'?"),
-    (("width: 1280", "width: «640"), "camera.width", "640 px, but its model is calibrated for 1280"),
     (("height: 720", "height: «480"), "camera.height", "480 px, but its model is calibrated for 720"),
     (("model: overhead", "model: «overhed"), "camera.model", "did you mean 'overhead'?"),
     (("path: platoon", "path: «elsewhere/p.yaml"), "groups.0.settings.path", "there is no file elsewhere/p.yaml"),
-    (("path: platoon", "path: «../platoon"), "groups.0.settings.path", "neither a name nor a path"),
 ]  # fmt: skip
 
 
@@ -276,11 +261,7 @@ def test_a_path_is_taken_from_the_configurations_folder(platoon: Path, tmp_path:
 def test_a_fault_in_a_shared_file_is_reported_once_at_that_files_place(platoon: Path) -> None:
     Path("robots").mkdir()
     text = (CONFIGS / "robots" / "gternal.yaml").read_text()
-    for old, new in (
-        ("radius_m: 0.016", "radius_m: -1"),
-        ("base_m: 0.105", "base_m: 1e-1"),
-        ("max_speed_m_s", "#"),
-    ):
+    for old, new in (("radius_m: 0.016", "radius_m: -1"), ("base_m: 0.105", "base_m: 1e-1"), ("max_speed_m_s", "#")):
         text = text.replace(old, new)
     Path("robots/gternal.yaml").write_text(text)
     assert faults_of(platoon) == (
@@ -318,11 +299,8 @@ def test_overrides_are_read_as_yaml_and_the_last_one_counts(platoon: Path) -> No
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("robots.4.tag=1", "robots.4.tag: robots has 4 items, counted from 0: there is no '4'"),
         ("robots.-1.tag=1", "robots.-1.tag: robots has 4 items, counted from 0: there is no '-1'"),
-        ("robots.r1.tag=1", "robots.r1.tag: robots has 4 items, counted from 0: there is no 'r1'"),
         ("arena.name.first=a", "arena.name.first: arena.name is 'platoon': it has no 'first'"),
-        ("controller.alpa=1", "controller.alpa: unknown key: did you mean 'alpha'?"),
         ("controler.alpha=1", "controler: unknown key: did you mean 'controller'?"),
         ("controller.alpha=1e-3", "controller.alpha: YAML reads 1e-3 as text: write 1.0e-3"),
         ("controller.alpha=", "controller.alpha: is empty"),
@@ -337,7 +315,6 @@ def test_overrides_are_read_as_yaml_and_the_last_one_counts(platoon: Path) -> No
             "tracker.floor_tags.0: a tag of 9 m at 0 m fills",
         ),
         ("robots.0.vehicle=gternl", "robots.0.vehicle: there is no file"),
-        ("controller.alpha", "write KEY=VALUE"),
         ("=3", "write KEY=VALUE"),
         ("controller..alpha=3", "write KEY=VALUE"),
     ],
@@ -386,48 +363,46 @@ def test_a_missing_faults_file_is_refused(platoon: Path) -> None:
     assert fault.startswith("s.yaml:1:1: there is no such file: ")
 
 
-positive = st.floats(1.0, 100.0)
-coordinates = st.floats(-360.0, 360.0)
-names = st.from_regex(r"[a-z][a-z0-9_-]{0,31}", fullmatch=True)
-texts = st.text(st.characters(exclude_categories=["Cs"]), min_size=1) | st.sampled_from(
+CART = "arena.moving=[{name: cart, tag: 40, radius_m: 0.12, start: {x_m: 0, y_m: 0, heading_deg: 0}}]"
+UNPLACED = [f"robots.{i}.start=null" for i in range(4)]
+WHOLE = [*((file, ()) for file in sorted(CONFIGS.glob("*.yaml"))), *((PLATOON, more) for more in ([CART], UNPLACED))]
+
+
+@pytest.mark.parametrize(("file", "overrides"), WHOLE, ids=str)
+def test_a_configuration_is_written_out_and_read_back_equal(
+    file: Path, overrides: Sequence[str], tmp_path: Path
+) -> None:
+    config = load_config(file, overrides)
+    text = resolved_yaml(config)
+    assert ("camera" in yaml.safe_load(text)) != ("cameras" in yaml.safe_load(text)), "one of the two keys"
+    (tmp_path / "again.yaml").write_text(text)
+    assert load_config(tmp_path / "again.yaml") == config
+    assert file != PLATOON or all(robot.start is not None for robot in config.members)
+
+
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), min_size=1) | st.sampled_from(
     ["1e-3", "on", "010", "1:30", "0o7", "null", "~", "2024-01-31", "*a", "a: b", "# c", "'", "-.5"]
 )
 
 
-@st.composite
-def configs(draw: st.DrawFn) -> Config:
-    """Configurations with extreme values where the models allow any."""
-    tree: dict[str, Any] = load_config(CONFIGS / "platoon.yaml").model_dump()
-    ids = draw(st.lists(names, min_size=4, max_size=4, unique=True))
-    for robot, robot_id, driver in zip(tree["robots"], ids, draw(st.lists(texts, min_size=4, max_size=4)), strict=True):
-        robot.update(id=robot_id, driver=driver)
-    tree["robots"][0]["start"] = {key: draw(coordinates) for key in ("x_m", "y_m", "heading_deg")}
-    tree["robots"][0]["vehicle"]["simulated"]["battery_life_s"] = draw(positive)
-    tree["groups"][0]["robots"] = draw(st.permutations(ids))
-    tree["controller"].update(alpha=draw(positive), horizon_s=draw(positive))
-    tree["run"].update(seed=draw(st.integers(0, 2**63 - 1)), attended=draw(st.booleans()))
-    tree["faults"] = draw(
-        st.lists(
-            st.fixed_dictionaries(
-                {
-                    "robot": st.sampled_from(ids),
-                    "kind": st.just("motor_stuck"),
-                    "at_s": st.floats(0, 87),
-                    "duration_s": positive,
-                }
-            ),
-            max_size=2,
-        )
-    )
-    return Config.model_validate(tree)
-
-
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
-@given(config=configs())
-def test_the_resolved_configuration_is_read_back_equal(
-    tmp_path_factory: pytest.TempPathFactory, config: Config
+@given(
+    st.lists(TEXTS, min_size=4, max_size=4),
+    st.lists(st.floats(1.0, 100.0), min_size=2, max_size=2),
+    st.floats(-360.0, 360.0),
+    st.integers(0, 2**63 - 1),
+)
+def test_any_text_and_number_is_read_back_equal(
+    tmp_path_factory: pytest.TempPathFactory, drivers: list[str], positive: list[float], angle: float, seed: int
 ) -> None:
+    tree: dict[str, Any] = load_config(PLATOON).model_dump()
+    for robot, driver in zip(tree["robots"], drivers, strict=True):
+        robot["driver"] = driver
+    tree["robots"][0]["start"]["heading_deg"] = angle
+    tree["controller"].update(alpha=positive[0], horizon_s=positive[1])
+    tree["run"]["seed"] = seed
+    config = Config.model_validate(tree)
     file = tmp_path_factory.getbasetemp() / "resolved.yaml"
     file.write_text(resolved_yaml(config), encoding="utf-8")
     assert load_config(file) == config

@@ -61,12 +61,8 @@ def test_each_fault_has_its_line(tmp_path: Path, table: str | bytes, complaint: 
 def test_a_name_that_is_no_csv_file(tmp_path: Path) -> None:
     assert "is no path that ends in .csv: write way.csv" in faults(laboratory(tmp_path, "", "way"))[0]
     assert "there is no file" in faults(laboratory(tmp_path, "", "other.csv"))[0]
-    assert "cannot be read: Is a directory" in faults(_with_a_folder(tmp_path))[0]
-
-
-def _with_a_folder(tmp_path: Path) -> Path:
     (tmp_path / "folder.csv").mkdir()
-    return laboratory(tmp_path, "", "folder.csv")
+    assert "cannot be read: Is a directory" in faults(laboratory(tmp_path, "", "folder.csv"))[0]
 
 
 @pytest.mark.parametrize("name", ["track", "formation", "consensus", "cyclic-pursuit", "coverage"])

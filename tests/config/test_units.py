@@ -56,23 +56,3 @@ def test_every_robot_is_in_one_unit(names: list[str | None], together: str | int
     assert sorted(robot for robots in config.units.values() for robot in robots) == ["r1", "r2", "r3", "r4"]
     for robot, name in zip(config.robots, names, strict=True):
         assert name is None or robot.id in config.units[name]
-
-
-def test_a_name_that_another_unit_has_is_refused() -> None:
-    with pytest.raises(ConfigError) as caught:
-        load_config(PLATOON, ["robots.2.unit=r1"])
-    (fault,) = caught.value.faults
-    assert fault == (
-        "--set robots.2.unit=r1: robots.2.unit: r1 is the unit of the robot r1 already: give it another name"
-    )
-
-
-@pytest.mark.parametrize("tag", [587, 2000])
-def test_a_tag_that_no_camera_can_see_is_refused_where_one_looks(tag: int) -> None:
-    with pytest.raises(ConfigError) as caught:
-        load_config(PLATOON, [f"robots.2.tag={tag}"])
-    (fault,) = caught.value.faults
-    assert fault.endswith(f"robots.2.tag: {tag}: the family 36h11 has the ids 0 to 586: give it one of these")
-    assert load_config(PLATOON, [f"robots.2.tag={tag}", TRUTH]).robots[2].tag == tag
-    assert load_config(PLATOON, [f"robots.2.tag={tag}", "robots.2.reality=simulated"]).robots[2].tag == tag
-    load_config(PLATOON, ["robots.2.tag=586"])

@@ -1,27 +1,16 @@
 """A function that numba cannot compile is named: function, file, line, source and cause."""
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 from robofleet.control.flow import FlowError, FlowSettings, MemorylessFlow, NewtonRaphsonFlow, Plant
+from tests.control import uncompilable
 
 SETTINGS = FlowSettings(20.0, 0.5, 0.01)
-FILE = Path(__file__).parent / "uncompilable.py"
+FILE = Path(uncompilable.__file__)
+LONG = pytest.mark.long
 LINES = FILE.read_text().splitlines()
-
-
-def _models() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("uncompilable", FILE)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-BAD = _models()
 
 
 @pytest.mark.slow
@@ -32,17 +21,13 @@ BAD = _models()
         ("plant.h", "counts_bytes", "len(x.dumps())", "Unknown attribute 'dumps' of type array(float64, 1d, C)"),
         ("g", "fails_inside", "np.fft.rfft(v)", "Unknown attribute 'rfft' of type Module"),
         pytest.param(
-            "plant.f",
-            "multiplies_integers",
-            "MIX @ x",
-            "'@' arguments must all have the same dtype",
-            marks=pytest.mark.long,
+            "plant.f", "multiplies_integers", "MIX @ x", "'@' arguments must all have the same dtype", marks=LONG
         ),
-        pytest.param("g", "asks_too_much", "np.full(", "it knows no full(", marks=pytest.mark.long),
+        pytest.param("g", "asks_too_much", "np.full(", "it knows no full(", marks=LONG),
     ],
 )
 def test_function_line_and_cause_are_named(role: str, function: str, source: str, cause: str) -> None:
-    bad = getattr(BAD, function)
+    bad = getattr(uncompilable, function)
     line = next(k for k, text in enumerate(LINES, 1) if source in text)
     with pytest.raises(FlowError) as error:
         if role == "g":
@@ -57,7 +42,7 @@ def test_function_line_and_cause_are_named(role: str, function: str, source: str
 
 def test_what_cannot_be_told_from_a_changed_one_is_named() -> None:
     with pytest.raises(FlowError, match=r"reads_a_dict \(.*uncompilable.py:\d+\) reads CAR, of type dict"):
-        NewtonRaphsonFlow(Plant(BAD.reads_a_dict, lambda x: x, 1, 1), SETTINGS, [0.0])
+        NewtonRaphsonFlow(Plant(uncompilable.reads_a_dict, lambda x: x, 1, 1), SETTINGS, [0.0])
 
 
 def test_functions_that_do_not_fit_together_are_shown_with_what_they_return() -> None:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.core.clock import MS, S, SimulatedClock, TickGrid, WallClock, stopwatch_ns, utc_now
+from robofleet.core.clock import MS, S, SimulatedClock, TickGrid, WallClock
 
 EXACT = settings(deadline=None, derandomize=True)
 
@@ -39,12 +39,6 @@ def test_a_wall_clock_never_wakes_too_early(precise: bool) -> None:
     clock.sleep_until(clock.now_ns() - S)  # what is past needs no waiting
 
 
-def test_time_measured_runs_forward() -> None:
-    before = stopwatch_ns()
-    assert stopwatch_ns() >= before
-    assert utc_now().tzinfo is not None
-
-
 @EXACT
 @given(st.integers(0, 10**18), st.integers(1, 10**9), st.integers(0, 10**6))
 def test_an_instant_of_the_grid_is_its_own_tick(origin: int, period: int, index: int) -> None:
@@ -55,14 +49,8 @@ def test_an_instant_of_the_grid_is_its_own_tick(origin: int, period: int, index:
 
 
 @EXACT
-@given(st.integers(0, 10**18), st.integers(1, 10**9), st.integers(0, 10**15))
+@given(st.integers(0, 10**18), st.integers(1, 10**9), st.integers(-(10**15), 10**15))
 def test_the_newest_tick_that_is_due(origin: int, period: int, after: int) -> None:
     grid, now = TickGrid(origin, period), origin + after
     index = grid.index_at(now)
     assert grid.instant(index) <= now < grid.instant(index + 1)
-
-
-def test_an_overrun_skips_to_the_next_tick() -> None:
-    grid = TickGrid(100, 33)
-    assert grid.index_at(100 + 33 * 4 + 32) == 4
-    assert grid.index_at(99) == -1

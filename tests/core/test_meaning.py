@@ -10,7 +10,8 @@ import numba
 import numpy as np
 import pytest
 
-from robofleet.core.kernels import UnknownMeaningError, model
+from robofleet.core.errors import UnknownMeaningError
+from robofleet.core.kernels import model
 
 
 class Gains(NamedTuple):
@@ -57,80 +58,55 @@ def closed_over(value: Any) -> Callable[[float], float]:
     return f
 
 
-CHANGES: dict[str, tuple[Callable[[], World], Callable[[World], None]]] = {
-    "a number": (
-        lambda: World("def f(x): return x * K", K=2.0),
-        lambda world: world.names.update(K=3.0),
-    ),
-    "its type": (
-        lambda: World("def f(x): return 7 // K", K=2),
-        lambda world: world.names.update(K=2.0),
-    ),
-    "the sign of zero": (
-        lambda: World("def f(x): return math.copysign(x, K)", K=0.0),
-        lambda world: world.names.update(K=-0.0),
-    ),
+def setting(**values: Any) -> Callable[[World], None]:
+    return lambda world: world.names.update(values)
+
+
+def running(source: str) -> Callable[[World], None]:
+    return lambda world: exec(source, world.names)
+
+
+def module(source: str) -> Any:
+    return World(source).module
+
+
+SWAPPED = NamedTuple("Gains", [("second", float), ("first", float)])(2.0, 3.0)
+DEEP = "def e(x): return K\ndef h(x): return e(x)\ndef g(x): return h(x)\ndef f(x): return g(x)"
+OTHERS = "def g(x): return car.drag\ndef f(x): return x * car.mass + g(x)"
+PULL = "mass = 2.0\ndef pull(x): return x * mass"
+CALLS = "@numba.njit\ndef g(x): return %s\ndef f(x): return g(x)"
+CHANGES: dict[str, tuple[str, dict[str, Any], Callable[[World], Any]]] = {  # a source, what it reads, a change
+    "a number": ("def f(x): return x * K", {"K": 2.0}, setting(K=3.0)),
+    "its type": ("def f(x): return 7 // K", {"K": 2}, setting(K=2.0)),
+    "the sign of zero": ("def f(x): return math.copysign(x, K)", {"K": 0.0}, setting(K=-0.0)),
     "an array, in place": (
-        lambda: World("def f(x): return x * A[1]", A=np.array([1.0, 2.0])),
-        lambda world: world.names["A"].__setitem__(1, 5.0),
+        "def f(x): return x * A[1]", {"A": np.array([1.0, 2.0])}, lambda world: world.names["A"].__setitem__(1, 5.0)
     ),
-    "a tuple in a tuple": (
-        lambda: World("def f(x): return x * K[1][0]", K=(1.0, (2.0,))),
-        lambda world: world.names.update(K=(1.0, (4.0,))),
-    ),
-    "fields that change places": (
-        lambda: World("def f(x): return x * K.first", K=Gains(2.0, 3.0)),
-        lambda world: world.names.update(K=NamedTuple("Gains", [("second", float), ("first", float)])(2.0, 3.0)),
-    ),
-    "a member of an enumeration": (
-        lambda: World("def f(x): return x + KIND.value", KIND=Kind.SMALL),
-        lambda world: world.names.update(KIND=Kind.LARGE),
-    ),
-    "a compiled function": (
-        lambda: World("@numba.njit\ndef g(x): return x + 1.0\ndef f(x): return g(x)"),
-        lambda world: exec("@numba.njit\ndef g(x): return x - 1.0", world.names),
-    ),
-    "a number that a compiled function reads": (
-        lambda: World("@numba.njit\ndef g(x): return x * K\ndef f(x): return g(x)", K=2.0),
-        lambda world: world.names.update(K=3.0),
-    ),
-    "a number that a plain function reads, three calls deep": (
-        lambda: World("def e(x): return K\ndef h(x): return e(x)\ndef g(x): return h(x)\ndef f(x): return g(x)", K=2.0),
-        lambda world: world.names.update(K=3.0),
-    ),
+    "a tuple in a tuple": ("def f(x): return x * K[1][0]", {"K": (1.0, (2.0,))}, setting(K=(1.0, (4.0,)))),
+    "fields that change places": ("def f(x): return x * K.first", {"K": Gains(2.0, 3.0)}, setting(K=SWAPPED)),
+    "a member of an enumeration": ("def f(x): return x + K.value", {"K": Kind.SMALL}, setting(K=Kind.LARGE)),
+    "a compiled function": (CALLS % "x + 1.0", {}, running("@numba.njit\ndef g(x): return x - 1.0")),
+    "a number that a compiled function reads": (CALLS % "x * K", {"K": 2.0}, setting(K=3.0)),
+    "a number that a plain function reads, three calls deep": (DEEP, {"K": 2.0}, setting(K=3.0)),
     "an attribute of a module": (
-        lambda: World("def f(x): return x * car.mass", car=World("mass = 2.0").module),
-        lambda world: setattr(world.names["car"], "mass", 3.0),
+        "def f(x): return x * car.mass", {"car": module("mass = 2.0")}, running("car.mass = 3.0")
     ),
     "a number that a function of a module reads": (
-        lambda: World("def f(x): return car.pull(x)", car=World("mass = 2.0\ndef pull(x): return x * mass").module),
-        lambda world: setattr(world.names["car"], "mass", 3.0),
+        "def f(x): return car.pull(x)", {"car": module(PULL)}, running("car.mass = 3.0")
     ),
     "another function's attribute of the same module": (
-        lambda: World(
-            "def g(x): return car.drag\ndef f(x): return x * car.mass + g(x)", car=World("mass, drag = 2.0, 1.0").module
-        ),
-        lambda world: setattr(world.names["car"], "drag", 3.0),
+        OTHERS, {"car": module("mass, drag = 2.0, 1.0")}, running("car.drag = 3.0")
     ),
-    "a default value": (
-        lambda: World("def f(x, k=2.0): return x * k"),
-        lambda world: setattr(world.names["f"], "__defaults__", (3.0,)),
-    ),
-    "which function of a library": (
-        lambda: World("def f(x): return wave(x)", wave=math.sin),
-        lambda world: world.names.update(wave=math.cos),
-    ),
-    "the body alone": (
-        lambda: World("def f(x): return x + 1.0"),
-        lambda world: exec("def f(x): return x + 2.0", world.names),
-    ),
-}
+    "a default value": ("def f(x, k=2.0): return x * k", {}, running("f.__defaults__ = (3.0,)")),
+    "which function of a library": ("def f(x): return wave(x)", {"wave": math.sin}, setting(wave=math.cos)),
+    "the body alone": ("def f(x): return x + 1.0", {}, running("def f(x): return x + 2.0")),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_model_made_after_a_change_is_another(change: str) -> None:
-    make, alter = CHANGES[change]
-    world = make()
+    source, values, alter = CHANGES[change]
+    world = World(source, **values)
     before = plain(world)
     first = model(world.function())
     assert repr(first(1.5)) == before

@@ -5,7 +5,7 @@ import pickle
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -77,28 +77,6 @@ def test_another_process_loads_what_was_compiled_and_never_another_model(folder:
     assert said(started(MODELS, folder, 4.0, 3.0, 2.0)) == [(5.0, True), (4.0, True), (3.0, True)]
 
 
-def cut(file: Path) -> None:
-    file.write_bytes(file.read_bytes()[:-100])
-
-
-def emptied(file: Path) -> None:
-    file.write_bytes(b"")
-
-
-def changed(file: Path) -> None:
-    content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 1
-    file.write_bytes(content)
-
-
-@pytest.mark.slow
-def test_a_damaged_file_is_compiled_anew(folder: Path) -> None:
-    for file, damage in zip(sorted(folder.iterdir()), (cut, emptied, changed), strict=True):
-        damage(file)
-    assert said(started(MODELS, folder, 2.0, 3.0, 4.0)) == [(3.0, False), (4.0, False), (5.0, False)]
-    assert said(started(MODELS, folder, 2.0, 3.0, 4.0)) == [(3.0, True), (4.0, True), (5.0, True)]
-
-
 def test_where_nothing_can_be_written_nothing_is_kept(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a folder")
     assert said(started(MODELS, tmp_path / "file" / "kernels", 3.0)) == [(4.0, False)]
@@ -118,20 +96,22 @@ def of_nobody(path: Path) -> None:
     os.chown(path, NOBODY, NOBODY)
 
 
-def writable_for_all(path: Path) -> None:
-    path.chmod(0o666)
-
-
-def writable_for_a_group(path: Path) -> None:
-    path.chmod(0o770)
-
-
 def a_link(path: Path) -> None:
     path.symlink_to(path.rename(path.parent.parent / f"elsewhere {path.name}"))
 
 
 def a_second_name(file: Path) -> None:
     (file.parent.parent / file.name).hardlink_to(file)
+
+
+def flipped(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+
+
+def cut(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-10])
 
 
 @pytest.fixture
@@ -151,7 +131,7 @@ def test_a_file_of_ones_own_is_unpickled(folder: Path, evil: Path) -> None:
 
 
 @pytest.mark.slow_after_first
-@pytest.mark.parametrize("spoil", [pytest.param(of_nobody, marks=as_root), writable_for_a_group, a_link])
+@pytest.mark.parametrize("spoil", [pytest.param(of_nobody, marks=as_root), lambda path: path.chmod(0o770), a_link])
 def test_a_folder_that_is_not_the_users_alone_is_not_used_and_that_is_said_once(
     folder: Path, evil: Path, spoil: Callable[[Path], None]
 ) -> None:
@@ -167,9 +147,14 @@ def test_a_folder_that_is_not_the_users_alone_is_not_used_and_that_is_said_once(
     assert sorted((file.name, file.read_bytes()) for file in folder.iterdir()) == before
 
 
+NOT_ONES_OWN = of_nobody if os.geteuid() == 0 else lambda file: file.chmod(0o666), a_link, a_second_name
+
+
 @pytest.mark.slow
-def test_a_file_that_may_be_anothers_is_compiled_anew(folder: Path, evil: Path) -> None:
-    spoils = (of_nobody if os.geteuid() == 0 else writable_for_all, a_link, a_second_name)
+@pytest.mark.parametrize("spoils", [NOT_ONES_OWN, (cut, lambda file: file.write_bytes(b""), flipped)])
+def test_a_file_that_may_be_anothers_or_is_damaged_is_compiled_anew(
+    folder: Path, evil: Path, spoils: Sequence[Callable[[Path], object]]
+) -> None:
     for file, spoil in zip(sorted(folder.iterdir()), spoils, strict=True):
         spoil(file)
     assert said(started(MODELS, folder, 2.0, 3.0, 4.0)) == [(3.0, False), (4.0, False), (5.0, False)]

@@ -14,11 +14,7 @@ from robofleet.doctor.needs import Needs
 from robofleet.doctor.v4l2_device import DeviceReport, Mode
 
 LAB = Path(__file__).parents[2] / "configs" / "lab.yaml"
-MODES = (
-    Mode("MJPG", 1280, 720, (60.0, 30.0)),
-    Mode("MJPG", 640, 480, (30.0,)),
-    Mode("YUYV", 1280, 720, (10.0,)),
-)
+MODES = (Mode("MJPG", 1280, 720, (60.0, 30.0)), Mode("MJPG", 640, 480, (30.0,)), Mode("YUYV", 1280, 720, (10.0,)))
 CAPTURE, METADATA, DEVICE_CAPS = 0x1, 0x00800000, 0x80000000
 
 
@@ -84,9 +80,8 @@ def test_what_is_no_camera_is_an_error_that_the_line_tells() -> None:
 def test_a_camera_is_held_to_what_the_configuration_asks(changes: list[str], says: str) -> None:
     camera = load_config(LAB, changes).camera
     assert lacking(camera, MODES) == says
-    assert lacking(camera, MODES[1:]).startswith(
-        "it has no GREY" if "GREY" in changes[0] else "its MJPG has no 1280x720"
-    )
+    words = "it has no GREY" if "GREY" in changes[0] else "its MJPG has no 1280x720"
+    assert lacking(camera, MODES[1:]).startswith(words)
 
 
 def test_the_configurations_camera_must_be_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,11 +1,12 @@
-"""The driver of drivers/YOUR_OWN.md, broken on purpose: each class in one way (``test_contract_sabotage.py``)."""
+"""The driver of drivers/YOUR_OWN.md, broken on purpose: each in one way (``test_contract_sabotage.py``)."""
 
 import os
 import select
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, WheelSpeeds
@@ -13,36 +14,34 @@ from robofleet.vehicles.readings import SensorReading
 from tests.drivers.sparrow import Sparrow  # type: ignore[attr-defined]
 
 
-class Reversed(Sparrow):
-    def write(self, wheels: WheelSpeeds) -> None:
-        super().write(WheelSpeeds(-wheels.left, -wheels.right))
+def _writes(change: Callable[[float, float], tuple[float, float]]) -> Any:
+    """Return a driver that changes the speeds that it writes, left and right [rad/s]."""
+
+    class Changed(Sparrow):
+        def write(self, wheels: WheelSpeeds) -> None:
+            super().write(WheelSpeeds(*change(*wheels)))
+
+    return Changed
 
 
-class Swapped(Sparrow):
-    def write(self, wheels: WheelSpeeds) -> None:
-        super().write(WheelSpeeds(wheels.right, wheels.left))
+def _reads(change: Callable[[DriverReading], DriverReading]) -> Any:
+    """Return a driver that changes what it reads."""
+
+    class Changed(Sparrow):
+        def read(self) -> DriverReading:
+            return change(super().read())
+
+    return Changed
 
 
-class TellsWhatNobodyAsked(Sparrow):
-    def read(self) -> DriverReading:
-        return super().read()._replace(sensors=SensorReading(gyro=(0.0, 0.0, 0.1)))
-
-
-class CoarselyRounded(Sparrow):
-    def write(self, wheels: WheelSpeeds) -> None:
-        super().write(WheelSpeeds(round(wheels.left / 0.7) * 0.7, round(wheels.right / 0.7) * 0.7))
-
-
-class CountsBackwards(Sparrow):
-    def read(self) -> DriverReading:
-        reading = super().read()
-        return reading._replace(left_angle=-reading.left_angle)
-
-
-class DegreesPerSecond(Sparrow):
-    def read(self) -> DriverReading:
-        reading = super().read()
-        return reading._replace(right_speed=57.3 * reading.right_speed)
+Reversed = _writes(lambda left, right: (-left, -right))
+Swapped = _writes(lambda left, right: (right, left))
+CoarselyRounded = _writes(lambda left, right: (round(left / 0.7) * 0.7, round(right / 0.7) * 0.7))
+RoundsUpAtTheLimit = _writes(lambda *speeds: tuple((1.03 if max(map(abs, speeds)) > 12.0 else 1.0) * v for v in speeds))
+TellsWhatNobodyAsked = _reads(lambda reading: reading._replace(sensors=SensorReading(gyro=(0.0, 0.0, 0.1))))
+CountsBackwards = _reads(lambda reading: reading._replace(left_angle=-reading.left_angle))
+DegreesPerSecond = _reads(lambda reading: reading._replace(right_speed=57.3 * reading.right_speed))
+BatteryInVolts = _reads(lambda reading: reading._replace(battery=11.1))
 
 
 class SharesItsBoard(Sparrow):
@@ -58,21 +57,10 @@ class SharesItsBoard(Sparrow):
             self.board.release()
 
 
-class BatteryInVolts(Sparrow):
-    def read(self) -> DriverReading:
-        return super().read()._replace(battery=11.1)
-
-
 class MovesWhenMade(Sparrow):
     def __init__(self, context: DriverContext) -> None:
         super().__init__(context)
         self.write(WheelSpeeds(1.0, 1.0))
-
-
-class RoundsUpAtTheLimit(Sparrow):
-    def write(self, wheels: WheelSpeeds) -> None:
-        factor = 1.03 if max(map(abs, wheels)) > 12.0 else 1.0
-        super().write(WheelSpeeds(factor * wheels.left, factor * wheels.right))
 
 
 class SaysItAgain(Sparrow):

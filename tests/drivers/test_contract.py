@@ -1,5 +1,12 @@
 """Every driver keeps the contract."""
 
+import math
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from robofleet.core.plugins import load
 from robofleet.testing import DriverContract, DriverSubject
 
 
@@ -23,3 +30,16 @@ class TestArduinoBridge(DriverContract):
 
 class TestCreate2(DriverContract):
     subject = DriverSubject("create2", twin="create2", vehicle="create2")
+
+
+@pytest.mark.parametrize(
+    ("driver", "wrong"),
+    [
+        ("gternal", {"wheel_radius_m": 0.0}), ("gternal", {"wheel_base_m": math.nan}), ("gternal", {"port": ""}),
+        ("gternal", {"wheel_radius_m": "16 mm"}), ("gternal", {"baud": 9600}), ("create2", {"port": ""}),
+        ("create2", {"mode": "passive"}), ("create2", {"wheel_diameter_m": 0.0}), ("create2", {"a": 1}),
+    ],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused(driver: str, wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        load("robofleet.drivers", driver).Settings.model_validate({"port": "/dev/ttyUSB0"} | wrong)

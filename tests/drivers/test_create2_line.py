@@ -8,11 +8,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from robofleet.core.clock import MS
 from robofleet.drivers.create2_stream import Stream
 from robofleet.simulation.firmwares.create2 import Mode
 from robofleet.vehicles.interface import STOP, WheelSpeeds
-from tests.drivers.create2_bench import MM_S, Bench
+from tests.drivers.line_bench import MM_S, LineBench, create2
 
 SPEEDS = st.floats(-13.7, 13.7)
 WHEELS = st.builds(WheelSpeeds, SPEEDS, SPEEDS)
@@ -21,21 +20,20 @@ SHORT = 0.5 * MM_S  # of rounding
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    bench = Bench()
-    bench.open()
-    yield bench
-    bench.close()
+def bench() -> Iterator[LineBench]:
+    with create2() as bench:
+        bench.open()
+        yield bench
 
 
-def written(bench: Bench, wheels: WheelSpeeds) -> bytes:
+def written(bench: LineBench, wheels: WheelSpeeds) -> bytes:
     """Return what the driver writes for this, a tick after the last command; the robot does not hear it."""
-    bench.now_ns += 33 * MS
+    bench.skip(0.033)
     bench.driver.write(wheels)
-    return bench.heard()
+    return bench.line.read()
 
 
-def obeyed(bench: Bench, data: bytes) -> list[WheelSpeeds]:
+def obeyed(bench: LineBench, data: bytes) -> list[WheelSpeeds]:
     """Let the robot hear byte by byte; returns by which speeds it went meanwhile."""
     went = []
     for at in range(len(data)):
@@ -47,7 +45,7 @@ def obeyed(bench: Bench, data: bytes) -> list[WheelSpeeds]:
 @given(before=WHEELS, broken=WHEELS, after=WHEELS)
 @SHARED
 def test_wherever_a_command_is_cut_it_does_nothing_until_the_next_which_heals_it(
-    bench: Bench, before: WheelSpeeds, broken: WheelSpeeds, after: WheelSpeeds
+    bench: LineBench, before: WheelSpeeds, broken: WheelSpeeds, after: WheelSpeeds
 ) -> None:
     whole = written(bench, broken)
     for cut in range(len(whole)):
@@ -72,7 +70,7 @@ def test_wherever_a_command_is_cut_it_does_nothing_until_the_next_which_heals_it
 @given(broken=WHEELS, garbage=st.binary(min_size=1, max_size=9), at=st.integers(0, 8))
 @SHARED
 def test_whatever_changed_bytes_make_it_do_it_soon_does_what_it_is_told(
-    bench: Bench, broken: WheelSpeeds, garbage: bytes, at: int
+    bench: LineBench, broken: WheelSpeeds, garbage: bytes, at: int
 ) -> None:
     wheels = WheelSpeeds(4.0, 6.0)
     whole = written(bench, broken)
@@ -87,7 +85,7 @@ def test_whatever_changed_bytes_make_it_do_it_soon_does_what_it_is_told(
     assert bench.hardware.command == pytest.approx(tuple(wheels), abs=SHORT + 1e-9)
 
 
-def test_a_wrong_speed_is_answered_within_a_frame_and_a_loop(bench: Bench) -> None:
+def test_a_wrong_speed_is_answered_within_a_frame_and_a_loop(bench: LineBench) -> None:
     bench.pass_time(0.2, WheelSpeeds(4.0, 4.0))
     wheels = bench.hardware.command
     bench.firmware.receive(struct.pack(">Bhh", 145, 500, -500), bench.now_ns)
@@ -95,7 +93,7 @@ def test_a_wrong_speed_is_answered_within_a_frame_and_a_loop(bench: Bench) -> No
     assert bench.hardware.command == wheels
 
 
-def test_an_opcode_that_swallows_what_follows_is_fed_until_it_hears_again(bench: Bench) -> None:
+def test_an_opcode_that_swallows_what_follows_is_fed_until_it_hears_again(bench: LineBench) -> None:
     bench.pass_time(0.2, WheelSpeeds(4.0, 4.0))
     bench.firmware.receive(bytes((140, 0, 255)), bench.now_ns)  # a song of 255 notes
     bench.pass_time(0.2, STOP)
@@ -104,7 +102,7 @@ def test_an_opcode_that_swallows_what_follows_is_fed_until_it_hears_again(bench:
 
 
 @pytest.mark.parametrize("opcode", [150, 173, 133, 148])
-def test_a_stream_that_ends_is_begun_again(bench: Bench, opcode: int) -> None:
+def test_a_stream_that_ends_is_begun_again(bench: LineBench, opcode: int) -> None:
     bench.firmware.receive(bytes((opcode, 0)), bench.now_ns)
     readings = bench.pass_time(0.4, WheelSpeeds(3.0, 3.0))
     assert readings[-1].faults == 0
@@ -114,16 +112,15 @@ def test_a_stream_that_ends_is_begun_again(bench: Bench, opcode: int) -> None:
 @pytest.mark.slow
 def test_a_line_that_spoils_every_tenth_frame_never_makes_angles_jump() -> None:
     rng = np.random.default_rng(3)
-    bench = Bench()
+    with create2() as bench:
 
-    def spoil(data: bytes) -> bytes:
-        if not data or rng.random() > 0.1:
-            return data
-        changed = bytearray(data[: rng.integers(1, len(data) + 1)])
-        changed[rng.integers(len(changed))] = rng.integers(256)
-        return bytes(changed)
+        def spoil(data: bytes) -> bytes:
+            if not data or rng.random() > 0.1:
+                return data
+            changed = bytearray(data[: rng.integers(1, len(data) + 1)])
+            changed[rng.integers(len(changed))] = rng.integers(256)
+            return bytes(changed)
 
-    try:
         bench.open()
         bench.to_driver = spoil
         readings = bench.pass_time(20.0, WheelSpeeds(6.0, 3.0))
@@ -134,11 +131,9 @@ def test_a_line_that_spoils_every_tenth_frame_never_makes_angles_jump() -> None:
             assert steps.min() >= 0.0
             assert steps.max() < 6.0 * 0.1  # six frames in a row may be lost
             assert readings[-1][side] == pytest.approx(true[side], abs=0.3)
-    finally:
-        bench.close()
 
 
-def test_garbage_that_adds_up_is_no_angle(bench: Bench) -> None:
+def test_garbage_that_adds_up_is_no_angle(bench: LineBench) -> None:
     bench.pass_time(0.2, WheelSpeeds(4.0, 4.0))
     before = bench.read()
     bench.say(FRAME)  # whole, but 4900 counts from where the wheel is

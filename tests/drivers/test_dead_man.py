@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tty
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import psutil
@@ -149,51 +150,47 @@ def test_it_costs_nearly_nothing(bench: Bench) -> None:
     assert bench.dead_man.memory_info().rss < 16e6
 
 
-def test_what_a_driver_still_wanted_when_it_hung_is_not_allowed_afterwards() -> None:
-    robot, terminal = os.openpty()
-    dead_man, wheels = DeadMan(terminal, STOP), WheelSpeeds(3.0, 2.0)
-    try:
+@pytest.fixture
+def line() -> Iterator[tuple[int, int]]:
+    """Return both ends of a line: the robot's, and the driver's."""
+    ends = os.openpty()
+    yield ends
+    for end in ends:
+        os.close(end)
+
+
+def test_what_a_driver_still_wanted_when_it_hung_is_not_allowed_afterwards(line: tuple[int, int]) -> None:
+    robot, terminal = line
+    wheels = WheelSpeeds(3.0, 2.0)
+    with closing(DeadMan(terminal, STOP)) as dead_man:
         assert dead_man.allow(wheels, 0) == wheels
         select.select([robot], [], [], PATIENCE_S)  # we hang, and the robot is stopped
         select.select([], [], [], 0.02)
         for now_ns in (S, S + 100 * MS, S + 290 * MS):
             assert dead_man.allow(wheels, now_ns) == (0.0, 0.0)
         assert dead_man.allow(wheels, S + 310 * MS) == wheels
-    finally:
-        dead_man.close()
-        os.close(robot)
-        os.close(terminal)
 
 
-def test_a_driver_whose_dead_man_died_is_told_so() -> None:
-    robot, terminal = os.openpty()
-    dead_man = DeadMan(terminal, STOP)
-    try:
+def test_a_driver_whose_dead_man_died_is_told_so(line: tuple[int, int]) -> None:
+    with closing(DeadMan(line[1], STOP)) as dead_man:
         dead_man.sign()
         process = psutil.Process(dead_man._process.pid)
         process.kill()
         process.wait(PATIENCE_S)
         with pytest.raises(DriverError, match="dead man"):
             dead_man.sign()
-    finally:
         dead_man.close()
-        dead_man.close()
-        os.close(robot)
-        os.close(terminal)
 
 
-def test_a_dead_man_that_does_not_start_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_dead_man_that_does_not_start_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, line: tuple[int, int]
+) -> None:
     silent = tmp_path / "python"
     silent.write_text("#!/bin/sh\n")
     silent.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(silent))
-    robot, terminal = os.openpty()
-    try:
-        with pytest.raises(DriverError, match="does not start"):
-            DeadMan(terminal, STOP)
-    finally:
-        os.close(robot)
-        os.close(terminal)
+    with pytest.raises(DriverError, match="does not start"):
+        DeadMan(line[1], STOP)
 
 
 def test_the_dead_man_imports_next_to_nothing() -> None:

@@ -1,71 +1,60 @@
 """The GTernal's driver: what it says on the line, and what it makes of what comes back."""
 
-import math
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from robofleet.core.clock import MS
 from robofleet.drivers.gternal import GTernal
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
-from tests.drivers.gternal_desk import Desk
+from tests.drivers.line_bench import LineBench, gternal
 from tests.robots import GTERNAL
 
 AHEAD = WheelSpeeds(5.0, 4.0)
 BOUND = 5e-4  # of a wheel [rad/s]: the line's last decimals, by half
+SHARED = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 wheel = st.floats(-12.5, 12.5)
 
 
-@pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
-    desk = Desk(tmp_path_factory.mktemp("gternal"))
-    yield desk
-    desk.line.unplug()
+@pytest.fixture
+def unmet() -> Iterator[LineBench]:
+    with gternal() as bench:
+        yield bench
 
 
 @pytest.fixture
-def driver(desk: Desk) -> Iterator[GTernal]:
-    desk.answer = desk.obey
-    driver = desk.make()
-    desk.lines.clear()
-    yield driver
-    desk.meanwhile(driver.close)
+def bench(unmet: LineBench) -> LineBench:
+    """Return a bench whose driver has met its robot."""
+    unmet.open()
+    unmet.received.clear()
+    return unmet
 
 
-@pytest.fixture(scope="module")
-def steady(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Desk, GTernal]]:
-    """A desk and a driver that many examples share."""
-    desk = Desk(tmp_path_factory.mktemp("steady"))
-    driver = desk.make()
-    yield desk, driver
-    desk.meanwhile(driver.close)
-    desk.line.unplug()
+def tell(bench: LineBench, wheels: WheelSpeeds) -> WheelSpeeds:
+    """Write, and return what the controller's motors are asked for then."""
+    bench.write(*wheels)
+    bench.firmware.loop(bench.now_ns)
+    return bench.hardware.command
 
 
-def test_it_asks_before_it_tells_and_lets_the_robot_stand(desk: Desk) -> None:
-    desk.hardware.command = AHEAD
-    desk.lines.clear()
-    driver = desk.make()
-    assert b"write" not in desk.lines[0]
-    assert any(b'{"v":0.0,"w":0.0}' in line for line in desk.lines)
-    assert desk.clock.now_ns() - desk.heard_ns >= 300 * MS  # motors without current: it rolls on
+def test_it_asks_before_it_tells_and_lets_the_robot_stand(unmet: LineBench) -> None:
+    unmet.hardware.command = AHEAD
+    driver = unmet.open()
+    assert b"write" not in unmet.received[0]
+    assert any(b'{"v":0.0,"w":0.0}' in line for line in unmet.received)
+    assert unmet.now_ns - unmet.heard_ns >= 300 * MS  # motors without current: it rolls on
     assert driver.read() == (0.0, 0.0, 0.0, 0.0, pytest.approx(1.0, abs=0.01), 0, None)
-    desk.meanwhile(driver.close)
 
 
 @given(wheel, wheel)
 @example(0.0, 0.0)
 @example(-1e-9, 0.0)
 @example(12.5, 12.5)
-@settings(deadline=None)
-def test_wheels_come_out_as_they_were_told(steady: tuple[Desk, GTernal], left: float, right: float) -> None:
-    desk, driver = steady
-    command = desk.tell(driver, WheelSpeeds(left, right))
+@SHARED
+def test_wheels_come_out_as_they_were_told(bench: LineBench, left: float, right: float) -> None:
+    command = tell(bench, WheelSpeeds(left, right))
     if command == STOP:
         assert max(abs(left), abs(right)) < 0.05
     else:
@@ -73,23 +62,22 @@ def test_wheels_come_out_as_they_were_told(steady: tuple[Desk, GTernal], left: f
 
 
 @given(wheel, wheel, wheel, wheel, st.data())
-@settings(deadline=None)
+@SHARED
 def test_half_a_line_moves_nothing(
-    steady: tuple[Desk, GTernal], left: float, right: float, a: float, b: float, data: st.DataObject
+    bench: LineBench, left: float, right: float, a: float, b: float, data: st.DataObject
 ) -> None:
-    desk, driver = steady
-    desk.tell(driver, WheelSpeeds(left, right))
-    before = desk.tell(driver, WheelSpeeds(left, right))
-    desk.answer = lambda line: b""
-    desk.tell(driver, WheelSpeeds(a, b))
-    line = desk.lines[-1]
-    desk.firmware.receive(line[: data.draw(st.integers(1, len(line) - 1))], desk.clock.now_ns())
-    desk.firmware.loop(desk.clock.now_ns())
-    assert desk.hardware.command == before
-    desk.answer = desk.obey
+    tell(bench, WheelSpeeds(left, right))
+    before = tell(bench, WheelSpeeds(left, right))
+    bench.to_robot = lambda _: b""
+    tell(bench, WheelSpeeds(a, b))
+    line = bench.received[-1]
+    bench.firmware.receive(line[: data.draw(st.integers(1, len(line) - 1))], bench.now_ns)
+    bench.firmware.loop(bench.now_ns)
+    assert bench.hardware.command == before
+    bench.to_robot = bytes
     for _ in range(2):
-        assert desk.tell(driver, WheelSpeeds(a, b)) in (before, pytest.approx((a, b), abs=BOUND), STOP)
-    assert desk.tell(driver, WheelSpeeds(a, b)) in (pytest.approx((a, b), abs=BOUND), STOP)
+        assert tell(bench, WheelSpeeds(a, b)) in (before, pytest.approx((a, b), abs=BOUND), STOP)
+    assert tell(bench, WheelSpeeds(a, b)) in (pytest.approx((a, b), abs=BOUND), STOP)
 
 
 @given(
@@ -97,136 +85,81 @@ def test_half_a_line_moves_nothing(
         st.binary(max_size=300) | st.sampled_from([b'{"status"', b':[1],"body":[{"batt_volt":1e999}]}', b"[" * 999])
     )
 )
-@settings(deadline=None)
-def test_garbage_from_the_robot_is_no_news(steady: tuple[Desk, GTernal], chunks: list[bytes]) -> None:
-    desk, driver = steady
-    desk.answer = desk.obey
+@SHARED
+def test_garbage_from_the_robot_is_no_news(bench: LineBench, chunks: list[bytes]) -> None:
     for chunk in chunks:
-        desk.line.write(chunk)
-        battery = driver.read().battery
-        assert 0.0 <= battery <= 1.0
-    desk.line.write(b'{"status":[1],"body":[{"batt_volt":3.3}]}')
-    assert reads_battery(desk, driver, 0.0)
-    desk.line.write(b'{"status":[1],"body":[{"batt_volt":4.2}]}')
-    assert reads_battery(desk, driver, 1.0)
+        bench.say(chunk)
+        assert 0.0 <= bench.driver.read().battery <= 1.0
+    for volt, charge in ((b"3.3", 0.0), (b"4.2", 1.0)):
+        bench.say(b'{"status":[1],"body":[{"batt_volt":' + volt + b"}]}")
+        assert bench.driver.read().battery == pytest.approx(charge)
 
 
-def test_an_answer_may_come_in_pieces(steady: tuple[Desk, GTernal]) -> None:
-    desk, driver = steady
+def test_an_answer_may_come_in_pieces(bench: LineBench) -> None:
     for piece in (b'{"sta', b'tus":[1,1],"bo', b'dy":[{},{"batt_volt":3.', b"75}]}"):
-        desk.line.write(piece)
-        for _ in range(3):
-            desk.hear(0.005)
-            driver.read()
-    assert reads_battery(desk, driver, 0.5)
+        bench.say(piece)
+        battery = bench.driver.read().battery
+    assert battery == pytest.approx(0.5)
 
 
-def reads_battery(desk: Desk, driver: GTernal, charge: float) -> bool:
-    """Return whether it comes to say so; a pseudo-terminal takes a moment."""
-    for _ in range(1000):
-        if driver.read().battery == pytest.approx(charge):
-            return True
-        desk.hear(0.001)
-    return False
-
-
-def test_while_it_is_driven_it_asks_only_together_with_its_motion(desk: Desk, driver: GTernal) -> None:
+def test_while_it_is_driven_it_asks_only_together_with_its_motion(bench: LineBench) -> None:
     for _ in range(60):
-        desk.tell(driver, AHEAD)
-        desk.let_pass(3, driver)
-    assert all(b'"motor"' in line for line in desk.lines)
-    assert 1 <= sum(b"batt_volt" in line for line in desk.lines) <= 3  # in 1.8 s
+        tell(bench, AHEAD)
+        bench.pass_time(0.03)
+    assert all(b'"motor"' in line for line in bench.received)
+    assert 1 <= sum(b"batt_volt" in line for line in bench.received) <= 3  # in 1.8 s
 
 
-def test_its_own_questions_keep_no_robot_going(desk: Desk, driver: GTernal) -> None:
-    assert desk.tell(driver, AHEAD) == pytest.approx(AHEAD, abs=BOUND)
-    desk.lines.clear()
-    desk.let_pass(49, driver)
-    assert desk.hardware.command != STOP
-    desk.let_pass(3, driver)
-    assert desk.hardware.command == STOP
-    assert desk.lines
-    assert not any(b"write" in line for line in desk.lines)
+def test_its_own_questions_keep_no_robot_going(bench: LineBench) -> None:
+    assert tell(bench, AHEAD) == pytest.approx(AHEAD, abs=BOUND)
+    bench.received.clear()
+    bench.pass_time(0.49)
+    assert bench.hardware.command != STOP
+    bench.pass_time(0.03)
+    assert bench.hardware.command == STOP
+    assert bench.received
+    assert not any(b"write" in line for line in bench.received)
 
 
-def test_a_robot_that_answers_no_more_is_lost_after_half_a_second(desk: Desk, driver: GTernal) -> None:
-    desk.answer = lambda data: b""
-    desk.tell(driver, AHEAD)
-    desk.let_pass(48, driver)
+@pytest.mark.parametrize("answer", [b"", b'{"status":[],"body":[]}'])
+def test_a_robot_that_answers_or_understands_no_more_is_lost_after_half_a_second(
+    answer: bytes, bench: LineBench
+) -> None:
+    bench.to_robot, bench.babble = lambda _: b"", answer
+    tell(bench, AHEAD)
+    bench.pass_time(0.48)
     with pytest.raises(DriverError, match="does not answer"):
-        desk.let_pass(4, driver)
+        bench.pass_time(0.04)
 
 
-def test_one_that_understands_nothing_any_more_is_lost_too(desk: Desk, driver: GTernal) -> None:
-    desk.answer = lambda data: b'{"status":[],"body":[]}'
-    with pytest.raises(DriverError, match="does not answer"):
-        for _ in range(25):
-            desk.tell(driver, AHEAD)
-            desk.let_pass(3, driver)
-
-
-def test_a_line_that_is_gone_is_said_at_once(tmp_path: Path) -> None:
-    desk = Desk(tmp_path)
-    driver = desk.make()
-    desk.line.unplug()
-    with pytest.raises(DriverError, match="the line is gone"):
-        driver.read()
-    driver.close()
-    driver.close()
-
-
-def test_closed_it_stands_even_if_a_line_is_lost_and_says_no_more(desk: Desk, driver: GTernal) -> None:
-    desk.tell(driver, AHEAD)
-    lost: list[bytes] = []
-
-    def lose_the_first(data: bytes) -> bytes:
-        if lost:
-            return desk.obey(data)
-        lost.append(data)
-        return b""
-
-    desk.answer = lose_the_first
-    desk.meanwhile(driver.close)
-    desk.firmware.loop(desk.clock.now_ns())
-    assert lost
-    assert desk.hardware.command == STOP
-    desk.lines.clear()
-    driver.close()
-    for late in (lambda: driver.write(AHEAD), driver.read):
+def test_closed_it_stands_even_if_a_line_is_lost(bench: LineBench) -> None:
+    tell(bench, AHEAD)
+    losses = iter([True])
+    bench.to_robot = lambda data: b"" if next(losses, False) else data
+    bench.driver.close()
+    bench.firmware.loop(bench.now_ns)
+    assert bench.hardware.command == STOP
+    for late in (lambda: bench.driver.write(AHEAD), bench.driver.read):
         with pytest.raises(DriverError, match="closed"):
             late()
-    desk.hear(0.05)
-    assert not desk.lines
 
 
 @pytest.mark.parametrize(
     ("says", "message"),
     [(b"", "nothing answers"), (b"Invalid Command\r\n", "the device that answers is not a GTernal")],
 )
-def test_what_is_no_gternal_is_named_and_not_told_to_move(tmp_path: Path, says: bytes, message: str) -> None:
-    desk = Desk(tmp_path)
-    desk.answer = lambda data: says
+def test_what_is_no_gternal_is_named_and_not_told_to_move(unmet: LineBench, says: bytes, message: str) -> None:
+    unmet.to_robot, unmet.babble = lambda _: b"", says
     with pytest.raises(DriverError, match=message):
-        desk.make()
-    assert desk.lines
-    assert not any(b"write" in line for line in desk.lines)
+        unmet.open()
+    assert unmet.received
+    assert not any(b"write" in line for line in unmet.received)
 
 
-def test_one_that_talks_all_the_time_and_obeys_nothing_is_named(tmp_path: Path) -> None:
-    desk = Desk(tmp_path)
-    desk.answer = lambda line: b""
-    desk.unasked = b'{"status":[1],"body":[{}]}'
+def test_one_that_talks_all_the_time_and_obeys_nothing_is_named(unmet: LineBench) -> None:
+    unmet.to_robot, unmet.babble = lambda _: b"", b'{"status":[1],"body":[{}]}'
     with pytest.raises(DriverError, match="does not stop"):
-        desk.make()
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"wheel_radius_m": 0.0}, {"wheel_base_m": math.nan}, {"wheel_radius_m": "16 mm"}, {"baud": 9600}, {"port": ""}],
-)
-def test_settings_that_say_nothing_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError):
-        GTernal.Settings.model_validate({"port": "/dev/ttyAMA0"} | wrong)
+        unmet.open()
 
 
 def test_figures_of_another_robots_firmware_are_refused() -> None:

@@ -55,10 +55,7 @@ def test_an_open_curve_is_not_extrapolated() -> None:
 
 @pytest.mark.parametrize(
     ("reading", "lateral", "heading"),
-    [
-        ("as printed", [9.3, 18.0, 25.4], [2.5, 2.4, 2.8]),
-        ("minus sign", [7.5, 15.6, 23.9], [2.4, 2.35, 2.2]),
-    ],
+    [("as printed", [9.3, 18.0, 25.4], [2.5, 2.4, 2.8]), ("minus sign", [7.5, 15.6, 23.9], [2.4, 2.35, 2.2])],
 )
 @pytest.mark.long
 def test_both_readings(result: Result, reading: str, lateral: list[float], heading: list[float]) -> None:
@@ -104,9 +101,7 @@ def test_own_setting_is_below_a_centimetre_with_and_without_delay(result: Result
 
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.long
-def test_a_delay_of_70_ms_is_harmless_where_it_is_known_and_fatal_where_not(
-    known: bool,
-) -> None:
+def test_a_delay_of_70_ms_is_harmless_where_it_is_known_and_fatal_where_not(known: bool) -> None:
     parameters: LaneChangeParameters = parameters_of("lane-change")
     speed, delay = max(parameters.speeds_m_s), 0.07
     settings = parameters.recommended.settings(parameters.control_step_s, delay if known else 0.0)

@@ -1,22 +1,19 @@
 """Eqs 5 and 7 hold on the nonlinear plant, and are tight."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from robofleet.config.files.parameters import load_parameters
-from robofleet.config.load import ConfigError
 from robofleet.experiments.memoryless import MemorylessParameters, error_of, nonlinearity, run
-from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.paper import parameters_of
 
-SHIPPED_PARAMETERS = load_parameters(MemorylessParameters, SHIPPED / "memoryless.yaml")
+PARAMETERS: MemorylessParameters = parameters_of("memoryless")
 
 
 @pytest.mark.long
 def test_the_error_is_within_the_bound_and_near_it() -> None:
-    p = SHIPPED_PARAMETERS
+    p = PARAMETERS
     result = run(p)
     (table,) = result.tables
     assert len(table.rows) == 2 * len(p.alphas_1_s)
@@ -32,12 +29,12 @@ def test_the_error_is_within_the_bound_and_near_it() -> None:
 
 @pytest.mark.long
 def test_a_flow_that_is_too_slow_for_the_claim_would_be_seen() -> None:
-    times, errors = error_of(SHIPPED_PARAMETERS, 3.0, "exact")
-    assert errors[times >= 10].max() > SHIPPED_PARAMETERS.circle_radius / 10  # of alpha = 10's bound
+    times, errors = error_of(PARAMETERS, 3.0, "exact")
+    assert errors[times >= 10].max() > PARAMETERS.circle_radius / 10  # of alpha = 10's bound
 
 
 def test_the_plant_is_nonlinear_and_nowhere_singular() -> None:
-    c = SHIPPED_PARAMETERS.coupling
+    c = PARAMETERS.coupling
     g, g_u = nonlinearity(c)
     rng = np.random.default_rng(1)
     for u in rng.uniform(-4, 4, (300, 2)):
@@ -46,14 +43,3 @@ def test_the_plant_is_nonlinear_and_nowhere_singular() -> None:
         numeric = np.stack([(g(u + d) - g(u - d)) / (2 * e) for d in e * np.eye(2)], axis=1)
         assert np.abs(numeric - g_u(u)).max() < 1e-6
     assert np.abs(g_u(np.array([2.0, 2.0])) - g_u(np.zeros(2))).max() > 3
-
-
-def test_parameters_that_leave_no_time_for_a_limsup(tmp_path: Path) -> None:
-    file = tmp_path / "memoryless.yaml"
-    text = (SHIPPED / "memoryless.yaml").read_text()
-    file.write_text(text.replace("duration_s: 40", "duration_s: 12").replace("coupling: 0.8", "coupling: 0.8"))
-    with pytest.raises(ConfigError, match=r"memoryless\.yaml:4:13: duration_s: must be longer than 10 s of transient"):
-        load_parameters(MemorylessParameters, file)
-    file.write_text(text.replace("coupling: 0.8", "coupling: 1.0"))
-    with pytest.raises(ConfigError, match="coupling"):
-        load_parameters(MemorylessParameters, file)

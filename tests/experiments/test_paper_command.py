@@ -15,7 +15,7 @@ from robofleet.config.load import ConfigError
 from robofleet.experiments import closed_curve, paper
 from robofleet.experiments.closed_curve import ClosedCurveParameters
 from robofleet.experiments.lane_change import LaneChangeParameters
-from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.paper import SHIPPED
 from robofleet.experiments.simulate import DivergedError
 
 
@@ -94,6 +94,15 @@ def test_every_shipped_file_is_an_experiment_and_is_valid() -> None:
          "computing_delay_s: must be a whole multiple of control_step_s, 0.01, not 0.015"),
         ("lane-change", "second_term: plus, flow: {horizon_s: 0.5", "second_term: plus, flow: {horizn_s: 0.5",
          "readings.0.flow.horizn_s: unknown key: did you mean 'horizon_s'?"),
+        ("memoryless", "duration_s: 40", "duration_s: «12", "duration_s: must be longer than 10 s of transient"),
+        ("memoryless", "coupling: 0.8", "coupling: «1.0", "coupling: "),
+        ("stability", "horizon_s: [0.01, 1]", "horizon_s: «[1, 1]",
+         "horizon_s: the first number must be below the second, got 1 and 1"),
+        ("comparison", "[flow, flow-paper,", "«[flow-paper,", "controllers: must contain flow"),
+        ("comparison", "curve_length_m: 220", "curve_length_m: «140", "curve_length_m: must be at least 151"),
+        ("comparison", "delays_s: [0.03,", "delays_s: [«0.035,",
+         "trouble.delays_s.0: must be a whole multiple of 0.01, not 0.035"),
+        ("comparison", "stanley]", "«stanly]", "controllers.9: "),
     ],
 )  # fmt: skip
 def test_bad_parameters_are_refused_at_their_line_and_column(
@@ -112,7 +121,7 @@ def test_bad_parameters_are_refused_at_their_line_and_column(
     if "«" in new:
         before = text.replace(old, new).split("«")[0]
         position = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
-        assert lines[0] == f"{copy / name}.yaml:{position}: {message}"
+        assert lines[0].startswith(f"{copy / name}.yaml:{position}: {message}")
     assert not (folder / "new").exists()
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from robofleet.config.files.parameters import load_parameters
 from robofleet.config.load import load_config
-from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.paper import SHIPPED
 from robofleet.experiments.platoon import PlatoonParameters, run, scaled
 from robofleet.experiments.platoon_gain import robot_gains
 from robofleet.runs.check import refusals

@@ -1,16 +1,12 @@
 """The stability maps against the double integrator's own eigenvalues, and its boundary T_alpha = 1 / alpha."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robofleet.config.files.parameters import load_parameters
-from robofleet.config.load import ConfigError
 from robofleet.control.flow import FlowSettings, Integrator
-from robofleet.experiments.parameters import SHIPPED
+from robofleet.experiments.paper import parameters_of
 from robofleet.experiments.stability import (
     DOUBLE_INTEGRATOR,
     StabilityParameters,
@@ -69,7 +65,8 @@ def test_no_boundary_is_nan() -> None:
 
 @pytest.mark.long
 def test_the_experiment() -> None:
-    p = load_parameters(StabilityParameters, SHIPPED / "stability.yaml").model_copy(update={"points": 4})
+    shipped: StabilityParameters = parameters_of("stability")
+    p = shipped.model_copy(update={"points": 4})
     result = run(p)
     horizons, simulated, steps = result.tables
     assert result.data["double_integrator_deviation"] < 0.02
@@ -85,10 +82,3 @@ def test_the_experiment() -> None:
         stable = panel.field.values
         assert (stable[panel.field.y[:, None] * panel.field.x >= 3.0] == 1.0).all()  # the rule alpha T >= 3
         assert (stable[panel.field.y[:, None] * panel.field.x < 0.98] == 0.0).all()
-
-
-def test_ranges_go_upwards(tmp_path: Path) -> None:
-    file = tmp_path / "stability.yaml"
-    file.write_text((SHIPPED / "stability.yaml").read_text().replace("horizon_s: [0.01, 1]", "horizon_s: [1, 1]"))
-    with pytest.raises(ConfigError, match=r"horizon_s: the first number must be below the second, got 1 and 1"):
-        load_parameters(StabilityParameters, file)

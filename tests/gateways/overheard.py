@@ -1,17 +1,22 @@
 """A run in lockstep as a process beside it hears it, and the recording of what it heard."""
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
-
-from mcap.reader import make_reader
+from typing import TypeVar
 
 from robofleet.bus.bus import Arrival
 from robofleet.config.tree import Config
-from robofleet.recording.channels import keys
+from robofleet.core.clock import S
+from robofleet.gateways.place import Served
+from robofleet.gateways.viewers.live import Viewers
+from robofleet.gateways.viewers.server import Server
+from robofleet.recording.channels import Channel, keys
 from robofleet.recording.log import RunLog
 from robofleet.runs.lockstep import Lockstep
-from tests.gateways.foxglove_client import Message
 
 EPOCH_NS = 1_790_000_000 * 10**9
+AnyServer = TypeVar("AnyServer", bound=Server)
 
 
 class Overheard:
@@ -40,11 +45,24 @@ class Overheard:
         self._taken = len(self._arrivals)
         return new
 
-    def recorded(self, file: Path) -> list[Message]:
-        """Write the recording of all that was said, and return its messages."""
+    @contextmanager
+    def shown(self, open_server: Callable[[Sequence[Channel]], AnyServer]) -> Iterator[tuple[Viewers, AnyServer]]:
+        """Give a server of viewers, and what tells it of this run."""
+        servers: list[AnyServer] = []
+
+        def opened(channels: Sequence[Channel]) -> Server:
+            servers.append(open_server(channels))
+            return servers[0]
+
+        with closing(Viewers(self.config, self, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
+            yield viewers, servers[0]
+
+    def played(self, viewers: Viewers, file: Path) -> Path:
+        """Run to the end, tell it to viewers, and return the recording of all that was said."""
+        assert self.run.run() == ("completed", None)
+        viewers.step(self.now_ns)
+        viewers.rest(self.now_ns + S)  # when what waits for company is due
         with RunLog(file, self.config, epoch_ns=EPOCH_NS) as log:
             for at_ns, full, payload in self._arrivals:
                 log.add(full, payload, at_ns)
-        with file.open("rb") as stream:
-            messages = make_reader(stream).iter_messages(log_time_order=False)
-            return [Message(channel.topic, message.log_time, message.data) for _, channel, message in messages]
+        return file

@@ -59,10 +59,8 @@ class Saving:
 
 
 def imported(file: Path) -> Rows:
-    """Return what rerun's importer makes of a recording; a message's time of publishing is its log time."""
-    rows = _rows(McapReader(file).stream())
-    return {path: [{name: value for name, value in row.items() if name != "message_publish_time"} for row in columns]
-            for path, columns in rows.items()}  # fmt: skip
+    """Return what rerun's importer makes of a recording."""
+    return _rows(McapReader(file).stream())
 
 
 def _rows(chunks: Iterator[Any]) -> Rows:

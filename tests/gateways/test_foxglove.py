@@ -1,61 +1,56 @@
 """Foxglove's protocol: a viewer gets every channel of the recording, and the operator's services ask for their key."""
 
 import asyncio
-import socket
-from collections import Counter
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
 from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from typer.testing import CliRunner
+from mcap.reader import make_reader
 
-from robofleet.cli import app
 from robofleet.config.load import load_config
-from robofleet.core import refusal
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import SERVICES
-from robofleet.gateways.place import Served
 from robofleet.gateways.viewers.foxglove.server import Server, services, written
-from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.retained import RetainedMessages
-from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.asking import Outcome
-from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, Address, completed
-from robofleet.recording.scenes.drawn import Channel
+from robofleet.operator.viewer_address import FOXGLOVE, Address
 from tests.gateways.foxglove_client import Message, Viewer, viewer
-from tests.gateways.overheard import EPOCH_NS, Overheard
+from tests.gateways.overheard import Overheard
+from tests.gateways.viewer_contract import HERE, Messages, Seen, ViewerContract
 from tests.shipped import PLATOON
 
-DEFAULT = DEFAULTS[FOXGLOVE]
-HERE = Address("127.0.0.1", 0)
 KEY = "the operator's key"
 TOLD_ONCE = {"/arena", "/fleet", "/tf_static", "/camera/calibration", "/log"}
+SERVER = partial(Server, "nobody", HERE)
 
 
-class Seen(NamedTuple):
-    """What was told of a run in lockstep."""
+class TestFoxglove(ViewerContract):
+    viewer = package = FOXGLOVE
+    drawn = frozenset({"/tf", "/camera/image", "/robots/r1/tick", "rf/platoon/tick"})
 
-    recorded: list[Message]
-    early: Viewer  # it was there before the run
-    late: Viewer  # it came when the run was over
+    def server(self, at: Address) -> Server:
+        return Server("nobody", at, [], [])
 
 
-async def looked_at(folder: Path) -> Seen:
+def by_topic(messages: Iterable[Message]) -> Messages:
+    found: Messages = defaultdict(list)
+    for message in sorted(messages):
+        found[message.topic].append((message.log_ns, message.data))
+    return dict(found)
+
+
+async def looked_at(folder: Path) -> tuple[Seen, dict[str, dict[str, Any]]]:
+    """Return what viewers are told of a run in lockstep, and its channels."""
     overheard = Overheard(load_config(PLATOON, ["run.duration_s=1"]))
-    servers: list[Server] = []
-
-    def opened(channels: Sequence[Channel]) -> Opened:
-        servers.append(Server(overheard.config.arena.name, HERE, None, channels, []))
-        return Opened(servers[0], "")
-
-    with closing(Viewers(overheard.config, overheard, Served(lambda: False, 0), opened, EPOCH_NS)) as viewers:
-        (server,) = servers
+    with overheard.shown(partial(SERVER, services=[])) as (viewers, server):
 
         async def subscribed(viewer: Viewer, already: int) -> None:
             await viewer.until(lambda: viewer.channels)
@@ -67,45 +62,42 @@ async def looked_at(folder: Path) -> Seen:
         async with viewer(url) as first, viewer(url) as second:
             early, late = Viewer(first), Viewer(second)
             await subscribed(early, 0)
-            assert overheard.run.run() == ("completed", None)
-            viewers.step(overheard.now_ns)
-            viewers.rest(overheard.now_ns)
-            recorded = overheard.recorded(folder / "run.mcap")
+            with overheard.played(viewers, folder / "run.mcap").open("rb") as file:
+                messages = make_reader(file).iter_messages(log_time_order=False)
+                recorded = [Message(channel.topic, message.log_time, message.data) for _, channel, message in messages]
             await early.until(lambda: len(early.messages) >= len(recorded))
             await subscribed(late, len(early.channels))
             await late.until(lambda: set(late.counts) >= TOLD_ONCE)
-    return Seen(recorded, early, late)
+    seen = Seen(*(by_topic(messages) for messages in (recorded, early.messages, late.messages)))
+    return seen, {channel["topic"]: channel for channel in early.channels.values()}
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
+def look(tmp_path_factory: pytest.TempPathFactory) -> tuple[Seen, dict[str, dict[str, Any]]]:
     return asyncio.run(looked_at(tmp_path_factory.mktemp("foxglove")))
 
 
-def test_a_viewer_gets_what_the_recording_gets_message_by_message(seen: Seen) -> None:
-    assert seen.early.counts == Counter(message.topic for message in seen.recorded)
-    assert sorted(seen.early.messages) == sorted(seen.recorded), "the same bytes at the same instants"
-    drawn = [topic for topic in seen.early.counts if not topic.startswith("rf/")]
-    assert {"/tf", "/camera/image", "/robots/r1/tick"} <= set(drawn)
+@pytest.fixture(scope="module")
+def seen(look: tuple[Seen, object]) -> Seen:
+    return look[0]
 
 
-def test_channels_are_described_as_in_the_recording(seen: Seen) -> None:
-    channels = {channel["topic"]: channel for channel in seen.early.channels.values()}
+def test_channels_are_described_as_in_the_recording(look: tuple[Seen, dict[str, dict[str, Any]]]) -> None:
+    seen, channels = look
+    assert set(seen.early) == set(seen.recorded) <= set(channels)
     assert channels["/fleet"]["encoding"] == channels["/fleet"]["schemaEncoding"] == "protobuf"
     assert channels["/fleet"]["schemaName"] == "foxglove.SceneUpdate"
     assert channels["/robots/r1/tick"]["schemaName"] == "robofleet.RobotTick"
     assert channels["rf/platoon/tick"]["schemaEncoding"] == "numpy"
-    assert set(channels) >= set(seen.early.counts)
 
 
 def test_who_comes_late_sees_what_is_told_once_as_it_stands(seen: Seen) -> None:
-    assert set(seen.late.counts) == TOLD_ONCE
-    newest = {message.topic: SceneUpdate.FromString(message.data) for message in seen.late.messages
-              if message.topic in ("/arena", "/fleet")}  # fmt: skip
-    assert {entity.id for entity in newest["/fleet"].entities} == {"r1", "r2", "r3", "r4"}
-    looks = [message.data for message in seen.recorded if message.topic == "/fleet"]
-    last = {entity.id: entity for entity in SceneUpdate.FromString(looks[-1]).entities}
-    assert {entity.id: entity for entity in newest["/fleet"].entities} == last
+    assert set(seen.late) == TOLD_ONCE
+    (newest, last) = (
+        {entity.id: entity for entity in SceneUpdate.FromString(messages["/fleet"][-1][1]).entities}
+        for messages in (seen.late, seen.recorded)
+    )
+    assert newest == last and set(newest) == {"r1", "r2", "r3", "r4"}
 
 
 def test_a_mark_that_was_taken_away_is_not_shown_to_who_comes_late() -> None:
@@ -148,7 +140,7 @@ def answered(calls: list[str], requests: Sequence[tuple[str, object]]) -> list[d
             await client.until(lambda: len(client.services) == len(SERVICES))
             return [await client.call(*request) for request in requests]
 
-    with closing(Server("nobody", HERE, None, [], services(ask, KEY))) as server:
+    with closing(SERVER([], services(ask, KEY))) as server:
         return asyncio.run(call(server.port))
 
 
@@ -177,48 +169,6 @@ def test_a_layout_that_is_not_this_runs_is_not_replaced(content: str, tmp_path: 
     with pytest.raises(RefusedError, match=r"foxglove\.json.*move it away"):
         written(config, tmp_path, asks=True)
     assert file.read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("given", "read"),
-    [
-        (["run", "--foxglove"], DEFAULT),
-        (["run", "--foxglove", "--quiet"], DEFAULT),
-        (["run", "--foxglove", "lab.yaml"], DEFAULT),
-        (["run", "--foxglove", "127.0.0.1:9000"], "127.0.0.1:9000"),
-    ],
-)
-def test_the_address_may_be_left_out(given: list[str], read: str) -> None:
-    words = completed(given)
-    assert words[words.index("--foxglove") + 1] == read
-    assert [word for word in given if word not in words] == []
-    assert completed([]) == [], "as a shell asks that completes the command line"
-
-
-@pytest.mark.parametrize("text", ["nonsense", "127.0.0.1", "127.0.0.1:x", "127.0.0.1:65536", ":8765", "a b:1"])
-def test_what_is_no_address_is_refused_in_a_line(text: str) -> None:
-    result = CliRunner().invoke(app, ["run", str(PLATOON), "--foxglove", text])
-    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
-    assert DEFAULT in result.stderr
-
-
-def test_a_port_in_use_is_refused_in_a_line_before_anything_starts(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        at = f"127.0.0.1:{taken.getsockname()[1]}"
-        out = str(tmp_path / "run")
-        result = CliRunner().invoke(app, ["run", str(PLATOON), "--foxglove", at, "--out", out])
-    assert (result.exit_code, result.stderr) == (
-        2, f"--foxglove {at}: Address already in use: name a port that is free, or 0 for any\n"
-    )  # fmt: skip
-    assert not (tmp_path / "run").exists()
-
-
-def test_without_the_library_a_line_says_what_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    find_spec = refusal.find_spec
-    monkeypatch.setattr(refusal, "find_spec", lambda name: None if name == "foxglove" else find_spec(name))
-    result = CliRunner().invoke(app, ["run", str(PLATOON), "--foxglove"])
-    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
-    assert "this needs foxglove: " in result.stderr and "[foxglove]" in result.stderr
 
 
 def test_an_address_that_others_reach_needs_a_certificate() -> None:

@@ -1,8 +1,8 @@
 """A gateway ends with the run that it serves, also where the arena's next run takes the same place on the bus."""
 
-from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -16,8 +16,6 @@ from robofleet.config.load import load_config
 from robofleet.core.clock import S
 from robofleet.gateways.place import ArenaAccess, Served, is_over
 from robofleet.gateways.viewers.live import Viewers
-from robofleet.gateways.viewers.server import Opened
-from robofleet.recording.scenes.drawn import Channel
 from robofleet.safety.supervisor import NOBODY, Phase
 from tests.endpoints import short_folder
 
@@ -59,35 +57,15 @@ def test_the_next_run_of_an_arena_is_another_one(monkeypatch: pytest.MonkeyPatch
         assert [is_over(CONFIG, run_place) for run_place in places] == [True, False]
 
 
-class Said:
-    """What comes of a bus, and what a viewer is told of it."""
-
-    dropped = 0
-
-    def __init__(self, epochs: Sequence[int]) -> None:
-        self._arrivals = [Arrival(at * S, STATES, state(epoch)) for at, epoch in enumerate(epochs, 1)]
-        self.states: list[bytes] = []
-
-    def drain(self) -> list[Arrival]:
-        arrivals, self._arrivals = self._arrivals, []
-        return arrivals
-
-    def tell(self, topic: str, _log_ns: int, message: bytes) -> None:
-        self.states += [message] if topic == STATES else []
-
-    def step(self, log_ns: int) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
 def test_viewers_see_nothing_of_the_next_run() -> None:
-    source, served = Said([1, 1, 2, 2]), Served(lambda: False, 0)
+    told: list[bytes] = []
 
-    def opened(_: Sequence[Channel]) -> Opened:
-        return Opened(source, "")
+    def tell(topic: str, _log_ns: int, message: bytes) -> None:
+        told.extend([message] if topic == STATES else [])
 
-    with closing(Viewers(CONFIG, source, served, opened, 0)) as viewers:
-        viewers.step(4 * S)
-    assert source.states == [state(1)] * 2 and served.is_over(4 * S)
+    server: Any = SimpleNamespace(address="", tell=tell, step=lambda _: None, close=lambda: None)
+    arrivals = [Arrival(at * S, STATES, state(epoch)) for at, epoch in enumerate([1, 1, 2, 2], 1)]
+    stream: Any = SimpleNamespace(drain=lambda: arrivals)
+    served = Served(lambda: False, 0)
+    Viewers(CONFIG, stream, served, lambda _: server, 0).step(4 * S)
+    assert told == [state(1)] * 2 and served.is_over(4 * S)

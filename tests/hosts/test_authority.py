@@ -200,43 +200,11 @@ def test_what_is_no_address_is_refused(lab: Authority, address: str) -> None:
     assert "page" not in lab.entries()
 
 
-def test_who_is_reached_needs_an_address(lab: Authority) -> None:
-    with pytest.raises(KeysError, match="add `--address"):
-        lab.issue("page", "web")
-
-
-@pytest.mark.parametrize(
-    ("wrong", "says"),
-    [
-        (lambda lab: lab.issue("r1", "unit"), "r1 has a certificate: `robofleet keys renew lab r1`"),
-        (lambda lab: lab.renew("r9"), r"r9 has no certificate for the arena lab \(known: r1, router\)"),
-        (lambda lab: lab.revoke("r9"), r"r9 has no certificate"),
-        (lambda lab: (lab.revoke("r1"), lab.revoke("r1")), "r1 is revoked already"),
-        (lambda lab: (lab.revoke("r1"), lab.renew("r1")), "r1 is revoked: `robofleet keys add lab r1`"),
-        (lambda lab: Authority.create("lab", lab.folder), "the arena lab has an authority"),
-        (
-            lambda lab: Authority("hall", lab.folder / "no"),
-            "the arena hall has no authority here: `robofleet keys init",
-        ),
-    ],
-)
-def test_what_cannot_be_says_how_to_mend_it(lab: Authority, wrong: object, says: str) -> None:
-    assert callable(wrong)
-    with pytest.raises(KeysError, match=says):
-        wrong(lab)
-
-
 @pytest.mark.parametrize("name", ["authority.pem", "authority.key", "register.json"])
 def test_a_damaged_authority_is_named(lab: Authority, name: str) -> None:
     (lab.folder / name).write_text("{")
     with pytest.raises(KeysError, match="the authority of lab is damaged: take its folder from a backup"):
         Authority("lab", lab.folder)
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
-    (tmp_path / "keys").write_text("no folder")
-    with pytest.raises(KeysError, match=r"keys.*: keys are to be kept there"):
-        Authority.create("lab", tmp_path / "keys" / "lab")
 
 
 def test_kinds_are_those_to_whom_something_is_permitted() -> None:

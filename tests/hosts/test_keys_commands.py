@@ -202,29 +202,33 @@ def test_simulated_robots_get_no_keys(desk: Path) -> None:
     assert {*names("platoon")} == {"router", "operator", "viewer"}
 
 
+def changed_configuration(desk: Path, name: str, change: Callable[[dict[str, Any]], object]) -> Path:
+    """Write a shipped configuration, changed, beside links to all that it names."""
+    tree = yaml.safe_load((CONFIGS / name).read_text())
+    change(tree)
+    for path in CONFIGS.iterdir():
+        if path.name != name:
+            (desk / path.name).symlink_to(path)
+    (desk / name).write_text(yaml.safe_dump(tree))
+    return desk / name
+
+
 @pytest.mark.parametrize(("started_by", "units"), [("run", set()), ("daemon", {"r1"})])
 def test_a_twin_gets_keys_where_a_daemon_drives_it(desk: Path, started_by: str, units: set[str]) -> None:
-    tree = yaml.safe_load((CONFIGS / "platoon.yaml").read_text())
-    tree |= {"drivers": {"started_by": started_by}, "bus": {"listen": [ROUTER]}}
-    tree["robots"][0] |= {"driver": "gternal", "twin": "gternal", "unit": "r1"}
-    for path in CONFIGS.iterdir():
-        if path.name != "platoon.yaml":
-            (desk / path.name).symlink_to(path)
-    (desk / "platoon.yaml").write_text(yaml.safe_dump(tree))
+    def change(tree: dict[str, Any]) -> None:
+        tree |= {"drivers": {"started_by": started_by}, "bus": {"listen": [ROUTER]}}
+        tree["robots"][0] |= {"driver": "gternal", "twin": "gternal", "unit": "r1"}
+
     said("keys", "init", "platoon")
-    said("keys", "add", "platoon", "--from", "platoon.yaml")
+    said("keys", "add", "platoon", "--from", changed_configuration(desk, "platoon.yaml", change))
     assert {*names("platoon")} == {"router", "operator", "viewer", *units}
 
 
 def test_the_routers_address_is_where_the_configuration_listens(desk: Path) -> None:
-    text = (CONFIGS / "lab.yaml").read_text()
-    for path in CONFIGS.iterdir():
-        if path.name != "lab.yaml":
-            (desk / path.name).symlink_to(path)
-    listen = "bus: {listen: ['quic/192.168.7.1:7447', 'tls/[fd00::1]:7448', 'tls/0.0.0.0:7449']}\n"
-    (desk / "lab.yaml").write_text(text + listen)
+    listen = {"listen": ["quic/192.168.7.1:7447", "tls/[fd00::1]:7448", "tls/0.0.0.0:7449"]}
+    file = changed_configuration(desk, "lab.yaml", lambda tree: tree.update(bus=listen))
     said("keys", "init", "lab")
-    said("keys", "add", "lab", "--from", "lab.yaml")
+    said("keys", "add", "lab", "--from", file)
     assert names()["router"]["addresses"] == ["192.168.7.1", "fd00::1"]
 
 
@@ -288,7 +292,9 @@ def test_all_are_renewed_but_who_is_revoked(lab: Path) -> None:
 
 def test_a_revoked_or_expired_name_gets_no_bundle(lab: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said("keys", "revoke", "lab", "r1")
-    assert "`robofleet keys add lab r1`" in refused("keys", "bundle", "lab", "r1", "--router", ROUTER)
+    assert "r1 is revoked already" in refused("keys", "revoke", "lab", "r1")
+    for words in (["renew", "lab", "r1"], ["bundle", "lab", "r1", "--router", ROUTER]):
+        assert "`robofleet keys add lab r1`" in refused("keys", *words)
     said("keys", "add", "lab", "r1")
     assert names()["r1"]["common_name"] == "r1#2"
     later(monkeypatch, 200)
@@ -296,10 +302,10 @@ def test_a_revoked_or_expired_name_gets_no_bundle(lab: Path, desk: Path, monkeyp
     assert not (desk / "r1.bundle").exists()
 
 
-def changed(file: Path, change: Callable[[dict[str, Any]], None]) -> Path:
-    """Return another bundle: what somebody, or a bad copy, made of it."""
-    content = json.loads(file.read_text())
-    change(content)
+def changed(file: Path, fields: dict[str, Any], **passport: Any) -> Path:
+    """Return another bundle: what somebody, or a bad copy, made of its fields and of those of its passport."""
+    content = json.loads(file.read_text()) | fields
+    content["passport"] |= passport
     other = file.with_name("changed.bundle")
     other.write_text(json.dumps(content))
     return other
@@ -307,13 +313,12 @@ def changed(file: Path, change: Callable[[dict[str, Any]], None]) -> Path:
 
 def test_a_bundle_that_is_damaged_is_refused_wherever_it_is(bundle: Path, desk: Path) -> None:
     text = bundle.read_text()
-    content = json.loads(text)
     for part in ("certificate", "key", "authority"):
-        pem = content[part]
+        pem = json.loads(text)[part]
         half = len(pem) // 2
         other = "A" if pem[half] != "A" else "B"
         for wrong in (pem[:half] + other + pem[half + 1 :], pem[:half], BEGIN + END, ""):
-            file = changed(bundle, lambda content, part=part, wrong=wrong: content.update({part: wrong}))  # type: ignore[misc]
+            file = changed(bundle, {part: wrong})
             assert "copy again what `robofleet keys bundle` made" in refused("join", file, "--into", desk / "robot")
     for short in (text[: len(text) // 2], "", "\0" * 100, "x" * 70000, "[]", "{}"):
         (desk / "short.bundle").write_text(short)
@@ -329,16 +334,15 @@ def test_a_bundle_whose_parts_are_not_each_others_is_refused(lab: Path, bundle: 
         {"certificate": (lab / "r2.pem").read_text(), "key": (lab / "r2.key").read_text()},
         {"authority": (lab.parent / "hall" / "authority.pem").read_text()},
     ):
-        file = changed(bundle, lambda passport, change=change: passport.update(change))  # type: ignore[misc]
-        assert "copy again" in refused("join", file, "--into", desk / "robot")
+        assert "copy again" in refused("join", changed(bundle, change), "--into", desk / "robot")
     for key, value in (("serial", "5a"), ("common_name", "r1#2")):
-        file = changed(bundle, lambda passport, key=key, value=value: passport["passport"].update({key: value}))  # type: ignore[misc]
+        file = changed(bundle, {}, **{key: value})
         assert "its certificate is of r1" in refused("join", file, "--into", desk / "robot")
     assert not (desk / "robot").exists()
 
 
 def test_a_bundle_of_a_newer_robofleet_names_both_versions(bundle: Path, desk: Path) -> None:
-    file = changed(bundle, lambda passport: passport.update({"format": 2, "robofleet": "9.8.7", "more": 1}))
+    file = changed(bundle, {"format": 2, "robofleet": "9.8.7", "more": 1})
     line = refused("join", file, "--into", desk / "robot")
     assert "robofleet 9.8.7 made it" in line
     assert f"{json.loads(bundle.read_text())['robofleet']} is installed here" in line
@@ -433,7 +437,7 @@ def test_a_person_joins_without_a_robot_file(lab: Path, desk: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_named(bundle: Path, desk: Path) -> None:
     (desk / "robot").write_text("no folder")
-    assert "robot" in refused("join", bundle, "--into", desk / "robot")
+    assert "keys are to be kept there" in refused("join", bundle, "--into", desk / "robot")
 
 
 def test_another_authoritys_folder_is_not_overwritten(lab: Path, bundle: Path, desk: Path) -> None:

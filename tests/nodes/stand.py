@@ -137,6 +137,28 @@ class Stand:
         assert self.state.phase == Phase.RUNNING
         assert min(self.limits()) > 0.0
 
+    def armed(self) -> None:
+        self.run(S // 5)
+        assert self.ask("arm") == "ok"
+        self.run(2 * S)
+        assert (self.state.phase, self.state.stage) == (Phase.ARMED, Stage.DONE)
+        assert self.limits() == [0.0] * 4
+
+    def tell_tick(self, robot: dict[str, float], **changes: int) -> None:
+        """Let the controller tell of the tick; ``robot``: fields of each robot's part."""
+        part = RobotTick(*[0.0] * len(RobotTick._fields))._replace(**robot)
+        record = TickRecord(self.epoch, self.build, self.tick, -1, self.bench.now_ns, *[0] * 11, (part,) * 4, ())
+        self.bench.say(TICK, record._replace(**changes))  # type: ignore[arg-type]
+
+    def tell_image(self, *strange: TagPose, coasted_ns: int = 0, **changes: int) -> None:
+        """Let the tracker tell of an image of the tags that are not hidden; ``coasted_ns``: that of r2."""
+        self._image += 1
+        now_ns = self.bench.now_ns
+        seen = (r for r in ROBOTS if r not in self.hidden)
+        poses = tuple(TagPose(self.tags[r], 0, coasted_ns * (r == "r2"), *self.places[r]) for r in seen)
+        image = FleetPoses(4, self._image, self.build, now_ns, now_ns, 0, 0, 0, 0, (*strange, *poses))
+        self.bench.say(POSES, image._replace(**changes), CAMERA)  # type: ignore[arg-type]
+
     def tell(self, event: TrackerEvent | int, robot: str | None = None, value: float = 0.0) -> None:
         """Let the tracker tell something."""
         self._news += 1
@@ -159,18 +181,11 @@ class Stand:
     def _control(self) -> None:
         if "controller" not in self.silent:
             self.tick += 1
-            tick = RobotTick(*[0.0] * len(RobotTick._fields))._replace(**self.stopped)
-            head = (self.epoch, self.build, self.tick, -1, self.bench.now_ns, *[0] * 11)
-            self.bench.say(TICK, TickRecord(*head, (tick,) * len(ROBOTS), ()))
+            self.tell_tick(self.stopped)
 
     def _see(self) -> None:
         if "tracker" not in self.silent:
-            self._image += 1
-            poses = tuple(TagPose(self.tags[r], 0, 0, *self.places[r]) for r in ROBOTS if r not in self.hidden)
-            now_ns = self.bench.now_ns
-            self.bench.say(
-                POSES, FleetPoses(4, self._image, self.build, now_ns, now_ns, self.tick, 0, 0, 0, poses), CAMERA
-            )
+            self.tell_image(echo_tick=self.tick)
 
     def _attend(self) -> None:
         if "operator" not in self.silent:

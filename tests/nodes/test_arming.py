@@ -1,24 +1,22 @@
 """A whole fleet in lockstep is armed: a healthy one runs, every faulty wiring is named and nobody runs."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.bus.keys import STATE, STATUS, TICK, TRUTH, key
+from robofleet.bus.keys import STATE, STATUS, TICK, key
 from robofleet.bus.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.load import load_config
-from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.safety.wiggle import BACK, FORTH, STAND
-from robofleet.vehicles.interface import DriverContext, DriverReading, WheelSpeeds
 from tests.process_fixtures import PLATOON
 
 Make = Callable[..., Any]
@@ -48,6 +46,7 @@ def states(run: Lockstep) -> list[Any]:
     return [RUN_STATE.decode(payload) for payload in run.recording.messages[key("platoon", STATE)]]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_faulty_robot_is_named_and_nobody_runs(truth: Make, fault: str) -> None:
     s = truth(fault)
@@ -66,6 +65,7 @@ def test_only_the_robots_of_the_rounds_up_to_the_faulty_one_ever_turned_a_wheel(
     assert turned == {"r1": False, "r2": True, "r3": False, "r4": True}
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("change", "within_s"),
     [("run.seed=7", 4.0), ("camera.trigger=free", 4.0), ("tracker.truth.dropout=0.3", 5.5)],
@@ -83,6 +83,7 @@ def test_a_healthy_fleet_is_armed_in_time_round_by_round(change: str, within_s: 
     assert 0.033 * sum(tick.phase == Phase.ARMED for tick in ticks) <= within_s
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("change", ["max_wheel_speed_rad_s=4.0", "max_speed_m_s=0.06"])
 def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
     run = armed(f"robots.0.vehicle.{change}")
@@ -91,50 +92,6 @@ def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
     assert statuses["rejected"][-1] == others["rejected"][-1]  # no command for the speed that it asks for
     armed_only = statuses["left_output_rad_s"][:-60]  # then it runs for a tick and rests for a second
     assert 3.5 < armed_only.max() <= 4.7
-
-
-def test_a_fleet_that_was_armed_stands_about_where_it_stood() -> None:
-    run = armed()
-    for robot in ("r1", "r2", "r3", "r4"):
-        truth = run.recording.of_robot(TRUTH, robot)
-        x, y, psi = (truth[name] - truth[name][0] for name in ("x_m", "y_m", "psi_rad"))
-        assert np.hypot(x, y).max() > 0.015  # it was tried
-        assert np.hypot(x, y)[-1] < 0.008
-        assert abs(psi[-1]) < 0.05
-
-
-class Crossed(SimulatedRobot):
-    """A robot whose driver talks to another one of the two: each has the other's address."""
-
-    made: ClassVar[dict[str, "Crossed"]] = {}
-
-    def __init__(self, context: DriverContext) -> None:
-        super().__init__(context)
-        self._robot = context.robot
-        self.made[context.robot] = self
-
-    def _other(self) -> "Crossed":
-        return next((robot for name, robot in self.made.items() if name != self._robot), self)
-
-    def write(self, wheels: WheelSpeeds) -> None:
-        SimulatedRobot.write(self._other(), wheels)
-
-    def read(self) -> DriverReading:
-        return SimulatedRobot.read(self._other())
-
-
-@pytest.fixture
-def crossed() -> Iterator[str]:
-    Crossed.made.clear()
-    yield f"{Crossed.__module__}:{Crossed.__qualname__}"
-    Crossed.made.clear()
-
-
-def test_two_robots_that_have_each_others_driver_are_named(truth: Make, crossed: str) -> None:
-    s = truth(f"robots.1.driver='{crossed}'", f"robots.3.driver='{crossed}'")
-    assert s["outcome"] == "fault"
-    assert s["cause"].endswith("r2: its driver moves the tag of r4")
-    assert s["ticks"] == 0
 
 
 def test_the_operator_is_told_and_the_exit_code_is_1(tmp_path: Path) -> None:

@@ -1,18 +1,17 @@
 """The barrier in the controller's tick: what it leaves alone, what it changes, and that everybody is told."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.recording.run import Run
 from robofleet.reports.metrics import summary
 from robofleet.runs.lockstep import Lockstep
 from robofleet.vehicles.differential_drive import body_from_wheels
 from tests.robots import stalls
-from tests.shipped import PLATOON
 
 TRUTH = "tracker.source=truth"
 CLOSER = "robots.2.start={x_m: -1.463, y_m: 0.116, heading_deg: 50.0}"  # 0.16 m behind r2
@@ -47,9 +46,7 @@ def test_the_input_on_record_is_what_the_wheels_are_told(started: Lockstep) -> N
     assert np.hypot(items["u_x_m_s"], items["u_y_m_s"]) == pytest.approx(speeds, abs=1e-9)
 
 
-def test_behind_a_robot_that_stalls_bodies_stay_apart() -> None:
-    settings = [TRUTH, "run.duration_s=20", "groups.0.settings.spacing_m=0.215"]
-    run = Lockstep(load_config(PLATOON, [*settings, stalls("r2", 8, 20)]))
-    assert run.run() == ("completed", None)
-    figures = summary(run.recording, name="stall", mode="lockstep", outcome="completed", cause=None)
-    assert figures["min_gap_mm"] >= 10.0
+def test_behind_a_robot_that_stalls_bodies_stay_apart(truth: Callable[..., dict[str, Any]]) -> None:
+    s = truth("run.duration_s=20", "groups.0.settings.spacing_m=0.215", stalls("r2", 8, 20))
+    assert s["outcome"] == "completed"
+    assert s["min_gap_mm"] >= 10.0

@@ -90,13 +90,6 @@ def test_nobody_hits_a_robot_that_a_hand_pushes_onto_the_path(
 
 
 @pytest.mark.slow
-def test_who_is_carried_holds_the_run(platoon_of: Make) -> None:
-    config = platoon_of()
-    s = driven(platoon_of(parked(1.0, 0.0), "run.duration_s=6", TRUTH, hand(config, 8.0, 2.0, 0.05)))
-    assert s["cause"] == "p1: it is a bystander, and somebody moved it"
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("hidden_s", "held"), [(1.9, False), (2.3, True)])
 def test_who_is_not_seen_for_two_seconds_holds_the_run(platoon_of: Make, hidden_s: float, held: bool) -> None:
     hide = f"faults=[{{kind: pose_dropout, robot: p1, at_s: 2, duration_s: {hidden_s}}}]"

@@ -1,4 +1,4 @@
-"""The controller's step alone: its grid, what it believes, and what it says."""
+"""The controller's step alone: its grid, what it believes and what it must not believe, and what it says."""
 
 from collections.abc import Callable
 from typing import Any
@@ -51,7 +51,7 @@ class Stand:
         now_ns = self.bench.now_ns
         self.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, echo_tick, since_ns, 0, 0, tuple(seen)), CAMERA)
 
-    def state(self, phase: Phase) -> None:
+    def state(self, phase: int) -> None:
         self.bench.say(STATE, RunState(1, 1, phase, Event.NOTHING, NOBODY, 0.0, 0, (RobotState(1, 1, 0),) * 4))
 
     def status(self, robot: str, nonce: int, session: int | None = None) -> None:
@@ -224,27 +224,40 @@ def test_every_robot_of_an_image_has_its_own_mid_exposure(stand: Stand) -> None:
     assert unseen_s[1] - unseen_s[0] == pytest.approx(8e-3)
 
 
-@pytest.mark.parametrize("after_ns", [2 * TICK_NS, 10**9])
-def test_a_mid_exposure_that_is_to_come_is_not_used(stand: Stand, after_ns: int) -> None:
-    """It would leave the filter blind for this robot until then."""
+@pytest.mark.parametrize("phase", [99, Phase.POSITIONING, Phase.PARKING])
+def test_a_state_that_this_run_cannot_be_in_is_dropped(stand: Stand, phase: int) -> None:
+    """Nobody has a place to park, and all begin where they stand."""
+    stand.state(phase)
+    stand.seen(3)
+    assert stand.newest.phase == Phase.IDLE
+
+
+@pytest.mark.parametrize("since_ns", [10 * S, 2**63 - 1, -(2**63)])
+def test_an_image_of_the_future_or_of_no_time_is_used_for_nobody_and_does_not_blind_the_filter(
+    stand: Stand, since_ns: int
+) -> None:
+    stand.next_tick(3)
+    for since, used in ((since_ns, False), (15 * MS, True)):
+        stand.poses(stand.tick, since)
+        stand.next_tick()
+        assert {robot.lost for robot in stand.newest.robots} == {float(not used)}
+    for robot, seen in zip(stand.robots, stand.newest.robots, strict=True):
+        assert (seen.x_m, seen.y_m) == pytest.approx((robot.start.x_m, robot.start.y_m))
+
+
+@pytest.mark.parametrize(("after_ns", "coasted_ns"), [(2 * TICK_NS, 0), (10**9, 0), (0, 33 * MS)])
+def test_a_mid_exposure_that_is_to_come_and_a_coasted_pose_are_no_measurement(
+    stand: Stand, after_ns: int, coasted_ns: int
+) -> None:
+    """One to come would leave the filter blind for this robot until then."""
     stand.seen(3)
     now_ns = stand.bench.now_ns
-    pose = TagPose(stand.robots[0].tag, after_ns, 0, 0.1, 0.2, 0.3)
+    pose = TagPose(stand.robots[0].tag, after_ns, coasted_ns, 0.1, 0.2, 0.3)
     stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
     stand.next_tick()
     assert stand.newest.robots[0].measured == 0
     stand.seen(1)
     assert stand.newest.robots[0].measured == 1
-
-
-def test_a_coasted_pose_is_no_measurement(stand: Stand) -> None:
-    stand.seen(3)
-    now_ns = stand.bench.now_ns
-    robot = stand.robots[0]
-    pose = TagPose(robot.tag, 0, 33 * MS, robot.start.x_m, robot.start.y_m, robot.start.psi)
-    stand.bench.say(POSES, FleetPoses(1, 1, 1, now_ns, now_ns, stand.tick, 15 * MS, 0, 0, (pose,)), CAMERA)
-    stand.next_tick()
-    assert stand.newest.robots[0].measured == 0
 
 
 def test_who_is_refused_a_robot_says_nothing_and_begins_anew_with_a_record_that_took_nothing(stand: Stand) -> None:

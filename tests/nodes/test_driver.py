@@ -21,25 +21,20 @@ def moves(stand: Any, robot: str = "r1") -> list[tuple[int, WheelSpeeds]]:
     return [(at, wheels) for at, wheels in stand.made[robot].writes if wheels != STOP]
 
 
-def test_commands_without_a_permission_move_nothing(stand: Any) -> None:
-    stand.run(S // 2, enables=False)
-    assert moves(stand) == []
-    assert stand.newest("r1").gate == GateStatus.NO_ENABLE
-    assert stand.newest("r1").rejected == 0
-
-
-def test_a_permission_without_commands_moves_nothing(stand: Any) -> None:
-    stand.run(S // 2, commands=False)
-    assert moves(stand) == []
-    assert stand.newest("r1").gate == GateStatus.NO_COMMAND
-
-
-def test_a_permission_to_stand_moves_nothing(stand: Any) -> None:
-    others = ((33 * MS, lambda: stand.command("r1")), (40 * MS, lambda: stand.enable("r1", limit=0.0)))
+@pytest.mark.parametrize(
+    ("commands", "limit", "why"),
+    [(True, None, GateStatus.NO_ENABLE), (False, 12.5, GateStatus.NO_COMMAND), (True, 0.0, GateStatus.NO_ENABLE)],
+    ids=["no permission", "no command", "a permission to stand"],
+)
+def test_without_command_or_permission_nothing_moves(
+    stand: Any, commands: bool, limit: float | None, why: GateStatus
+) -> None:
     stand.acquire("r1")
-    stand.bench.run(stand.node, S // 5, *others)
+    others = [(33 * MS, lambda: stand.command("r1"))] * commands
+    others += [(40 * MS, lambda: stand.enable("r1", limit=limit))] * (limit is not None)
+    stand.bench.run(stand.node, S // 2, *others)
     assert moves(stand) == []
-    assert stand.newest("r1").gate == GateStatus.NO_ENABLE
+    assert (stand.newest("r1").gate, stand.newest("r1").rejected) == (why, 0)
 
 
 def test_with_both_the_wheels_do_what_they_are_told(stand: Any) -> None:
@@ -98,21 +93,17 @@ def test_what_comes_late_moves_nothing_however_much_comes(stand: Any) -> None:
     assert stand.newest("r1").rejected > 20
 
 
-def test_a_refused_command_is_not_the_one_that_reached_the_wheels(stand: Any) -> None:
+@pytest.mark.parametrize("what", ["a speed that cannot be", "rubbish"])
+def test_what_is_refused_is_counted_and_does_not_reach_the_wheels(stand: Any, what: str) -> None:
     stand.run(S // 2)
     applied = stand.newest("r1").applied_exposure_ns
-    stand.command("r1", wheels=WheelSpeeds(99.0, 99.0), exposure_ns=EXPOSURE_NS + 1)
+    if what == "rubbish":
+        stand.bench.bus.publisher(COMMAND, "r1")(b"\x02rubbish")
+    else:
+        stand.command("r1", wheels=WheelSpeeds(99.0, 99.0), exposure_ns=EXPOSURE_NS + 1)
     stand.bench.run(stand.node, 30 * MS)
     status = stand.newest("r1")
     assert (status.applied_exposure_ns, status.rejected, status.gate) == (applied, 1, GateStatus.OPEN)
-    assert stand.made["r1"].target == FORWARD
-
-
-def test_rubbish_is_counted_and_has_no_other_effect(stand: Any) -> None:
-    stand.run(S // 2)
-    stand.bench.bus.publisher(COMMAND, "r1")(b"\x02rubbish")
-    stand.bench.run(stand.node, 30 * MS)
-    assert stand.newest("r1").rejected == 1
     assert stand.made["r1"].target == FORWARD
 
 

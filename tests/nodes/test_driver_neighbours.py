@@ -31,15 +31,6 @@ def test_a_slow_robot_gives_its_neighbour_no_time(stand: Any, monkeypatch: pytes
     assert stand.newest("r2").rejected == 2
 
 
-def test_a_robot_that_cannot_be_opened_leaves_none_open(
-    bench_of: Make, platoon_of: Make, recorded: Make, fake_driver: Any, driver_of: Make
-) -> None:
-    bench = bench_of(platoon_of(*recorded(0), "robots.1.driver='builtins:int'", "robots.1.unit=r1"))
-    with pytest.raises(TypeError):
-        driver_of(bench, "r1", "r2")
-    assert fake_driver.instances["r1"].closed == 1
-
-
 def test_a_robot_that_cannot_be_given_a_gate_is_closed_too(
     bench_of: Make, platoon_of: Make, recorded: Make, fake_driver: Any, driver_of: Make
 ) -> None:

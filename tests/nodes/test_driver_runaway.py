@@ -11,7 +11,7 @@ from robofleet.core.clock import MS, S
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
-from robofleet.vehicles.interface import STOP, DriverReading
+from robofleet.vehicles.interface import DriverReading
 
 Make = Callable[..., Any]
 FAST = 6.1
@@ -50,22 +50,6 @@ def test_it_is_kept_and_cleared_only_at_rest(stand: Any, monkeypatch: pytest.Mon
     stand.enable("r1", clear=clear)
     stand.bench.run(stand.node, 25 * MS)
     assert stand.newest("r1").latch == Latch.NONE
-
-
-def test_a_nudge_is_nothing(stand: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    for _ in range(5):
-        reads(stand, monkeypatch, FAST, FAST)
-        stand.bench.run(stand.node, 600 * MS)
-        reads(stand, monkeypatch, 0.0, 0.0)
-        stand.bench.run(stand.node, 100 * MS)
-    assert stand.newest("r1").latch == Latch.NONE
-
-
-def test_a_robot_that_drives_is_not_judged(stand: Any) -> None:
-    stand.run(3 * S)  # the stand's robot reads what it was told
-    assert stand.newest("r1").latch == Latch.NONE
-    stand.run(2 * S, enables=False)
-    assert (stand.newest("r1").latch, stand.made["r1"].target) == (Latch.NONE, STOP)
 
 
 def test_a_reading_of_a_robot_that_is_gone_says_nothing(

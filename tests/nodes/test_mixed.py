@@ -11,9 +11,7 @@ import yaml
 
 from robofleet.config.load import ConfigError
 from robofleet.core.clock import S
-from robofleet.reports.metrics import summary
 from robofleet.runs.check import refusals
-from robofleet.runs.lockstep import Lockstep
 from tests.nodes.tracker_stand import TrackerStand
 from tests.robots import stalls
 
@@ -81,29 +79,23 @@ def test_without_an_image_they_are_gone_too(floor_of: Make) -> None:
     assert floor.run(S) == []
 
 
-def test_a_fleet_of_both_drives_as_one_platoon(platoon_of: Make) -> None:
-    run = Lockstep(platoon_of(*VIRTUAL, "run.duration_s=12"))
-    outcome, cause = run.run()
-    s = summary(run.recording, name="mixed", mode="lockstep", outcome=outcome, cause=cause)
+def test_a_fleet_of_both_drives_as_one_platoon(lockstep: Make) -> None:
+    s = lockstep(*VIRTUAL, "run.duration_s=12")
     assert (s["outcome"], s["cause"], s["stops"], s["tracker"]["false_ids"]) == ("completed", None, [], 0)
     assert s["tracker"]["measured_fraction"] > 0.98
     assert s["control_error_mm"]["mean"] <= 1.0
     assert s["min_gap_mm"] > 50
 
 
-def test_a_robot_in_no_image_can_be_lost_as_any_other(platoon_of: Make) -> None:
+def test_a_robot_in_no_image_can_be_lost_as_any_other(lockstep: Make) -> None:
     faults = "faults=[{robot: r2, kind: pose_dropout, at_s: 2, duration_s: 2}]"
-    run = Lockstep(platoon_of(*VIRTUAL, "run.duration_s=6", faults))
-    outcome, cause = run.run()
-    s = summary(run.recording, name="mixed", mode="lockstep", outcome=outcome, cause=cause)
+    s = lockstep(*VIRTUAL, "run.duration_s=6", faults)
     assert "r2" in {stop["robot"] for stop in s["stops"]}
 
 
-def test_a_simulated_robot_that_comes_too_near_is_kept_off_a_real_one(platoon_of: Make) -> None:
+def test_a_simulated_robot_that_comes_too_near_is_kept_off_a_real_one(lockstep: Make) -> None:
     """r2 is sent after r1, which stands again and again: one barrier for both."""
-    run = Lockstep(platoon_of(*VIRTUAL, "run.duration_s=12", stalls("r1", 3, 12)))
-    outcome, cause = run.run()
-    s = summary(run.recording, name="mixed", mode="lockstep", outcome=outcome, cause=cause)
+    s = lockstep(*VIRTUAL, "run.duration_s=12", stalls("r1", 3, 12))
     assert s["filtered_fraction"] > 0.01, "else nobody came near"
     assert s["min_gap_mm"] > 0
 

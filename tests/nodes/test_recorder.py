@@ -51,7 +51,7 @@ class Stand:
         self.bench, self.stream, self.folder = Bench(config), Everything(), folder
         self.log = RunLog(folder / FILE, config)
         self.bench.bus.stream = lambda *_, **__: self.stream  # type: ignore[method-assign]
-        self.node = Recorder(config, self.bench.bus, np.random.default_rng(1), self.log, lambda: b"")
+        self.node = Recorder(config, self.bench.bus, np.random.default_rng(1), lambda: self.log, lambda: b"")
 
     def say(self, full: str, payload: bytes) -> None:
         self.stream.waiting.append(Arrival(self.bench.now_ns, full, payload))
@@ -154,22 +154,11 @@ TWO_TOGETHER = *of_robots("r1", "r2"), "--set", "drivers.robots_per_process=2"
 HELD = "\nheld: the disk is full"
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """Return a disk of 210 MB of its own."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=210m", "tmpfs", str(disk)], check=False)
-    if mounted.returncode:
-        pytest.skip("only root may mount a small disk: nothing is tried on a disk that is really full")
-    yield disk
-    subprocess.run(["umount", "--lazy", str(disk)], check=True)
-
-
 @pytest.mark.long
 def test_a_disk_that_is_really_full_holds_the_run_until_there_is_room(
-    real_run: Callable[..., RealRun], small_disk: Path
+    real_run: Callable[..., RealRun], disk_of: Callable[[str], Path]
 ) -> None:
+    small_disk = disk_of("210m")
     run = real_run(*TWO_TOGETHER, "--duration", "4", "--out", str(small_disk / "run"))
     run.folder = small_disk / "run"
     run.wait_until_running()
@@ -222,7 +211,7 @@ def test_a_flood_of_keys_that_nobody_knows_is_not_recorded_and_kills_nobody(
         stack.callback(recorder_bus.close)
         stack.callback(saying.close)
         log = RunLog(tmp_path / FILE, config)
-        recorder = Recorder(config, recorder_bus, np.random.default_rng(1), log, lambda: b"")
+        recorder = Recorder(config, recorder_bus, np.random.default_rng(1), lambda: log, lambda: b"")
         stack.callback(log.close)
         tick = saying.publisher(TICK)
 

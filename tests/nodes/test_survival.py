@@ -17,9 +17,6 @@ ACROSS = [f"{{points_px: [[{u}, 0], [{u + 40}, 719]], width_px: 2, gray: 30, at_
 CABLES = f"camera.simulated.cables=[{', '.join(ACROSS)}]"
 
 
-SLOW = pytest.mark.long
-
-
 def events(summary: Summary) -> list[str]:
     return [event["event"] for event in summary["tracker"]["events"] if event["event"] != "tag_found"]
 
@@ -29,12 +26,12 @@ def events(summary: Summary) -> list[str]:
     [
         (["camera.simulated.light=0.15"], 0.98),
         ([CABLES], 0.95),
-        pytest.param(["camera.simulated.jpeg_quality=40"], 0.99, marks=SLOW),
-        pytest.param(["camera.simulated.projector_gray=40"], 0.98, marks=SLOW),
-        pytest.param(["camera.simulated.glare=[{at_px: [230, 250], radius_px: 10, gray: 250}]"], 0.7, marks=SLOW),
+        (["camera.simulated.jpeg_quality=40"], 0.99),
+        (["camera.simulated.projector_gray=40"], 0.98),
+        (["camera.simulated.glare=[{at_px: [230, 250], radius_px: 10, gray: 250}]"], 0.7),
         (["camera.exposure_s=0.028", "camera.readout_s=0.002"], 0.98),
         (["camera.model.line_time_s=0.000015"], 0.99),
-        pytest.param(["camera.simulated.posters=[{tag: 77, side_m: 0.07, x_m: -1.3, y_m: 0.35}]"], 0.99, marks=SLOW),
+        (["camera.simulated.posters=[{tag: 77, side_m: 0.07, x_m: -1.3, y_m: 0.35}]"], 0.99),
     ],
     ids=["dark", "cables", "jpeg", "projector", "glare", "long exposure", "rolling shutter", "poster"],
 )

@@ -1,9 +1,7 @@
-"""The tracker's step alone: when it looks, how it says when that was, and whose camera it looks through."""
+"""The tracker's step alone: when it looks, and how it says when that was."""
 
-import threading
-from collections.abc import Callable, Iterator
-from queue import SimpleQueue
-from typing import Any, ClassVar
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,26 +9,16 @@ import pytest
 from robofleet.bus.keys import CAMERA, POSES, TICK
 from robofleet.bus.messages import TickRecord
 from robofleet.core.clock import MS, S
-from robofleet.simulation.scene import scene_renderer
-from robofleet.tracking.sources import CameraContext, Frame
 from tests.nodes.tracker_stand import TICK_NS, TrackerStand
 
 Make = Callable[..., Any]
 LEAD_NS = 18 * MS
 
 
-class Stand(TrackerStand):
-    """``woken`` is set when something wakes the tracker."""
-
-    def __init__(self, bench: Any) -> None:
-        self.woken = threading.Event()
-        super().__init__(bench, wake=lambda _: self.woken.set())
-
-
 @pytest.fixture
-def stand_of(bench_of: Make, platoon_of: Make) -> Callable[..., Stand]:
+def stand_of(bench_of: Make, platoon_of: Make) -> Callable[..., TrackerStand]:
     exact = ["tracker.truth={delay_s: 0.005}", f"camera.trigger_lead_s={LEAD_NS / S}"]
-    return lambda *overrides: Stand(bench_of(platoon_of(*exact, *overrides)))
+    return lambda *overrides: TrackerStand(bench_of(platoon_of(*exact, *overrides)))
 
 
 def test_nothing_is_seen_before_the_first_trigger(stand_of: Make) -> None:
@@ -92,70 +80,3 @@ def test_a_tick_that_came_late_is_not_mistaken_for_one_before_the_first(stand_of
 def test_sequence_numbers_are_without_a_gap(stand_of: Make) -> None:
     frames = stand_of("tracker.source=truth").run(S)
     assert [frame.seq for frame in frames] == list(range(1, len(frames) + 1))
-
-
-class BlockingCamera:
-    """A camera as a user writes one: its read waits, and it stands in no package."""
-
-    feed: ClassVar[SimpleQueue[Frame | None]]
-    closed: ClassVar[int]
-    context: ClassVar[CameraContext]
-
-    def __init__(self, context: CameraContext) -> None:
-        type(self).context = context
-
-    def read(self) -> Frame:
-        frame = self.feed.get(timeout=10)
-        if frame is None:
-            raise EOFError
-        return frame
-
-    def close(self) -> None:
-        type(self).closed += 1
-        self.feed.put(None)
-
-
-@pytest.fixture
-def blocking(stand_of: Make) -> Iterator[Stand]:
-    BlockingCamera.feed, BlockingCamera.closed = SimpleQueue(), 0
-    stand: Stand = stand_of("camera.trigger=free", f"camera.source='{__name__}:BlockingCamera'")
-    yield stand
-    BlockingCamera.feed.put(None)
-
-
-def image(stand: Stand) -> np.ndarray:
-    """Return what the overhead camera would see of the robots at their start."""
-    config = stand.bench.config
-    renderer = scene_renderer(config, np.random.default_rng(1))
-    return renderer.render(np.array([[robot.start.x_m, robot.start.y_m, robot.start.psi] for robot in config.robots]))
-
-
-def test_any_camera_is_read_in_a_thread_of_its_own(blocking: Stand) -> None:
-    blocking.run(S // 10)
-    assert blocking.bench.heard(POSES, CAMERA) == [], "a camera that has no image holds nobody up"
-    exposure_ns = blocking.bench.now_ns - 5 * MS
-    blocking.woken.clear()
-    BlockingCamera.feed.put(Frame(image(blocking), exposure_ns))
-    assert blocking.woken.wait(10), "an image wakes the tracker"
-    blocking.node.step(blocking.bench.now_ns)
-    (frame,) = blocking.bench.heard(POSES, CAMERA)
-    assert frame.exposure_ns == exposure_ns
-    assert {pose.tag for pose in frame.poses} == {1, 2, 3, 4}
-    for pose in frame.poses:
-        start = blocking.bench.config.robots[pose.tag - 1].start
-        assert np.hypot(pose.x_m - start.x_m, pose.y_m - start.y_m) < 1e-3
-    blocking.node.step(blocking.bench.now_ns)
-    assert len(blocking.bench.heard(POSES, CAMERA)) == 1, "an image is used once"
-
-
-def test_a_camera_that_ends_ends_quietly(blocking: Stand) -> None:
-    BlockingCamera.feed.put(None)
-    blocking.run(S // 2)
-    assert blocking.bench.heard(POSES, CAMERA) == []
-    blocking.node.close()
-    assert BlockingCamera.closed == 1
-
-
-def test_a_camera_is_told_what_it_is_made_from(blocking: Stand) -> None:
-    assert BlockingCamera.context.config is blocking.bench.config
-    assert BlockingCamera.context.clock is blocking.bench.clock

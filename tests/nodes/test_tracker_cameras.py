@@ -1,4 +1,4 @@
-"""What becomes of a camera's troubles: news from the tracker, with an image or without, and no pose from a bad one."""
+"""Any camera through the tracker. Its troubles are news, with an image or without, and a bad one gives no pose."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from robofleet.bus.keys import CAMERA, NEWS, POSES, TICK, key
-from robofleet.bus.messages import TRACKER_NEWS, TickRecord
+from robofleet.bus.messages import TRACKER_NEWS, FleetPoses, TickRecord
 from robofleet.core.clock import MS, S
 from robofleet.runs import table
 from robofleet.runs.check import refusals
@@ -32,10 +32,13 @@ class Plugged:
     feed: ClassVar["SimpleQueue[Frame | Exception]"]
     openings: ClassVar[list[Exception]]
     opened: ClassVar[int]
+    closed: ClassVar[int]
+    context: ClassVar[CameraContext]
     identity = "plugged 1"
 
-    def __init__(self, _context: CameraContext) -> None:
+    def __init__(self, context: CameraContext) -> None:
         type(self).opened += 1
+        type(self).context = context
         if self.openings:
             raise self.openings.pop(0)
 
@@ -46,7 +49,7 @@ class Plugged:
         return what
 
     def close(self) -> None:
-        """Leave the feed to the next opening."""
+        type(self).closed += 1
 
 
 class Stand:
@@ -99,7 +102,7 @@ def renderer(platoon_of: Make) -> SceneRenderer:
 
 @pytest.fixture
 def plugged(bench_of: Make, platoon_of: Make, renderer: SceneRenderer) -> Iterator[Make]:
-    Plugged.feed, Plugged.openings, Plugged.opened = SimpleQueue(), [], 0
+    Plugged.feed, Plugged.openings, Plugged.opened, Plugged.closed = SimpleQueue(), [], 0, 0
     stands = []
 
     def make(*overrides: str) -> Stand:
@@ -111,6 +114,35 @@ def plugged(bench_of: Make, platoon_of: Make, renderer: SceneRenderer) -> Iterat
     for stand in stands:
         Plugged.feed.put(EOFError())
         stand.node.close()
+
+
+def test_any_camera_is_read_in_a_thread_of_its_own(plugged: Make) -> None:
+    stand = plugged()
+    assert Plugged.context.config is stand.bench.config
+    assert Plugged.context.clock is stand.bench.clock
+    stand.bench.run(stand.node, S // 10)
+    assert stand.frames == 0, "a camera that has no image holds nobody up"
+    stand.give(stand.image())
+    (frame,) = stand.bench.heard(POSES, CAMERA)
+    assert frame.exposure_ns == stand.bench.now_ns - 5 * MS
+    are_at_their_start(stand, frame)
+    stand.node.step(stand.bench.now_ns)
+    assert stand.frames == 1, "an image is used once"
+
+
+def are_at_their_start(stand: Stand, frame: FleetPoses) -> None:
+    for robot, pose in zip(stand.bench.config.robots, sorted(frame.poses), strict=True):
+        assert pose.tag == robot.tag
+        assert np.hypot(pose.x_m - robot.start.x_m, pose.y_m - robot.start.y_m) < 1e-3
+
+
+def test_a_camera_that_ends_ends_quietly(plugged: Make) -> None:
+    stand = plugged()
+    Plugged.feed.put(EOFError())
+    stand.bench.run(stand.node, S // 2)
+    assert stand.frames == 0
+    stand.node.close()
+    assert Plugged.closed == 1
 
 
 def test_an_unplugged_camera_is_news_without_an_image_and_comes_back(
@@ -146,7 +178,7 @@ def test_bad_images_give_no_poses_and_are_named(plugged: Make) -> None:
     stand.give(stand.image())
     assert stand.events == [E.CAMERA_FROZEN, E.CAMERA_RESIZED, E.CAMERA_BACK]
     assert stand.frames == 2
-    assert {pose.tag for pose in stand.bench.heard(POSES, CAMERA)[-1].poses} == {1, 2, 3, 4}
+    are_at_their_start(stand, stand.bench.heard(POSES, CAMERA)[-1])
 
 
 def test_a_camera_that_stalls_wakes_the_tracker_at_its_deadline(plugged: Make) -> None:
@@ -215,8 +247,7 @@ def test_a_recording_runs_through_the_tracker_and_the_process_outlives_it(
     assert set(np.diff([frame.exposure_ns for frame in frames])) == {PERIOD_NS}
     assert len(frames) == 5
     for frame in frames:
-        for robot, pose in zip(tree.robots, sorted(frame.poses), strict=True):
-            assert np.hypot(pose.x_m - robot.start.x_m, pose.y_m - robot.start.y_m) < 1e-3
+        are_at_their_start(stand, frame)
     assert stand.news == [(E.CAMERA_ENDED, 5.0)]
     assert "all of its 5 images" in capfd.readouterr().err
 

@@ -19,7 +19,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 def layouts() -> Iterator[tuple[Path, bytes]]:
     """Yield each layout's file, and what is to be in it."""
     config = load_config(CONFIGS / "platoon.yaml")
-    recording, folder = Recording(config, said=groups.descriptions(config)), CONFIGS / "layouts"
+    recording, folder = Recording(config, file_groups=groups.descriptions(config)), CONFIGS / "layouts"
     yield folder / "foxglove.json", foxglove.layout(recording)
     yield folder / "plotjuggler.xml", plotjuggler_layout(recording, Path(FILE))
 

@@ -3,6 +3,10 @@
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.summary import Summary
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
@@ -32,6 +36,15 @@ def in_order(recording: Recording) -> list[tuple[str, bytes]]:
     """Return the messages as they came, all keys together."""
     placed = [(index, full, data) for full in recording.messages for index, data in recording.placed(full)]
     return [(full, data) for _, full, data in sorted(placed)]
+
+
+def index(file: Path) -> tuple[Summary, dict[str, int]]:
+    """Return the index of a file, and how many messages it counts of each topic."""
+    with file.open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+    assert summary is not None and summary.statistics is not None
+    counts = summary.statistics.channel_message_counts
+    return summary, {channel.topic: counts.get(number, 0) for number, channel in summary.channels.items()}
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from robofleet.bus.keys import BUSY, key
 from robofleet.bus.messages import BUSY_MACHINE, BusyMachine, Late, RobotState, RunState
 from robofleet.core.clock import MS
 from robofleet.recording.lines import Level, busy_line
-from robofleet.recording.run import Recording
+from robofleet.recording.run import Recording, Run
 from robofleet.recording.state_words import state_words
 from robofleet.reports.report import write
 from robofleet.reports.tables import summary_table
@@ -53,7 +53,7 @@ def test_a_machine_that_was_not_busy_is_null(story: Make, figures: Make) -> None
 
 def test_the_report_and_the_table_say_it(busy: Recording, figures: Make, tmp_path: Any) -> None:
     summary = figures(busy)
-    assert VERDICT in write(busy, summary, tmp_path).read_text()
+    assert VERDICT in write(Run(busy), summary, tmp_path).read_text()
     shown = StringIO()
     Console(file=shown, width=200).print(summary_table(summary, busy.config))
     assert VERDICT in " ".join(shown.getvalue().split())

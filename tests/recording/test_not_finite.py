@@ -16,8 +16,10 @@ from robofleet.bus.keys import CAMERA, NEWS, STATUS, TICK, TRUTH, key
 from robofleet.bus.layouts import VERSION
 from robofleet.bus.messages import TICK_RECORD, TRACKER_NEWS, RobotTick
 from robofleet.core.valid_json import dumps, finite
-from robofleet.recording.run import Recording
+from robofleet.recording.columns import CSV, write_csv
+from robofleet.recording.run import Recording, Run
 from robofleet.reports import comparison, report
+from robofleet.reports.canvas import RunView
 from tests.bus.alone import ROBOT_STATUS
 from tests.bus.alone import TRUTH as TRUTH_LAYOUT
 from tests.recording_fixtures import Story
@@ -43,10 +45,12 @@ def with_ticks(recording: Recording, change: Callable[[np.ndarray], None]) -> Re
 def everything(recording: Recording, figures: dict[str, Any], folder: Path) -> tuple[str, list[dict[str, str]]]:
     """Write page and columns, alone and beside itself; returns both, read back."""
     json.loads(dumps(figures), parse_constant=pytest.fail)
-    page = report.write(recording, figures, folder).read_text()
-    side = comparison.Side("one", report.view_of(recording, figures), figures)
+    run = Run(recording)
+    page = report.write(run, figures, folder).read_text()
+    side = comparison.Side("one", RunView(run, figures))
+    write_csv([run], folder / CSV)
     comparison.write(side, side, folder / "both.html")
-    with (folder / "metrics.csv").open() as file:
+    with (folder / CSV).open() as file:
         return page, list(csv.DictReader(file))
 
 
@@ -121,8 +125,7 @@ def test_stamps_from_one_end_of_time_to_the_other_end_no_report(
 
 
 @pytest.mark.parametrize(
-    ("layout", "topic"),
-    [(TRUTH_LAYOUT, (TRUTH, "r2")), (ROBOT_STATUS, (STATUS, "r2")), (TRACKER_NEWS, (NEWS, CAMERA))],
+    ("layout", "topic"), [(TRUTH_LAYOUT, (TRUTH, "r2")), (ROBOT_STATUS, (STATUS, "r2")), (TRACKER_NEWS, (NEWS, CAMERA))]
 )
 @pytest.mark.parametrize("seed", range(4))
 def test_messages_of_any_bytes_end_no_report(

@@ -15,7 +15,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from robofleet.bus.keys import TICK, key
 from robofleet.recording.columns import COLUMNS, write_csv
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.measures import series
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
 from tests.recording import recorded
@@ -49,7 +48,7 @@ def test_each_robot_has_a_channel_with_every_column_of_every_tick(run_file: Path
     reported, logged, _ = told_in(run_file)
     ticks = Run(recording, every_tick=True).ticks
     assert len(ticks) > 150, "more than a batch, or nothing is tried"
-    write_csv([series(Run(recording))], tmp_path / "m.csv")
+    write_csv([Run(recording)], tmp_path / "m.csv")
     with (tmp_path / "m.csv").open() as text:
         rows = {(row["robot"], int(row["tick"])): row for row in csv.DictReader(text)}
     compared = 0

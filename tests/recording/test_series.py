@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from robofleet.bus.keys import TICK, key
 from robofleet.recording.columns import write_csv
-from robofleet.recording.measures import line, series
+from robofleet.recording.measures import line
 from robofleet.recording.run import Recording, Run
 
 Make = Callable[..., Any]
@@ -52,7 +52,7 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
     run = story(ticks=40)
     run.aside(0.003)
     run.control_error[:, 2] = 0.0015
-    write_csv([series(Run(run.recording()))], tmp_path / "m.csv")
+    write_csv([Run(run.recording())], tmp_path / "m.csv")
     rows = rows_of(tmp_path / "m.csv")
     assert [row["robot"] for row in rows] == ["r1", "r2", "r3", "r4"] * 40
     assert [float(row["t_s"]) for row in rows[::4]] == pytest.approx([k * 0.033 for k in range(40)], abs=1e-9)
@@ -65,33 +65,18 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
     assert [row["saturated"] for row in rows[:6]] == ["0", "0", "0", "0", "1", "0"]
     units = ("_m", "_rad", "_s", "_mm", "_deg", "_ms")
     plain = {
-        "tick",
-        "run_tick",
-        "robot",
-        "group",
-        "failed",
-        "reference_parameter",
-        "saturated",
-        "measured",
-        "lost",
-        "filtered",
-        "blocked",
-    }
+        "tick", "run_tick", "robot", "group", "failed", "reference_parameter", "saturated", "measured", "lost",
+        "filtered", "blocked",
+    }  # fmt: skip
     assert all(name in plain or name.endswith(units) for name in rows[0])
 
 
 def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None:
-    write_csv([series(Run(story(ticks=3).recording(truth=False)))], tmp_path / "m.csv")
+    write_csv([Run(story(ticks=3).recording(truth=False))], tmp_path / "m.csv")
     absent = {"reference_x_m", "reference_y_m", "estimated_path_error_mm", "estimated_spacing_mm"}  # not in this story
     unknown = absent | {
-        "centre_error_mm",
-        "true_x_m",
-        "true_y_m",
-        "true_psi_rad",
-        "path_error_mm",
-        "timed_error_mm",
-        "pose_error_mm",
-    }
+        "centre_error_mm", "true_x_m", "true_y_m", "true_psi_rad", "path_error_mm", "timed_error_mm", "pose_error_mm",
+    }  # fmt: skip
     measured = {"left_measured_rad_s", "right_measured_rad_s"}  # no robot said anything
     for row in rows_of(tmp_path / "m.csv"):
         empty = {name for name, cell in row.items() if cell == ""}
@@ -113,13 +98,13 @@ def without(recording: Recording, full: str, left_out: slice) -> Recording:
 
 def test_a_run_without_a_tick_has_no_row(story: Make, tmp_path: Path) -> None:
     recording = story(ticks=1).recording()
-    write_csv([series(Run(without(recording, key("platoon", TICK), slice(None))))], tmp_path / "m.csv")
+    write_csv([Run(without(recording, key("platoon", TICK), slice(None)))], tmp_path / "m.csv")
     assert rows_of(tmp_path / "m.csv") == []
 
 
 def test_times_are_instants_and_go_on_over_a_hold(story: Make) -> None:
     run = story(ticks=60)
     held = slice(25, 45)  # in which no tick is one of the run
-    t = series(Run(without(run.recording(), key("platoon", TICK), held))).t
+    t = Run(without(run.recording(), key("platoon", TICK), held)).since_start_s
     assert (t[0], t[-1]) == (0.0, pytest.approx(59 * 0.033))
     assert math.isclose(np.diff(t).max(), 21 * 0.033)

@@ -9,7 +9,8 @@ import pytest
 from rich.console import Console
 
 from robofleet.bus.keys import TRUTH, key
-from robofleet.recording.run import Recording
+from robofleet.recording.columns import CSV, write_csv
+from robofleet.recording.run import Recording, Run
 from robofleet.reports import report
 from robofleet.reports.tables import summary_table
 
@@ -76,11 +77,13 @@ def test_table_and_report_name_them_and_show_no_number_that_is_none(
     summary = figures(recording)
     output = io.StringIO()
     Console(file=output, width=120).print(summary_table(summary, recording.config))
-    table, page = output.getvalue(), report.write(recording, summary, tmp_path).read_text()
+    run = Run(recording)
+    table, page = output.getvalue(), report.write(run, summary, tmp_path).read_text()
+    write_csv([run], tmp_path / CSV)
     assert f"({kind})" in table
     for text in (" ".join(table.split()), page):
         assert f"o truth is known of {', '.join(gone)}" in text
         assert not any(word in text for word in ("None", ">nan", " nan"))
-    head, *rows = (tmp_path / report.CSV).read_text().splitlines()
+    head, *rows = (tmp_path / CSV).read_text().splitlines()
     column = head.split(",").index("true_x_m")
     assert {row.split(",")[3] for row in rows if not row.split(",")[column]} == set(gone)

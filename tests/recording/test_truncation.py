@@ -127,11 +127,7 @@ def foreign(file: Path, profile: str, library: str) -> None:
     [
         ("ros2", "libmcap 1.4.0", "is not a recording of robofleet: it was made by libmcap 1.4.0"),
         ("robofleet", "robofleet", "is not a recording of robofleet"),
-        (
-            "robofleet",
-            LIBRARY.format("0.1.0", 2),
-            f"wire version 2 of robofleet 0.1.0; this one reads {VERSION}:",
-        ),
+        ("robofleet", LIBRARY.format("0.1.0", 2), f"wire version 2 of robofleet 0.1.0; this one reads {VERSION}:"),
         ("robofleet", LIBRARY.format("9.1.0", VERSION + 1), f"wire version {VERSION + 1} of robofleet 9.1.0"),
     ],
 )

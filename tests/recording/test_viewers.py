@@ -11,6 +11,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from robofleet.config.load import load_config
 from robofleet.recording.log import RunLog
 from robofleet.runs.lockstep import Lockstep
+from tests.recording.recorded import index
 from tests.shipped import PLATOON
 
 EPOCH_NS = 1_790_000_000 * 10**9
@@ -42,13 +43,7 @@ class Written:
             for full, payload, at_ns in messages:
                 log.add(full, payload, at_ns)
         self.own = Counter(full for full, _, _ in messages)
-        with file.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        self.schemas, self.channels = summary.schemas, summary.channels
-        counts = summary.statistics.channel_message_counts
-        self.counts = {channel.topic: counts.get(id_, 0) for id_, channel in summary.channels.items()}
+        _, self.counts = index(file)
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.recording.run import Recording
 from robofleet.recording.scenes.scene import Scene
+from tests.recording.recorded import in_order
 
 EPOCH_NS = 1_790_000_000 * S
 START_NS = S  # of what is played, on the recorder's clock
@@ -26,7 +27,7 @@ class Viewer:
     def __init__(self, config: Config) -> None:
         self._scene = Scene(config, groups.descriptions(config), epoch_ns=EPOCH_NS)
         self._kinds = {}
-        for topic, schema, descriptor in self._scene.channels:
+        for topic, _, schema, _, descriptor in self._scene.channels:
             pool = DescriptorPool()
             for file in FileDescriptorSet.FromString(descriptor).file:
                 pool.Add(file)  # type: ignore[no-untyped-call]
@@ -70,12 +71,6 @@ class Viewer:
     def log(self) -> list[tuple[int, str, str]]:
         """Level, name and words of every line."""
         return [(line.level, line.name, line.message) for line in self.messages["/log"]]
-
-
-def in_order(recording: Recording) -> list[tuple[str, bytes]]:
-    """Return the messages of a recording as they came, each with its key."""
-    placed = ((index, full, payload) for full in recording.messages for index, payload in recording.placed(full))
-    return [(full, payload) for _, full, payload in sorted(placed)]
 
 
 def heading(rotation: Any) -> float:

@@ -18,21 +18,13 @@ from robofleet.recording.chunks import encode
 from robofleet.recording.log import CONFIG, COUNT, DROPPED, ENDING, LIBRARY, PROFILE, PROVENANCE
 
 ENDED = {
-    "outcome": "completed",
-    "cause": None,
-    "elapsed_s": 1.0,
-    "trace_hash": None,
-    "tick_durations_ns": None,
+    "outcome": "completed", "cause": None, "elapsed_s": 1.0, "trace_hash": None, "tick_durations_ns": None,
     "tracker_durations_ns": None,
-}
+}  # fmt: skip
 MADE = {
-    "mode": "lockstep",
-    "epoch_ns": "0",
-    "wire": str(VERSION),
-    "build": "1",
-    "architecture": "x86_64",
+    "mode": "lockstep", "epoch_ns": "0", "wire": str(VERSION), "build": "1", "architecture": "x86_64",
     "processor": "none",
-}
+}  # fmt: skip
 
 
 def record(opcode: int, body: bytes) -> bytes:

@@ -17,7 +17,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import SimulatedClock
 from robofleet.operator.page import frames
 from robofleet.operator.page.hearing import Hearing
-from robofleet.recording.measures import series
+from robofleet.recording.columns import CSV, write_csv
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.scenes.scene import Scene
 from robofleet.reports import report
@@ -63,7 +63,9 @@ def test_it_is_counted_as_a_bystander_and_has_no_errors(run: Lockstep) -> None:
     s = figures(run.recording)
     assert (s["robots"], s["bystanders"]) == (["r1", "r2", "r3", "r4"], ["p1"])
     assert len(s["control_error_mm"]["per_robot_mean"]) == 4
-    assert series(Run(run.recording)).robots == ["r1", "r2", "r3", "r4"]
+    assert s["tracker"]["false_ids"] == 0
+    assert s["tracker"]["measured_fraction"] <= 1.0
+    assert Run(run.recording).robots == ["r1", "r2", "r3", "r4"]
     assert figures(without_truth(run.recording))["min_gap_mm"] is None
 
 
@@ -77,9 +79,9 @@ def test_it_stands_where_it_was_seen(run: Lockstep, truth: bool) -> None:
 @pytest.mark.parametrize("truth", [True, False])
 def test_its_report_is_written(run: Lockstep, truth: bool, tmp_path: Path) -> None:
     recording = run.recording if truth else without_truth(run.recording)
-    page = report.write(recording, figures(recording), tmp_path)
-    assert "p1" in page.read_text()
-    assert ",p1," not in (tmp_path / "metrics.csv").read_text()
+    assert "p1" in report.write(Run(recording), figures(recording), tmp_path).read_text()
+    write_csv([Run(recording)], tmp_path / CSV)
+    assert ",p1," not in (tmp_path / CSV).read_text()
 
 
 def test_viewers_draw_it_where_it_stands(run: Lockstep) -> None:

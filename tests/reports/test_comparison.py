@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from robofleet.recording.run import Recording
+from robofleet.recording.run import Recording, Run
 from robofleet.reports import comparison
+from robofleet.reports.canvas import RunView
 from robofleet.reports.comparison import Side
-from robofleet.reports.report import view_of
 from tests.reports.test_report import kept, plots, robofleet, words
 
 Make = Callable[..., Any]
@@ -29,8 +29,7 @@ def compared(figures: Make, tmp_path: Path) -> Callable[[Recording, Recording], 
     def write(first: Recording, second: Recording) -> str:
         sides = []
         for name, recording in (("one", first), ("other", second)):
-            summary = figures(recording)
-            sides.append(Side(name, view_of(recording, summary), summary))
+            sides.append(Side(name, RunView(Run(recording), figures(recording))))
         comparison.write(*sides, tmp_path / "page.html")
         return (tmp_path / "page.html").read_text()
 

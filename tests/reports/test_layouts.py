@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from robofleet.cli import app
@@ -36,9 +35,7 @@ PLOTTED = {
 @pytest.fixture
 def fields_of(run_file: Path) -> dict[str, set[str]]:
     """Return the fields of each protobuf channel of the run's file."""
-    with run_file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
+    summary, _ = recorded.index(run_file)
     fields: dict[str, set[str]] = {}
     for channel in summary.channels.values():
         schema = summary.schemas[channel.schema_id]

@@ -2,6 +2,7 @@
 
 import tracemalloc
 import weakref
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,16 @@ from robofleet.operator.run import in_lockstep
 from robofleet.recording import reading
 from robofleet.recording.columns import write_csv
 from robofleet.recording.log import RunLog
-from robofleet.recording.measures import series
 from robofleet.recording.run import SHOWN, Run
-from robofleet.reports import metrics, sampled
+from robofleet.reports import after, metrics, report, sampled
 from robofleet.reports.sampled import look, looks
 from robofleet.reports.timeline import Timeline
 from robofleet.runs import lockstep
 from robofleet.runs.lockstep import Lockstep
-from robofleet.safety.supervisor import Phase
 from tests.recording.recorded import in_order
 from tests.shipped import PLATOON
 
 RECORDINGS = sorted((Path(__file__).parents[1] / "recordings").glob("*.mcap"))
-PER_SECOND = 6_000  # bytes: 20 MB an hour; all messages of a second are 90,000
 PART = 60_000  # bytes: a second or two of four robots
 BYTES_OF_A_PART = 60_000  # that are kept of it at most, of 400,000 while it is looked at
 
@@ -57,8 +55,8 @@ def test_the_figures_of_a_run_in_parts_are_those_of_the_whole(
         assert figures[name] == (pytest.approx(value, abs=2e-4) if isinstance(value, float) else value), name
 
     entries = [[(e.who, e.what) for e in Timeline(run, []).entries] for run in (parts, whole)]
-    write_csv(map(series, looks(file, together=PART)), tmp_path / "parts.csv")
-    write_csv([series(whole)], tmp_path / "whole.csv")
+    write_csv(looks(file, together=PART), tmp_path / "parts.csv")
+    write_csv([whole], tmp_path / "whole.csv")
     columns = [np.genfromtxt(tmp_path / f"{name}.csv", delimiter=",", names=True) for name in ("parts", "whole")]
     for name in columns[1].dtype.names or ():
         np.testing.assert_allclose(columns[0][name], columns[1][name], atol=2e-6, err_msg=name)
@@ -95,7 +93,7 @@ def test_a_part_of_a_run_is_let_go_of_before_the_next_one_is_read(
 
     monkeypatch.setattr(sampled, "Run", Seen)
     look(RECORDINGS[0], together=PART)
-    write_csv(map(series, looks(RECORDINGS[0], together=PART)), tmp_path / "parts.csv")
+    write_csv(looks(RECORDINGS[0], together=PART), tmp_path / "parts.csv")
     assert len(seen) > 3
 
 
@@ -122,27 +120,21 @@ def test_a_run_of_four_times_the_length_needs_no_more_memory(tmp_path: Path, mon
     assert peak(40) - peak(10) < 30 * BYTES_OF_A_PART
 
 
-@pytest.mark.long
-def test_a_run_that_is_kept_in_a_file_keeps_nothing_of_it_in_memory() -> None:
-    run = Lockstep(load_config(PLATOON, ["tracker.source=truth"]))
-    run.request(b"start")
-    assert run.advance(60.0, lambda: run.status.phase is Phase.RUNNING)
+@pytest.mark.parametrize("part", [PART, 1 << 30], ids=["long", "short"])
+def test_a_report_reads_its_file_once(part: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "_AROUND_NS", 3 * S // 2)
+    opened: list[Path] = []
 
-    def go_on(seconds: int) -> None:
-        for _ in range(seconds):
-            run.advance(1.0)
-            run.recording.keep_newest(32)
+    def parts(run: Path, *_: Any, **__: Any) -> Iterator[Any]:
+        opened.append(run)
+        return reading.parts(run, together=part)
 
-    tracemalloc.start()
-    try:
-        go_on(25)  # until what is kept of the last seconds is full
-        before, _ = tracemalloc.get_traced_memory()
-        go_on(10)
-        after, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-        run.close()
-    assert after - before < 10 * PER_SECOND
+    monkeypatch.setattr(sampled, "parts", parts)
+    monkeypatch.setattr(report, "sections", lambda view: {})
+    file = tmp_path / "run.mcap"
+    file.write_bytes(RECORDINGS[0].read_bytes())
+    after.report(file)
+    assert opened == [file]
 
 
 def test_a_run_in_lockstep_keeps_no_more_in_memory_than_a_live_view_shows(

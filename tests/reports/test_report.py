@@ -13,11 +13,13 @@ from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.core.figures import robot_colours
 from robofleet.recording.log import FILE, RunLog
-from robofleet.recording.run import Recording
+from robofleet.recording.run import Recording, Run
 from robofleet.reports import report
 from robofleet.reports.canvas import Plot
 from robofleet.safety.latches import GateStatus
-from tests.recording_fixtures import PLATOON, Story
+from tests.recording.recorded import in_order
+from tests.recording_fixtures import Story
+from tests.shipped import PLATOON
 
 Make = Callable[..., Any]
 TITLES = [
@@ -32,7 +34,7 @@ def page(figures: Make, tmp_path: Path) -> Callable[..., str]:
     """Return what writes a recording's page and reads it."""
 
     def write(recording: Recording, **ended: str) -> str:
-        return report.write(recording, figures(recording) | ended, tmp_path).read_text()
+        return report.write(Run(recording), figures(recording) | ended, tmp_path).read_text()
 
     return write
 
@@ -181,7 +183,7 @@ def test_every_figure_is_a_file_for_a_paper_too_and_the_page_links_it(
     every = report.sections
     monkeypatch.setattr(report, "sections", lambda view: {"One": [of_title(every(view), "Control error")]})
     recording, folder = story(ticks=20).recording(), tmp_path / "my paper"
-    page = report.write(recording, figures(recording), tmp_path, folder).read_text()
+    page = report.write(Run(recording), figures(recording), tmp_path, folder).read_text()
     assert re.findall(r'href="([^"#]+)"', page) == ["my%20paper/control-error.svg", "my%20paper/control-error.pdf"]
     svg, pdf = (folder / "control-error.svg").read_text(), (folder / "control-error.pdf").read_bytes()
     for colour in robot_colours(4):
@@ -189,7 +191,7 @@ def test_every_figure_is_a_file_for_a_paper_too_and_the_page_links_it(
     assert "<!-- r4 -->" in svg, "the legend is in the file"
     assert pdf.startswith(b"%PDF")
     assert b"/Type3" not in pdf
-    report.write(recording, figures(recording), tmp_path, folder)
+    report.write(Run(recording), figures(recording), tmp_path, folder)
     assert ((folder / "control-error.svg").read_text(), (folder / "control-error.pdf").read_bytes()) == (svg, pdf)
 
 
@@ -217,11 +219,8 @@ def kept(tmp_path: Path) -> Callable[..., Path]:
         folder = tmp_path / name
         folder.mkdir()
         recording = run.recording()
-        placed = sorted(
-            (index, full, payload) for full in recording.messages for index, payload in recording.placed(full)
-        )
         with RunLog(folder / FILE, run.config) as log:
-            for index, full, payload in placed:
+            for index, (full, payload) in enumerate(in_order(recording)):
                 log.add(full, payload, index)
         return folder
 

@@ -148,13 +148,7 @@ def test_a_name_is_text_and_no_markup(figures: Make, config: Config) -> None:
 
 def test_a_running_arenas_status_says_who_may_move_and_who_is_silent() -> None:
     drives = {"gate": "open", "latch": "none", "battery": 0.934, "age_ms": 12.4, "halted": None}
-    stands = {
-        "gate": "no enable",
-        "latch": "wired stop",
-        "battery": None,
-        "age_ms": 9.0,
-        "halted": "it is not seen",
-    }
+    stands = {"gate": "no enable", "latch": "wired stop", "battery": None, "age_ms": 9.0, "halted": "it is not seen"}
     silent = dict.fromkeys(drives)
     robots = [{"id": f"r{k}"} | robot for k, robot in enumerate((drives, stands, silent), 1)]
     status = {"arena": "lab", "phase": "hold", "cause": "r2: it was moved by hand", "robots": robots}

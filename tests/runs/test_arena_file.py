@@ -66,16 +66,22 @@ def register(users_folder: Path) -> Path:
     return users_folder / "tmp" / "robofleet"
 
 
+def become_nobody(runtime: Path | None = None) -> None:
+    os.environ.pop("XDG_RUNTIME_DIR", None)
+    if runtime is not None:
+        os.environ["XDG_RUNTIME_DIR"] = str(runtime)
+    os.setgroups([])
+    os.setresgid(NOBODY, NOBODY, NOBODY)
+    os.setresuid(NOBODY, NOBODY, NOBODY)
+
+
 def as_nobody(act: Callable[[], object]) -> str:
     """Do something as another user, in a process of its own; returns what it returned or raised, as text."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
         try:
-            os.environ.pop("XDG_RUNTIME_DIR", None)
-            os.setgroups([])
-            os.setresgid(NOBODY, NOBODY, NOBODY)
-            os.setresuid(NOBODY, NOBODY, NOBODY)
+            become_nobody()
             try:
                 text = str(act())
             except BaseException as error:  # noqa: BLE001 - it is told
@@ -104,12 +110,7 @@ class Elsewhere:
         if self._child == 0:
             try:
                 os.close(self._end)
-                os.environ.pop("XDG_RUNTIME_DIR", None)
-                if self._runtime is not None:
-                    os.environ["XDG_RUNTIME_DIR"] = str(self._runtime)
-                os.setgroups([])
-                os.setresgid(NOBODY, NOBODY, NOBODY)
-                os.setresuid(NOBODY, NOBODY, NOBODY)
+                become_nobody(self._runtime)
                 with claimed(self._config, Path(self._folder)):
                     os.write(writing, b"x")
                     os.read(reading, 1)
@@ -459,10 +460,7 @@ def test_what_a_stranger_writes_in_my_name_is_not_believed(users_folder: Path) -
         with forged.open("r+") as held:
             fcntl.fcntl(held, fcntl.F_OFD_SETLK, FLOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
             assert [(run.arena, run.uid) for run in found().runs] == [("platoon", NOBODY)]
-            with (
-                pytest.raises(PlaceError, match=rf"`rm {forged}`"),
-                claimed(config("arena.name=lab"), Path()),
-            ):
+            with pytest.raises(PlaceError, match=rf"`rm {forged}`"), claimed(config("arena.name=lab"), Path()):
                 pass
     assert forged.exists(), "nothing of others is removed"
 

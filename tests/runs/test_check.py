@@ -91,7 +91,14 @@ CUSP = (
     "groups.0.settings.path={knots: [{at_m: [-1, 0], derivative_m: [0, 0]}, {at_m: [1, 0.5], derivative_m: [1, -1]}]}"
 )
 EULER = ["controller.integrator=euler"]
+KNOTS = [((0.5, 0), (0, 0.8)), ((0, 0.5), (-0.8, 0)), ((-0.5, 0), (0, -0.8)), ((0, -0.5), (0.8, 0))]
+CIRCLE = [
+    f"groups.0.settings.path={{knots: {[{'at_m': [*at], 'derivative_m': [*slope]} for at, slope in KNOTS]}}}",
+    "groups.0.robots=[r1, r2]",
+]
 REFUSED = [
+    (["controller.tick_s=0.095"], "controller.tick_s", "a command is valid for 120 ms"),
+    ([*CIRCLE, "groups.0.settings.spacing_m=1.05"], "groups.0.settings.spacing_m", "a spacing of 0.985 fits"),
     ([*EULER, "controller.alpha=61"], "controller.alpha", "below 60.6"),
     ([*EULER, "controller.alpha=50", "controller.tick_s=0.04"], "controller.alpha", "is 2, must be less"),
     (["controller.point_ahead_m=0.126"], "controller.point_ahead_m", "must be at most 0.125 m"),
@@ -123,6 +130,8 @@ def test_what_cannot_work_is_refused(overrides: list[str], path: str, message: s
     [
         [*EULER, "controller.alpha=60"],
         ["controller.alpha=90"],
+        ["controller.tick_s=0.05"],
+        [*CIRCLE, "groups.0.settings.spacing_m=0.95"],
         ["controller.point_ahead_m=0.125"],
         ["groups.0.settings.spacing_m=0.9", *(f"robots.{k}.start=null" for k in range(4))],
         ["camera.trigger_lead_s=0.006"],

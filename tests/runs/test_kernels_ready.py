@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from robofleet.core.compiling import Progress, decoded
+from robofleet.core.kernels import kernel, reached
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 # In a process of its own: what another test has compiled would be there before this run needs it.
 FIRST_CALLED = """
@@ -64,3 +67,25 @@ def test_what_is_compiled_before_a_run_is_all_that_it_needs(config: str, changes
     ready, late = json.loads(ran.stdout.splitlines()[-1])
     assert ready > 20
     assert not late
+
+
+@kernel
+def inner(x: float) -> float:
+    return x + 1.0
+
+
+@kernel
+def outer(x: float) -> float:
+    return 2.0 * inner(x)
+
+
+def test_kernels_are_counted_with_those_that_they_call() -> None:
+    assert reached(outer) == {inner, outer}
+
+
+def test_progress_crosses_a_lifeline_and_other_words_are_none() -> None:
+    progress = Progress("control", 3, 14, 8.0, 0.25)
+    assert decoded(progress.encode()) == progress
+    assert progress.words() == "compiling the control kernels, once for this installation: 3 of 14, about 8 s left"
+    assert decoded("ready") is None
+    assert decoded("http://127.0.0.1:8080/#token") is None

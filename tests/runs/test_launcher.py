@@ -10,9 +10,12 @@ from robofleet.bus.keys import STATUS
 from robofleet.config.load import load_config
 from robofleet.recording.reading import read
 from robofleet.safety.latches import GateStatus
-from tests.runs.realrun import ALONE, PLATOON, RealRun
+from tests.runs.realrun import ALONE, RealRun
+from tests.shipped import PLATOON
+from tools.measure.runs.busy_machine import busy_loops
 
 ROBOTS = ["r1", "r2", "r3", "r4"]
+LONG_VICTIMS = "router", "recorder", "controller", "tracker", "supervisor"
 
 
 def libraries(process: psutil.Process) -> str:
@@ -62,59 +65,54 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
 
 
 @pytest.mark.parametrize(
-    "victim",
-    [
-        ["driver", "r1"],
-        pytest.param(["router"], marks=pytest.mark.long),
-        pytest.param(["recorder"], marks=pytest.mark.long),
-        pytest.param(["controller"], marks=pytest.mark.long),
-        pytest.param(["tracker"], marks=pytest.mark.long),
-        pytest.param(["supervisor"], marks=pytest.mark.long),
-    ],
-    ids="-".join,
+    "victim", ["driver-r1", *(pytest.param(name, marks=pytest.mark.long) for name in LONG_VICTIMS)]
 )
-def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., RealRun], victim: list[str]) -> None:
+def test_a_run_ends_when_one_of_its_processes_is_killed(real_run: Callable[..., RealRun], victim: str) -> None:
     run = real_run(*ALONE)
     run.wait_until_running()
-    run.kill(*victim)
+    run.kill(*victim.split("-"))
     assert run.nothing_is_left()
     assert run.ended() == 1
-    cause = f"the {'-'.join(victim)} was killed by SIGKILL"
+    cause = f"the {victim} was killed by SIGKILL"
     assert (run.summary["outcome"], run.summary["cause"]) == ("fault", cause)
     assert cause in run.said
     assert run.summary["recording"]["messages"] > 300, "it is made from what was recorded until then"
 
 
 @pytest.mark.long
-def test_nothing_is_left_when_the_launcher_is_killed(real_run: Callable[..., RealRun]) -> None:
+@pytest.mark.parametrize("running", [True, False], ids=["running", "still starting"])
+def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun], running: bool) -> None:
     run = real_run(*ALONE)
-    run.wait_until_running()
-    assert len(run.children()) == 6
-    run.launcher.kill()
-    assert run.nothing_is_left()
-    assert run.ended(1) == -signal.SIGKILL
-
-
-@pytest.mark.long
-def test_ctrl_c_is_a_controlled_stop(real_run: Callable[..., RealRun]) -> None:
-    run = real_run(*ALONE)
-    run.wait_until_running()
+    run.wait_until_running() if running else run.wait_for(run.children)
     run.launcher.send_signal(signal.SIGINT)
     assert run.nothing_is_left()
     assert run.ended() == 1
     assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
-    assert run.summary["ticks"] > 0
-    assert "stopped: the operator interrupted" in run.said
+    assert (run.summary["ticks"] > 0, "running" in run.said) == (running, running)
+    if not running:
+        assert len(list((run.folder / "log").iterdir())) < 5, "nobody else is started then"
 
 
 @pytest.mark.long
-def test_ctrl_c_ends_a_run_that_is_still_starting(real_run: Callable[..., RealRun]) -> None:
+def test_a_run_whose_folder_is_renamed_goes_on_and_says_where_it_is_not(real_run: Callable[..., RealRun]) -> None:
+    run = real_run(*ALONE, "--duration", "2")
+    run.wait_until_running()
+    moved = run.folder.rename(run.folder.with_name("moved"))
+    assert run.ended() == 1, "a completed run whose figures are lost met none of its bounds"
+    assert "results are lost" in run.said
+    assert f"{run.folder}" in run.said
+    assert not run.folder.exists()
+    assert (read(moved).outcome, read(moved).trouble) == ("completed", None)
+    assert "Traceback" not in (moved / "log" / "supervisor.log").read_text()
+
+
+@pytest.mark.long
+def test_no_load_explains_the_silence_of_a_driver_that_somebody_stops(real_run: Callable[..., RealRun]) -> None:
     run = real_run(*ALONE)
-    run.wait_for(run.children)
-    run.launcher.send_signal(signal.SIGINT)
-    assert run.nothing_is_left()
-    assert run.ended() == 1
-    assert (run.summary["outcome"], run.summary["cause"]) == ("stopped", "the operator interrupted")
-    assert run.summary["ticks"] == 0
-    assert "running" not in run.said
-    assert len(list((run.folder / "log").iterdir())) < 5, "nobody else is started then"
+    run.wait_until_running()
+    (driver,) = run.children("driver")
+    with busy_loops(4):
+        driver.send_signal(signal.SIGSTOP)
+        assert run.ended() == 1
+    assert "the driver went silent" in run.summary["cause"]
+    assert run.summary["outcome"] == "fault"

@@ -5,6 +5,10 @@ from typing import Any
 
 import pytest
 
+from robofleet.bus.keys import COMMAND, STATUS
+from robofleet.recording.run import Recording
+from robofleet.reports.metrics import summary
+from robofleet.runs.lockstep import Lockstep
 from tests.robots import stalls
 
 Summary = dict[str, Any]
@@ -127,30 +131,34 @@ def test_a_fifth_of_the_poses_may_be_missing(truth: RunOf) -> None:
     assert s["spacing_m"]["max_deviation_mm"] <= 20.0
 
 
-def test_robots_that_are_never_seen_never_move(truth: RunOf) -> None:
-    s = truth("tracker.truth.dropout=1.0")
-    assert s["outcome"] == "fault"
-    for robot in ROBOTS:
-        assert robot in s["cause"]
-    assert "tracker does not see" in s["cause"]
-    assert (s["ticks"], s["control_error_mm"], s["latency_ms"]) == (0, None, None)
-
-
-def test_a_run_that_nobody_sees_says_so_and_turns_no_wheel(
-    platoon_of: Callable[..., Any], bench_of: Callable[..., Any]
-) -> None:
-    from robofleet.bus.keys import COMMAND, STATUS
-    from robofleet.runs.lockstep import Lockstep
-
+def test_robots_that_are_never_seen_are_named_and_turn_no_wheel(platoon_of: Callable[..., Any]) -> None:
     run = Lockstep(platoon_of("tracker.source=truth", "tracker.truth.dropout=1.0"))
-    run.run()
+    outcome, cause = run.run()
+    assert outcome == "fault"
+    assert cause is not None
+    assert all(word in cause for word in (*ROBOTS, "tracker does not see"))
+    s = summary(run.recording, name="platoon", mode="lockstep", outcome=outcome, cause=cause)
+    assert (s["ticks"], s["control_error_mm"], s["latency_ms"]) == (0, None, None)
     for robot in ROBOTS:
         statuses = run.recording.of_robot(STATUS, robot)
-        commands = run.recording.of_robot(COMMAND, robot)
         assert len(statuses) > 100
         assert not statuses["left_angle_rad"].any()
         assert not statuses["right_angle_rad"].any()
-        assert not commands["left_rad_s"].any()
+        assert not run.recording.of_robot(COMMAND, robot)["left_rad_s"].any()
+
+
+def test_ctrl_c_leaves_a_summary_of_what_was_recorded_until_then(platoon_of: Callable[..., Any]) -> None:
+    seconds = iter(range(2))
+
+    def watch(_recording: Recording, _phase: str) -> None:
+        if next(seconds, None) is None:
+            raise KeyboardInterrupt
+
+    run = Lockstep(platoon_of("tracker.source=truth", "run.duration_s=60"))
+    outcome, cause = run.run(watch)
+    assert (outcome, cause) == ("stopped", "the operator interrupted")
+    figures = summary(run.recording, name="platoon", mode="lockstep", outcome=outcome, cause=cause)
+    assert 2.5 < figures["duration_s"] < 4.0
 
 
 @pytest.mark.slow

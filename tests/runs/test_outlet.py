@@ -31,6 +31,14 @@ def outcome(folder: Path) -> str:
     return str(json.loads((folder / "summary.json").read_text())["outcome"])
 
 
+def read_until(descriptor: int, word: bytes) -> None:
+    output = b""
+    while word not in output:
+        more = os.read(descriptor, 999)
+        assert more, output
+        output += more
+
+
 @pytest.mark.parametrize("key", [b" ", b"e"])
 @pytest.mark.parametrize("stopped_by", ["nobody reads", "Ctrl-S"])
 def test_the_emergency_key_is_heard_though_the_terminal_takes_no_output(
@@ -74,11 +82,7 @@ def test_a_reader_that_ends_in_the_middle_ends_no_run(real_run: Start) -> None:
     reading, writing = os.pipe()
     run = real_run(*_BRIEF, screen=writing)
     os.close(writing)
-    output = b""
-    while b"\nrunning" not in output:
-        more = os.read(reading, 999)
-        assert more, output
-        output += more
+    read_until(reading, b"\nrunning")
     os.close(reading)
     assert run.ended() == 0
     assert outcome(run.folder) == "completed"
@@ -140,11 +144,7 @@ def test_a_lockstep_run_whose_terminal_hangs_up_ends_as_by_ctrl_c(
 ) -> None:
     reading, writing = os.pipe()
     run = lockstep(writing, "--duration", "100000", "--set", "run.seed=3")
-    output = b""
-    while b"running" not in output:
-        more = os.read(reading, 999)
-        assert more, output
-        output += more
+    read_until(reading, b"running")
     run.send_signal(signal.SIGHUP)
     os.close(reading)
     assert run.wait(60) == 1

@@ -1,6 +1,9 @@
 """The table of processes: which a configuration has, who starts them, and what the commands and lockstep make of it."""
 
+import os
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -10,7 +13,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.runs import table
 from robofleet.runs.lockstep import Lockstep
-from tests.runs.realrun import PLATOON
+from tests.shipped import PLATOON
 
 MIXED = PLATOON.with_name("mixed.yaml")
 TRUTH = "tracker.source=truth"
@@ -72,3 +75,18 @@ def test_faults_may_name_what_they_can_strike(platoon_of: Callable[..., Config])
     assert set(table.injectable(platoon_of())) == {"router", "supervisor", "tracker", "controller"} | set(
         platoon_of().driven
     )
+
+
+def test_a_folder_that_is_renamed_or_removed_keeps_its_room(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    held = os.open(folder, os.O_RDONLY)
+    try:
+        assert table.free_bytes(held) > 0
+        folder.rename(tmp_path / "elsewhere")
+        assert table.free_bytes(held) > 0
+        shutil.rmtree(tmp_path / "elsewhere")
+        assert table.free_bytes(held) > 0
+    finally:
+        os.close(held)
+    assert table.free_bytes(held) == 0, "unknown room is none: the fleet holds"

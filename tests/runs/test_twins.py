@@ -1,16 +1,18 @@
 """The twins' process: its ports, the truth that it tells, and what is left when somebody dies."""
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
-from typer.testing import CliRunner
+import yaml
 
 from robofleet.bus.arena_file import twin_port
 from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import STATE, TRUTH
 from robofleet.bus.messages import RUN_STATE, RunState
-from robofleet.cli import app
 from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, SimulatedClock
@@ -18,6 +20,7 @@ from robofleet.nodes.node import LineWaker
 from robofleet.recording.reading import read
 from robofleet.runs.check import load_checked
 from robofleet.runs.twins import Twins
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import NOBODY, Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_bus import FaultyBus
@@ -86,31 +89,25 @@ def test_its_faults_begin_when_the_fleet_runs(config: Config) -> None:
     assert targets == [True] * 109 + [False] * 11
 
 
-@pytest.mark.parametrize(
-    ("fault", "complaint"),
-    [
-        ("{kind: bumper_hit, robot: r2}", "faults.0.robot: r2 has no twin: bumper_hit is for r1"),
-        ("{kind: line_cut, robot: r2}", "faults.0.robot: r2 has no twin: line_cut is for r1"),
-    ],
-)
-def test_what_only_a_twin_can_have_is_refused_to_others(fault: str, complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
-        load_checked(PLATOON, ["tracker.source=truth", *A_TWIN[1::2], f"faults=[{fault}]"])
+REFUSED = [
+    ((*A_TWIN[1::2], "faults=[{kind: bumper_hit, robot: r2}]"), "faults.0.robot: r2 has no twin: bumper_hit is for r1"),
+    ((*A_TWIN[1::2], "faults=[{kind: line_cut, robot: r2}]"), "faults.0.robot: r2 has no twin: line_cut is for r1"),
+    (("faults=[{kind: line_late}]",), "faults.0.kind: no robot has a twin: line_late is for one"),
+    ((A_TWIN[1], "robots.0.twin=gternl"), "robots.0.twin: there is no twin 'gternl': did you mean 'gternal'?"),
+]
 
 
-def test_without_any_twin_there_are_no_lines_to_cut() -> None:
-    with pytest.raises(ConfigError, match=r"faults\.0\.kind: no robot has a twin: line_late is for one"):
-        load_checked(PLATOON, ["faults=[{kind: line_late}]"])
+@pytest.mark.parametrize(("changes", "complaint"), REFUSED)
+def test_what_only_a_twin_can_have_or_no_twin_is_refused(changes: tuple[str, ...], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(complaint)):
+        load_checked(PLATOON, ["tracker.source=truth", *changes])
 
 
-def test_a_twins_body_can_be_stuck_as_any_simulated_one() -> None:
-    stuck = "faults=[{kind: motor_stuck, robot: r1}]"
-    assert load_checked(PLATOON, ["tracker.source=truth", *A_TWIN[1::2], stuck]).faults
-
-
-def test_a_firmware_that_is_not_there_is_named() -> None:
-    with pytest.raises(ConfigError, match=r"robots\.0\.twin: there is no twin 'gternl': did you mean 'gternal'\?"):
-        load_checked(PLATOON, ["tracker.source=truth", "robots.0.driver=gternal", "robots.0.twin=gternl"])
+def test_a_twins_body_can_be_stuck_as_any_simulated_one_and_lockstep_waits_for_no_serial_line() -> None:
+    changes = ["tracker.source=truth", *A_TWIN[1::2], "faults=[{kind: motor_stuck, robot: r1}]"]
+    assert load_checked(PLATOON, changes).faults
+    with pytest.raises(ConfigError, match=r"robots\.0\.driver: .* run without --lockstep"):
+        load_checked(PLATOON, changes, lockstep=True)
 
 
 def test_a_twins_port_has_no_place_where_the_runtime_folder_is_a_file(
@@ -120,19 +117,6 @@ def test_a_twins_port_has_no_place_where_the_runtime_folder_is_a_file(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "file"))
     with pytest.raises(ConfigError, match=r"robots\.0\.twin: .*Not a directory: set XDG_RUNTIME_DIR"):
         load_checked(PLATOON, ["tracker.source=truth", *A_TWIN[1::2]])
-
-
-def test_lockstep_waits_for_no_serial_line() -> None:
-    with pytest.raises(ConfigError, match=r"robots\.0\.driver: .* run without --lockstep"):
-        load_checked(PLATOON, ["tracker.source=truth", *A_TWIN[1::2]], lockstep=True)
-
-
-def test_a_configuration_without_twins_has_none_to_start(tmp_path: Path) -> None:
-    file = tmp_path / "named.yaml"
-    file.write_text(PLATOON.read_text())
-    result = CliRunner().invoke(app, ["twins", str(file)])
-    assert result.exit_code == 2
-    assert "no robot has a twin" in result.output
 
 
 @pytest.mark.long
@@ -159,3 +143,32 @@ def test_a_driver_that_is_killed_leaves_its_twin_to_its_firmware(real_run: Calla
     fastest = truths["v_m_s"].max()
     assert fastest > 0.05
     assert truths["v_m_s"][-1] < 0.5 * fastest  # its watchdog, half a second after the last word
+
+
+def of_a_create2(*more: str) -> list[str]:
+    """Return the options of a run of one Create 2, answered by its twin."""
+    robot: dict[str, Any] = yaml.safe_load(PLATOON.read_text())["robots"][0]
+    robot |= {"driver": "create2", "twin": "create2", "vehicle": "create2"}
+    keys = ["tracker.source=truth", "arena.size_m=[3.5, 2.3]", "groups.0.settings.spacing_m=0.48", "run.duration_s=3"]
+    keys += [f"robots={json.dumps([robot])}", 'groups.0.robots=["r1"]', *more]
+    return [word for key in keys for word in ("--set", key)]
+
+
+@pytest.mark.long
+def test_a_run_ends_by_the_cables_name_and_the_next_one_drives_after_a_reset(real_run: Callable[..., RealRun]) -> None:
+    pulled = real_run(*of_a_create2("faults=[{kind: unplugged, robot: r1, at_s: 1.0, duration_s: 0.5}]"))
+    assert pulled.ended() == 1
+    (stop,) = pulled.summary["stops"]
+    for cause in (pulled.summary["cause"], stop["cause"], pulled.said):
+        assert "its driver has lost the connection to it (unplugged?)" in cause
+    assert pulled.summary["outcome"] == "fault"
+    log = (pulled.folder / "log" / "driver-r1.log").read_text()
+    assert "platoon-r1.tty: the line is gone: plug it in again" in log
+    assert "Traceback" not in log
+    assert pulled.latched() == {"r1": Latch.DRIVER_FAILED}
+    latched = real_run(*of_a_create2(), name="latched")
+    assert latched.ended() == 1
+    assert "robofleet run --reset" in latched.summary["cause"]
+    again = real_run(*of_a_create2(), "--reset", name="again")
+    assert again.ended() == 0, again.said
+    assert again.summary["outcome"] == "completed"

@@ -84,6 +84,11 @@ class Lab:
             tracker_build=BUILD,
         )
 
+    def also(self, alter: Alter) -> None:
+        """Alter the view once more before arming sees it."""
+        before = self.alter
+        self.alter = lambda view: alter(before(view))
+
     def arm(self, within_s: float = 200.0) -> Happening | None:
         """Run until arming has its verdict."""
         return self.run(within_s)

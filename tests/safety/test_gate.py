@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from robofleet.safety.gate import VALID_NS, LeaseAction
+from robofleet.safety.gate import VALID_NS, GateState, LeaseAction
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.vehicles.interface import STOP, WheelSpeeds
-from tests.safety.gated import MS, NOW, OTHER, SESSION, WHEELS, Gate, Step, opened
+from tests.safety.gated import BOOT, MS, NOW, OTHER, SESSION, WHEELS, Gate, Step, opened
 
 
 def test_it_is_120_ms() -> None:
@@ -163,3 +163,29 @@ def test_validity_ends_with_the_older_of_the_two(step: Step, renewed: str) -> No
     assert gate.give().target == STOP
     assert gate.out.status is (GateStatus.NO_ENABLE if renewed == "command" else GateStatus.NO_COMMAND)
     assert gate.state.target_after_ns == VALID_NS
+
+
+def test_after_a_latch_from_the_bus_an_old_permission_is_gone(step: Step) -> None:
+    gate = Gate(step)
+    gate.lease()
+    assert gate.enable(latch=Latch.DRILL).granted is None, "no lease was asked for"
+    assert gate.state.limit == 0.0
+
+
+def test_ids_that_no_float_tells_apart_are_not_taken_for_each_other(step: Step) -> None:
+    """For numba a signed and an unsigned number are equal if their floats are."""
+    count = 2**62 + 7
+    gate = Gate(step, GateState(boot_id=BOOT, epoch=count, latch=Latch.EMERGENCY_STOP, latch_id=count))
+    gate.enable(clear=count + 1)
+    assert gate.state.latch == Latch.EMERGENCY_STOP
+    gate.enable(clear=count)
+    assert gate.state.latch == Latch.NONE
+    assert gate.lease() is True
+    for change in ({"epoch": count}, {"boot_id": BOOT - 1}, {"session": OTHER}):
+        assert gate.refuses(command=gate.a_command(**change))
+    for change in ({"epoch": count}, {"boot_id": BOOT - 1}):
+        assert gate.refuses(permission=gate.an_enable(**change))
+    gate.command(seq=2**63 + 8)
+    assert gate.refuses(command=gate.a_command(seq=2**63 + 8))
+    assert not gate.refuses(command=gate.a_command(seq=2**63 + 9))
+    assert gate.state.epoch == count + 1

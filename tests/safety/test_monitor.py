@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import pytest
@@ -49,6 +50,10 @@ def robot(row: int, **changes: Any) -> Change:
     return lambda view: view._replace(
         robots=tuple(r._replace(**changes) if k == row else r for k, r in enumerate(view.robots))
     )
+
+
+def all_of(*changes: Change) -> Change:
+    return lambda view: reduce(lambda changed, change: change(changed), changes, view)
 
 
 def only_first(view: FleetView) -> FleetView:
@@ -142,11 +147,8 @@ def test_a_robot_that_only_a_camera_sees_that_is_out_is_not_lost() -> None:
 @pytest.mark.parametrize(("x_m", "outside"), [(-0.05, False), (-0.0499, True), (0.7, True)])
 def test_a_robot_off_a_floor_that_is_a_polygon_is_outside(x_m: float, outside: bool) -> None:
     corners = ((-1.5, -1.0), (1.5, -1.0), (1.5, 0.3), (0.0, 0.3), (0.0, 1.0), (-1.5, 1.0))
-    settings = replace(SETTINGS, floors=(Solid("floor", corners, floor=True),))
-    view = robot(0, pose=(x_m, 0.6, 0.0))(healthy(NOW))
-    memory, _ = monitor.watch(MonitorState(), settings, Phase.RUNNING, view)
-    _, happenings = monitor.watch(memory, settings, Phase.RUNNING, view)
-    assert happenings == (Happening(Event.OUTSIDE_ARENA, 0),) * outside
+    settings, there = replace(SETTINGS, floors=(Solid("floor", corners, floor=True),)), robot(0, pose=(x_m, 0.6, 0.0))
+    assert told(there, before=there, settings=settings) == [Happening(Event.OUTSIDE_ARENA, 0)] * outside
 
 
 def test_a_robot_is_not_outside_where_it_was_seen_long_ago() -> None:
@@ -171,7 +173,7 @@ def test_nothing_is_told_of_what_was_never_there() -> None:
 @pytest.mark.parametrize("y", [-0.8, 0.0, 0.8])
 def test_two_are_too_close_wherever_they_are(y: float) -> None:
     def pair(gap_m: float) -> Change:
-        return lambda view: robot(0, pose=(-1.0, y, 0.0))(robot(1, pose=(gap_m - 1.0, y, 0.0))(view))
+        return all_of(robot(1, pose=(gap_m - 1.0, y, 0.0)), robot(0, pose=(-1.0, y, 0.0)))
 
     far, close = pair(0.115 + 5e-10), pair(0.115 - 5e-10)
     assert told(far, before=far) == []
@@ -181,9 +183,7 @@ def test_two_are_too_close_wherever_they_are(y: float) -> None:
 def test_two_that_are_just_as_far_apart_as_they_must_be_are_not_too_close() -> None:
     points = replace(SETTINGS, body_radius=(0.0, 0.0, 0.0))
 
-    def apart(view: FleetView) -> FleetView:
-        return robot(1, pose=(0.005, 0.0, 0.0))(robot(2, pose=(0.0, 0.0, 0.0))(view))
-
+    apart = all_of(robot(2, pose=(0.0, 0.0, 0.0)), robot(1, pose=(0.005, 0.0, 0.0)))
     assert told(apart, before=apart, settings=points) == []
 
 
@@ -284,24 +284,19 @@ def test_a_computer_of_its_own_that_is_silent_or_starts_again_has_lost_its_link(
 
 def test_the_lease_of_a_robot_that_drives_alone_is_lost_too() -> None:
     alone = replace(SETTINGS, body_radius=(0.05,), max_speed=(0.5,))
-    held, taken = (robot(0, session=session) for session in (SESSION, SESSION + 1))
-    memory, _ = monitor.watch(MonitorState(), alone, Phase.RUNNING, only_first(held(healthy(NOW))))
-    _, happenings = monitor.watch(memory, alone, Phase.RUNNING, only_first(taken(healthy(NOW + 40 * MS))))
-    assert happenings == (Happening(Event.LEASE_LOST, 0),)
+    taken = robot(0, session=SESSION + 1)
+    lost = told(lambda view: only_first(taken(view)), before=only_first, settings=alone)
+    assert lost == [Happening(Event.LEASE_LOST, 0)]
 
 
 def test_all_leases_taken_at_once_are_lost_too() -> None:
-    taken = healthy()
-    for row in range(3):
-        taken = robot(row, session=SESSION + 1)(taken)
-    assert told(lambda _: taken) == [Happening(Event.LEASE_LOST, row) for row in range(3)]
+    taken = all_of(*(robot(row, session=SESSION + 1) for row in range(3)))
+    assert told(taken) == [Happening(Event.LEASE_LOST, row) for row in range(3)]
 
 
 def test_a_lease_that_changed_between_two_runs_counts_from_the_second() -> None:
     memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, healthy(NOW))
-    other = healthy(NOW + 40 * MS)
-    for row in range(3):
-        other = robot(row, session=9)(other)
+    other = all_of(*(robot(row, session=9) for row in range(3)))(healthy(NOW + 40 * MS))
     memory, _ = monitor.watch(memory, SETTINGS, Phase.IDLE, other)
     assert monitor.watch(memory, SETTINGS, Phase.RUNNING, other._replace(now_ns=NOW + 80 * MS))[1] == ()
 
@@ -463,11 +458,7 @@ def test_an_operator_is_missed_only_where_one_must_attend() -> None:
 
 
 def test_everything_that_is_wrong_is_told_at_once() -> None:
-    def worse(view: FleetView) -> FleetView:
-        for change in (robot(0, battery=0.01), robot(2, boot_id=1, latch=2), fleet(tracker_ns=NOW - S, free_bytes=0)):
-            view = change(view)
-        return view
-
+    worse = all_of(robot(0, battery=0.01), robot(2, boot_id=1, latch=2), fleet(tracker_ns=NOW - S, free_bytes=0))
     assert {h.event for h in told(worse)} == {
         Event.BATTERY_LOW, Event.DRIVER_RESTARTED, Event.STOPPED_AT_GATE, Event.TRACKER_SILENT, Event.DISK_FULL,
     }  # fmt: skip
@@ -533,9 +524,8 @@ def test_a_bystander_says_what_it_likes_of_itself(phase: Phase) -> None:
         robot(2, pose=(0.55, 0.04, 0.0)),
     ):
         assert of_bystander(change, phase) == []
-    outside = robot(2, pose=(1.6, 0.0, 0.0))
-    memory, _ = monitor.watch(MonitorState(), SETTINGS, phase, outside(PARKED(healthy(NOW - 40 * MS))))
-    assert monitor.watch(memory, SETTINGS, phase, outside(PARKED(healthy())))[1] == ()
+    outside = robot(2, driven=False, pose=(1.6, 0.0, 0.0))
+    assert told(outside, phase, before=outside) == []
 
 
 @pytest.mark.parametrize("pressed", [{"faults": WIRED_STOP}, {"latch": Latch.WIRED_STOP}])
@@ -566,19 +556,15 @@ def test_what_the_tracker_says_of_a_carried_bystander_ends_no_run() -> None:
 def test_a_bystander_is_as_close_as_a_robot() -> None:
     bodies = 0.06 + 0.05
     for gap, events in ((0.005 - 1e-6, [Happening(Event.TOO_CLOSE, 1, 2)]), (0.005 + 1e-6, [])):
-        beside = robot(2, pose=(bodies + gap, 0.0, 0.0))
-        memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, beside(PARKED(healthy(NOW - 40 * MS))))
-        assert list(monitor.watch(memory, SETTINGS, Phase.RUNNING, beside(PARKED(healthy())))[1]) == events
+        beside = robot(2, driven=False, pose=(bodies + gap, 0.0, 0.0))
+        assert told(beside, before=beside) == events
 
 
 def test_two_bystanders_may_stand_side_by_side_and_robots_beside_them_are_looked_at() -> None:
-    def view(now_ns: int, at: float) -> FleetView:
-        seen = robot(1, driven=False, pose=(0.5, 0.05, 0.0))(PARKED(healthy(now_ns)))
-        return robot(0, pose=(at, 0.0, 0.0))(seen)
-
+    side_by_side = robot(1, driven=False, pose=(0.5, 0.05, 0.0))
     for at, events in ((-0.5, []), (0.4, [Happening(Event.TOO_CLOSE, 0, 1), Happening(Event.TOO_CLOSE, 0, 2)])):
-        memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS, at))
-        assert list(monitor.watch(memory, SETTINGS, Phase.RUNNING, view(NOW, at))[1]) == events
+        seen = all_of(PARKED, side_by_side, robot(0, pose=(at, 0.0, 0.0)))
+        assert told(seen, before=seen) == events
 
 
 @pytest.mark.parametrize("phase", Phase)
@@ -597,11 +583,8 @@ def test_a_bystanders_stop_that_was_pressed_waits_for_its_reset_in_idle() -> Non
 
 
 def test_every_bystander_is_looked_at() -> None:
-    def view(now_ns: int) -> FleetView:
-        return robot(2, unseen_ns=2 * S)(robot(1, driven=False)(PARKED(healthy(now_ns))))
-
-    memory, _ = monitor.watch(MonitorState(), SETTINGS, Phase.RUNNING, view(NOW - 40 * MS))
-    assert monitor.watch(memory, SETTINGS, Phase.RUNNING, view(NOW))[1] == (Happening(Event.BYSTANDER_LOST, 2),)
+    two = all_of(robot(1, driven=False), robot(2, driven=False, unseen_ns=2 * S))
+    assert told(two, before=two) == [Happening(Event.BYSTANDER_LOST, 2)]
 
 
 def test_a_tag_that_is_nobodys_is_told_as_it_came() -> None:

@@ -36,12 +36,6 @@ def test_rows_are_the_robots_that_they_were_made_of() -> None:
     assert Rows.of(rows) is rows
 
 
-@pytest.mark.parametrize("wheel", ["left_speed", "right_speed", "left_output", "right_output"])
-def test_a_robot_of_which_one_wheel_turns_is_not_at_rest(wheel: str) -> None:
-    for rad_s, at_rest in ((0.05, False), (0.049, True), (-0.049, True), (-0.05, False)):
-        assert RobotView()._replace(**{wheel: rad_s}).at_rest is at_rest
-
-
 @pytest.mark.parametrize("seed", range(10))
 def test_who_is_too_close_is_what_comparing_all_would_say(seed: int) -> None:
     rng = random.Random(seed)

@@ -13,14 +13,7 @@ from robofleet.core.clock import MS, S
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.simulation.bodies import Bodies, measured
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import (
-    BodyTrouble,
-    DriverContext,
-    Imperfections,
-    Simulation,
-    WheelSpeeds,
-    Wiring,
-)
+from robofleet.vehicles.interface import BodyTrouble, DriverContext, Imperfections, Simulation, WheelSpeeds, Wiring
 from tests.robots import CREATE2, CREATE2_IDEAL, GTERNAL, IDEAL, WORN
 
 EXACT = settings(deadline=None, derandomize=True)

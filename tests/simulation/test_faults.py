@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +61,6 @@ class Drive:
 
     @property
     def effects(self) -> int:
-        assert self.run.faults is not None
         return self.run.faults.injections[0].effects
 
     @property
@@ -153,8 +151,7 @@ def test_swapped_tags_are_where_the_other_robot_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "event"),
-    [("camera_frozen", TrackerEvent.CAMERA_FROZEN), ("camera_stalled", TrackerEvent.CAMERA_STALLED)],
+    ("kind", "event"), [("camera_frozen", TrackerEvent.CAMERA_FROZEN), ("camera_stalled", TrackerEvent.CAMERA_STALLED)]
 )
 def test_a_camera_that_gives_nothing_new_is_named_and_comes_back(kind: str, event: TrackerEvent) -> None:
     drive = Drive(f"{{kind: {kind}, {WHEN}}}")
@@ -275,48 +272,40 @@ def test_the_same_seed_gives_the_same_bytes_whatever_goes_wrong() -> None:
 # One subscription behind a bad network
 
 
-Deliver = Callable[..., list[tuple[float, bytes]]]
-
-
-@pytest.fixture
-def delivered() -> Deliver:
+def delivered(*faults: str, seconds: float = 2.0, message: bytes = b"") -> list[tuple[float, bytes]]:
     """Return what arrives of messages that are said every 10 ms for some seconds: (ms since they began, payload)."""
-
-    def deliver(*faults: str, seconds: float = 2.0, message: bytes = b"") -> list[tuple[float, bytes]]:
-        config = load_config(PLATOON, ["drivers.robots_per_process=1", f"faults=[{', '.join(faults)}]"])
-        clock = SimulatedClock()
-        clock.advance_to(S)
-        bus = MemoryBus("platoon", clock, 0)
-        faulty = FaultyBus(bus, Schedule(config, clock), "driver-r1", clock, simulated_router=True)
-        subscription, publish = faulty.newest(COMMAND, "r1"), bus.publisher(COMMAND, "r1")
-        arrived = []
-        for ms in range(round(seconds * 1000)):
-            clock.advance_to(S + ms * S // 1000)
-            if ms % 10 == 0:
-                publish(message or ms.to_bytes(4, "little") + bytes(12))
-            if (payload := subscription.take()) is not None:
-                arrived.append((ms, payload))
-        return arrived
-
-    return deliver
+    config = load_config(PLATOON, ["drivers.robots_per_process=1", f"faults=[{', '.join(faults)}]"])
+    clock = SimulatedClock()
+    clock.advance_to(S)
+    bus = MemoryBus("platoon", clock, 0)
+    faulty = FaultyBus(bus, Schedule(config, clock), "driver-r1", clock, simulated_router=True)
+    subscription, publish = faulty.newest(COMMAND, "r1"), bus.publisher(COMMAND, "r1")
+    arrived = []
+    for ms in range(round(seconds * 1000)):
+        clock.advance_to(S + ms * S // 1000)
+        if ms % 10 == 0:
+            publish(message or ms.to_bytes(4, "little") + bytes(12))
+        if (payload := subscription.take()) is not None:
+            arrived.append((ms, payload))
+    return arrived
 
 
 def sent_ms(payload: bytes) -> int:
     return int.from_bytes(payload[:4], "little")
 
 
-def test_without_a_fault_of_its_own_a_link_is_whole(delivered: Deliver) -> None:
+def test_without_a_fault_of_its_own_a_link_is_whole() -> None:
     arrived = delivered("{kind: lost, topics: [cmd], robot: r2}", "{kind: late, topics: [status]}")
     assert [ms for ms, _ in arrived] == list(range(0, 2000, 10))
     assert all(ms == sent_ms(payload) for ms, payload in arrived)
 
 
-def test_single_losses_are_as_many_as_asked(delivered: Deliver) -> None:
+def test_single_losses_are_as_many_as_asked() -> None:
     arrived = delivered("{kind: lost, topics: [cmd], share: 0.3}", seconds=10)
     assert 0.6 < len(arrived) / 1000 < 0.8
 
 
-def test_bursts_are_no_longer_than_asked_and_as_frequent(delivered: Deliver) -> None:
+def test_bursts_are_no_longer_than_asked_and_as_frequent() -> None:
     arrived = [sent_ms(p) for _, p in delivered("{kind: lost, topics: [cmd], share: 0.05, burst_s: 0.06}", seconds=60)]
     gaps = np.diff(arrived) - 10
     assert 30 < gaps.max() <= 60
@@ -344,37 +333,37 @@ def test_the_same_burst_takes_what_a_robot_says_and_what_it_is_told() -> None:
     assert 0.05 < came[0].count(False) / 5000 < 0.2
 
 
-def test_lateness_has_the_median_and_the_tail_that_were_asked(delivered: Deliver) -> None:
+def test_lateness_has_the_median_and_the_tail_that_were_asked() -> None:
     arrived = delivered("{kind: late, topics: [cmd], median_s: 0.002, p99_s: 0.06}", seconds=100)
     late = np.array([ms - sent_ms(payload) for ms, payload in arrived])
     assert np.median(late) == pytest.approx(2.5, abs=1.0)  # seen every millisecond
     assert 20 < np.percentile(late, 99) < 80
 
 
-def test_a_duplicate_comes_a_little_later(delivered: Deliver) -> None:
+def test_a_duplicate_comes_a_little_later() -> None:
     arrived = [sent_ms(payload) for _, payload in delivered("{kind: duplicated, topics: [cmd]}")]
     assert arrived == [ms for ms in range(0, 2000, 10) for _ in range(2)]
 
 
-def test_a_message_is_overtaken_by_the_next_one(delivered: Deliver) -> None:
+def test_a_message_is_overtaken_by_the_next_one() -> None:
     arrived = [sent_ms(payload) for _, payload in delivered("{kind: reordered, topics: [cmd]}")]
     assert arrived[:4] == [10, 0, 30, 20]
 
 
-def test_a_nan_stands_where_the_last_number_was(delivered: Deliver) -> None:
+def test_a_nan_stands_where_the_last_number_was() -> None:
     command = WHEEL_COMMAND.encode(WheelCommand(1, 2, 3, 4, 5, 6, 7.5, 8.5))
     for _, payload in delivered("{kind: not_a_number, topics: [cmd]}", message=command):
         assert payload[:-8] == command[:-8]
         assert math.isnan(np.frombuffer(payload[-8:], "<f8")[0])
 
 
-def test_a_malformed_payload_has_another_length_or_version(delivered: Deliver) -> None:
+def test_a_malformed_payload_has_another_length_or_version() -> None:
     for ms, payload in delivered("{kind: malformed, topics: [cmd]}"):
         assert len(payload) != 16 or payload[0] == 0xFF, ms
 
 
 @pytest.mark.parametrize("held", ["true", "false"])
-def test_a_cut_lets_nothing_through_and_brings_what_it_held_back_in_order(delivered: Deliver, held: str) -> None:
+def test_a_cut_lets_nothing_through_and_brings_what_it_held_back_in_order(held: str) -> None:
     cut = f"{{kind: network_cut, processes: [controller], duration_s: 1.0, held_back: {held}}}"
     arrived = delivered(cut)
     stamps = [sent_ms(payload) for _, payload in arrived]
@@ -384,7 +373,7 @@ def test_a_cut_lets_nothing_through_and_brings_what_it_held_back_in_order(delive
     assert [ms for ms, _ in arrived[-50:]] == stamps[-50:]
 
 
-def test_a_cut_between_others_is_none(delivered: Deliver) -> None:
+def test_a_cut_between_others_is_none() -> None:
     assert len(delivered("{kind: network_cut, processes: [tracker]}")) == 200
     assert len(delivered("{kind: network_cut, processes: [controller, driver-r1]}")) == 200
 
@@ -414,7 +403,6 @@ def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_
         load_config(PLATOON, ["tracker.source=truth", "run.duration_s=10", "drivers.robots_per_process=1"], lossy)
     )
     assert run.run() == ("completed", None)
-    assert run.faults is not None
     assert all(injection.effects > 100 for injection in run.faults.injections)
     for robot in ("r1", "r2", "r3", "r4"):
         statuses = [ROBOT_STATUS.decode(p) for p in run.recording.messages[key("platoon", STATUS, robot)]]

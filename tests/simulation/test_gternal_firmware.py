@@ -95,16 +95,11 @@ def test_a_read_does_not_keep_it_going_and_a_lamp_does(bench: Bench) -> None:
     assert bench.stopped_after_ms(saying=LAMP) == 3000
 
 
-def test_half_a_line_holds_its_stop_up_until_it_waits_no_more(bench: Bench) -> None:
+@pytest.mark.parametrize(("wait_ns", "half"), [(400 * MS, BACK[:20]), (0, b"\n")])
+def test_half_a_line_holds_its_stop_up_until_it_waits_no_more(bench: Bench, wait_ns: int, half: bytes) -> None:
     bench.say(AHEAD)
-    bench.now_ns += 400 * MS
-    bench.say(BACK[:20])
-    assert 1000 <= bench.stopped_after_ms() <= 1020
-
-
-def test_so_does_one_byte_after_a_line(bench: Bench) -> None:
-    bench.say(AHEAD)
-    bench.say(b"\n")
+    bench.now_ns += wait_ns
+    bench.say(half)
     assert 1000 <= bench.stopped_after_ms() <= 1020
 
 

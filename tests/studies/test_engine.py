@@ -66,9 +66,8 @@ def test_a_module_of_the_current_folder_runs_in_no_worker_of_ray(tmp_path: Path)
         "def hue(red):\n    import colorsys\n    return colorsys.rgb_to_hsv(red, 0, 0)[2]\n"
         "with cluster.opened('ray', 1) as opened:\n    print([one.result for one in opened.each(hue, [1.0])])\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-P", str(script)], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-P", str(script)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert "[1.0]" in done.stdout, (done.stdout, done.stderr)
     assert not (tmp_path / "imported").exists()
 

@@ -16,11 +16,11 @@ from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.runs.check import refusals
 from robofleet.studies.engine import Local
-from robofleet.studies.storm import workers
 from robofleet.studies.storm.bodies import apart, at_goals
 from robofleet.studies.storm.episode import play
 from robofleet.studies.storm.schedule import KINDS, WINDOW_S, plan
 from robofleet.studies.storm.tally import SOME, Tally
+from robofleet.studies.storm.tally import storm as played
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -72,9 +72,8 @@ def test_a_robot_that_touches_a_bystander_is_found(fleet: Config) -> None:
     """A storm judges by where the bodies were; the summary, the barrier and the supervisor have no say."""
     robot = fleet.robots[0]
     start = robot.start.model_copy(update={"x_m": 1.0, "y_m": 0.0})
-    config = fleet.model_copy(
-        update={"robots": (robot.model_copy(update={"id": "p1", "tag": 9, "start": start}), *fleet.robots)}
-    )
+    parked = robot.model_copy(update={"id": "p1", "tag": 9, "start": start})
+    config = fleet.model_copy(update={"robots": (parked, *fleet.robots)})
     times = np.array([1e9, 2e9])
     for gap, found in ((1e-4, []), (-1e-4, ["the body touches p1's"])):
         truths = []
@@ -94,7 +93,7 @@ def _overlap(faults: Iterable[Any]) -> bool:
 
 @pytest.mark.slow
 def test_two_storms_leave_every_invariant_standing(fleet: Config) -> None:
-    tally = workers.storm(fleet, range(1, 3), Local(1), lambda _tally, _episode: None)
+    tally = played(fleet, range(1, 3), Local(1), lambda _tally, _episode: None)
     assert [(e.seed, *e.violations[:2]) for e in tally.failed] == []
     assert list(tally.shortfalls()) == []
     assert tally.seeds == 2

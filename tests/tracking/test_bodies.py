@@ -54,7 +54,6 @@ def test_the_systems_frame_lies_in_the_arena_where_it_is_said_to(
 ) -> None:
     origin: Any = dict(zip(("x_m", "y_m", "heading_deg"), at, strict=True))
     body = planar(Body(1e3 * x, 1e3 * y, 0, *turned("z", psi)), MocapSettings(unit_m=1e-3, origin=origin))
-    assert body is not None
     position = complex(at[0], at[1]) + complex(x, y) * complex(
         math.cos(math.radians(at[2])), math.sin(math.radians(at[2]))
     )

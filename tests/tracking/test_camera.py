@@ -1,49 +1,24 @@
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry, Lens
 from robofleet.tracking.projection import project
+from tests.shipped import OVERHEAD
 
-ROOT = Path(__file__).parents[2]
 ARENA_M = (3.2, 2.0)
 TAG_HEIGHT_M = 0.08
 
-MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
-GEOMETRY = CameraGeometry.from_model(MODEL)
+GEOMETRY = CameraGeometry.from_model(OVERHEAD)
 
 
 @given(st.floats(-1.7, 1.7), st.floats(-1.1, 1.1), st.floats(0.0, 0.5))
 def test_to_plane_undoes_project(x: float, y: float, z: float) -> None:
     pixels = GEOMETRY.project(np.array([[x, y, z]]))
     assert GEOMETRY.to_plane(pixels, z) == pytest.approx(np.array([[x, y]]), abs=1e-9)
-
-
-@given(st.floats(0.0, 1279.0), st.floats(0.0, 719.0))
-def test_project_undoes_to_plane(u: float, v: float) -> None:
-    on_plane = GEOMETRY.to_plane(np.array([[u, v]]), TAG_HEIGHT_M)
-    again = GEOMETRY.project(np.column_stack([on_plane, [TAG_HEIGHT_M]]))
-    assert again == pytest.approx(np.array([[u, v]]), abs=1e-6)
-
-
-def test_project_is_the_pinhole_with_opencvs_distortion() -> None:
-    point = np.array([1.1, -0.7, 0.3])
-    x, y, z = GEOMETRY.T_world_camera[:3, :3].T @ (point - GEOMETRY.position)
-    a, b = x / z, y / z
-    r2 = a * a + b * b
-    k1, k2, p1, p2, k3 = GEOMETRY.distortion
-    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-    a, b = (
-        a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a),
-        b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b,
-    )
-    assert GEOMETRY.project(point[None]) == pytest.approx((GEOMETRY.K @ [a, b, 1.0])[None, :2])
 
 
 @pytest.mark.parametrize(("lens", "count"), [*(("pinhole", n) for n in (0, 4, 5, 8, 12, 14)), ("fisheye", 4)])
@@ -57,22 +32,12 @@ def test_a_kernels_projection_is_opencvs(lens: Lens, count: int) -> None:
     )
 
 
-def test_integer_coordinates_are_pixel_centres() -> None:
-    # An ideal camera over the origin with an image of 3 x 3 pixels: below it lies the middle of pixel (1, 1).
-    down = np.diag([1.0, -1.0, -1.0, 1.0])
-    down[2, 3] = 2.0
-    geometry = CameraGeometry([[100.0, 0.0, 1.0], [0.0, 100.0, 1.0], [0.0, 0.0, 1.0]], np.zeros(5), down)
-    assert geometry.project(np.zeros((1, 3))) == pytest.approx(np.array([[1.0, 1.0]]))
-    # The image's left edge is half a pixel left of the centre of pixel 0.
-    assert geometry.to_plane(np.array([[-0.5, 1.0]]), 0.0) == pytest.approx(np.array([[-1.5 * 2.0 / 100, 0.0]]))
-
-
 def test_overhead_camera_sees_the_arena_and_a_tags_margin() -> None:
     sides = [np.linspace(-size / 2 - 0.05, size / 2 + 0.05, 21) for size in ARENA_M]
     x, y = np.meshgrid(*sides)
     pixels = GEOMETRY.project(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, TAG_HEIGHT_M)]))
     assert pixels.min() >= 4.0  # OpenCV wants corners 3 px inside
-    assert np.all(pixels <= np.array([MODEL.width, MODEL.height]) - 1 - 4.0)
+    assert np.all(pixels <= np.array([OVERHEAD.width, OVERHEAD.height]) - 1 - 4.0)
 
 
 def test_overhead_camera_is_tilted_and_upright() -> None:

@@ -1,11 +1,8 @@
 """Motion-capture systems through their library: its own mock, and systems that do not answer."""
 
 import itertools
-import math
-import threading
 from collections.abc import Iterator
-from queue import SimpleQueue
-from typing import Any
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
@@ -16,7 +13,7 @@ from robofleet.config.mocap import MocapSettings
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.tracking import capture
 from robofleet.tracking.bodies import Body
-from robofleet.tracking.capture import CaptureFrame, CaptureReader, bodies_there, open_capture
+from robofleet.tracking.capture import CaptureDevice, bodies_there, open_capture
 from robofleet.tracking.sources import CameraError
 
 MOCAP = SHIPPED / "mocap.yaml"
@@ -27,21 +24,10 @@ NINE = ["robots.0.id=r9", "robots.0.body=box", "groups.0.robots=[r9, r2, r3, r4]
 CLOCK = WallClock()
 
 
-def taken(reader: CaptureReader, woken: threading.Event) -> CaptureFrame:
-    """Return the next frame that a reader has."""
-    while True:
-        assert woken.wait(10)
-        woken.clear()
-        if (frame := reader.take(CLOCK.now_ns())) is not None:
-            return frame
-
-
-def test_the_librarys_own_mock_is_asked_for_its_bodies_and_read_by_a_thread() -> None:
+def test_the_librarys_own_mock_is_asked_for_its_bodies_and_read() -> None:
     assert bodies_there(MOCK) == ["r1", "r2"]
-    woken = threading.Event()
-    reader = CaptureReader(lambda: open_capture(MOCK), CLOCK, lambda _: woken.set())
-    frames = [taken(reader, woken) for _ in range(5)]
-    reader.close()
+    device = open_capture(MOCK, CLOCK)
+    frames = [device.read() for _ in range(5)]
     assert frames[-1].bodies == {
         "r1": Body(0.5, -0.25, pytest.approx(0.1), 0, 0, 1, 0),
         "r2": Body(1, 0, 0, 0, 0, 0, 1),
@@ -51,80 +37,15 @@ def test_the_librarys_own_mock_is_asked_for_its_bodies_and_read_by_a_thread() ->
     assert CLOCK.now_ns() - arrivals[-1] < 10 * S
 
 
-class Scripted:
-    """A system that does what it is told: a place is a frame of r1 there, NaN one without it, an error is raised."""
-
-    def __init__(self, script: "SimpleQueue[float | Exception]") -> None:
-        self.script, self.rigidBodies = script, {}  # the library's name
-
-    def waitForNextFrame(self) -> None:
-        what = self.script.get()
-        if isinstance(what, Exception):
-            raise what
-        self.rigidBodies = (
-            {}
-            if math.isnan(what)
-            else {"r1": LIBRARY.connect("mock", {"rigid_bodies": f"r1({what},0,0,1,0,0,0)"}).rigidBodies["r1"]}
-        )
-
-
-def test_a_system_that_fails_is_opened_again() -> None:
-    script: SimpleQueue[float | Exception] = SimpleQueue()
-    openings, woken = [], threading.Event()
-
-    def open_again() -> Any:
-        openings.append(Scripted(script))
-        return openings[-1]
-
-    reader = CaptureReader(open_again, CLOCK, lambda _: woken.set())
-    for x in (1.0, ConnectionError("it has gone"), 2.0):
-        script.put(x)
-        if not isinstance(x, Exception):
-            assert taken(reader, woken).bodies["r1"].x == x
-    reader.close()
-    script.put(EOFError())
-    assert len(openings) == 2
-
-
-def test_of_frames_that_nobody_took_the_newest_is_kept() -> None:
-    script: SimpleQueue[float | Exception] = SimpleQueue()
-    counted = threading.Semaphore(0)
-    reader = CaptureReader(lambda: Scripted(script), CLOCK, lambda _: counted.release())  # type: ignore[arg-type,return-value]
-    for x in (1.0, 2.0, 3.0):
-        script.put(x)
-        assert counted.acquire(timeout=10)
-    frame = reader.take(CLOCK.now_ns())
-    assert frame is not None and frame.bodies["r1"].x == 3.0
-    assert reader.take(CLOCK.now_ns()) is None
-    reader.close()
-    script.put(EOFError())
-
-
 def test_what_a_polled_system_gives_again_or_without_a_body_is_no_frame() -> None:
-    script: SimpleQueue[float | Exception] = SimpleQueue()
-    frames: SimpleQueue[float] = SimpleQueue()
-    started = threading.Event()
-
-    def take(_: int) -> None:
-        started.wait(10)
-        if (frame := reader.take(CLOCK.now_ns())) is not None:
-            frames.put(frame.bodies["r1"].x)
-
-    reader = CaptureReader(lambda: Scripted(script), CLOCK, take, polled=True)  # type: ignore[arg-type,return-value]
-    started.set()
-    for x in (math.nan, 1.0, 1.0, math.nan, 1.0, 2.0, 2.0, 1.0):
-        script.put(x)
-    assert [frames.get(timeout=10) for _ in range(3)] == [1.0, 2.0, 1.0]
-    script.put(EOFError())
-    reader.close()
-    assert frames.empty()
-
-
-def test_a_reader_that_is_closed_has_ended_its_thread() -> None:
-    before = threading.active_count()
-    reader = CaptureReader(lambda: open_capture(MOCK), CLOCK, lambda _: None)
-    reader.close()
-    assert threading.active_count() == before
+    capture = SimpleNamespace(rigidBodies={}, waitForNextFrame=lambda: None)
+    device, places = CaptureDevice(capture, CLOCK, polled=True), []
+    for x in (None, 1.0, 1.0, None, 1.0, 2.0, 2.0, 1.0):
+        mock = {"rigid_bodies": f"r1({x},0,0,1,0,0,0)"}
+        capture.rigidBodies = {} if x is None else LIBRARY.connect("mock", mock).rigidBodies
+        if (frame := device.read()) is not None:
+            places.append(frame.bodies["r1"].x)
+    assert places == [1.0, 2.0, 1.0]
 
 
 @pytest.fixture
@@ -144,7 +65,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.usefixtures("impatient")
 def test_a_system_that_does_not_answer_is_one_clear_error(system: str, why: str) -> None:
     with pytest.raises(CameraError, match=why) as error:
-        open_capture(MocapSettings(system=system, host="127.0.0.1"))  # type: ignore[arg-type]
+        open_capture(MocapSettings(system=system, host="127.0.0.1"), CLOCK)  # type: ignore[arg-type]
     assert "\n" not in str(error.value)
 
 

@@ -27,7 +27,3 @@ def test_there_and_back_again(x: float, y: float, psi: float, forward: float, le
     assert again[:2] == pytest.approx((x, y), abs=1e-12)
     assert abs(math.remainder(again[2] - psi, math.tau)) < 1e-12
     assert abs(again[2]) <= math.pi
-
-
-def test_no_offset_changes_nothing() -> None:
-    assert centre_from_tag(0.3, -0.4, 2.0, TagOffset()) == (0.3, -0.4, 2.0)

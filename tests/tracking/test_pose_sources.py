@@ -9,8 +9,9 @@ from importlib.metadata import entry_points
 import pytest
 
 from robofleet.config.files.names import SHIPPED
-from robofleet.core.plugins import PluginError, load
+from robofleet.simulation.capture import SimulatedCapture
 from robofleet.testing import PoseBench, PoseContract
+from robofleet.tracking.capture import CaptureFrame
 
 MOCAP = SHIPPED / "mocap.yaml"
 TAGS = tuple(f"robots.{row}.tag={row + 1}" for row in range(4))
@@ -64,6 +65,21 @@ def test_every_source_that_is_shipped_has_its_contract() -> None:
     assert {point.name for point in entry_points(group="robofleet.poses")} <= tried
 
 
-def test_an_unknown_source_says_which_there_are() -> None:
-    with pytest.raises(PluginError, match=r"there is no source of poses 'mocup': did you mean 'mocap'\?"):
-        load("robofleet.poses", "mocup")
+def test_a_motion_capture_that_fails_is_opened_again_and_reported_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    read, failures = SimulatedCapture.read, iter([ConnectionError("it has gone")] * 3)
+
+    def fail_at_first(capture: SimulatedCapture) -> CaptureFrame:
+        for failure in failures:
+            raise failure
+        return read(capture)
+
+    monkeypatch.setattr(SimulatedCapture, "read", fail_at_first)
+    bench = PoseBench("mocap", ())
+    source, observed = bench.open(), 0
+    for _ in range(200):
+        bench.step()
+        observed += source.observe(bench.clock.now_ns()) is not None
+    assert observed > 5
+    assert capsys.readouterr().err == "motion capture: it has gone\n"

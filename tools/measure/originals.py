@@ -6,7 +6,6 @@ CHECKOUT is a clone of robotarium/robotarium_python_simulator: 6bb184e for versi
 version 1. Each script runs unmodified; random draws are equal in both.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -17,6 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from tools.measure.program import program
 
 _SEEDED = Path(__file__).with_name("seeded.py")
 _WITHIN_S = 600.0
@@ -55,7 +56,6 @@ class Compared(NamedTuple):
 
 
 def version(checkout: Path) -> int:
-    """Return the version of a checkout."""
     return 2 if "class ARobotarium" in (checkout / "rps" / "robotarium_abc.py").read_text() else 1
 
 
@@ -114,13 +114,14 @@ def _speed(result: dict[str, Any]) -> float:
 
 
 def main() -> None:
-    """Print a row a script."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = program(
+        __doc__,
+        here=(False, "not in their simulator"),
+        ideal=(False, "robots without errors"),
+        real_time=(False, "with a simulated camera"),
+    )
     parser.add_argument("checkout", type=Path)
     parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--here", action="store_true", help="not in their simulator")
-    parser.add_argument("--ideal", action="store_true", help="robots without errors")
-    parser.add_argument("--real-time", action="store_true", help="with a simulated camera")
     arguments = parser.parse_args()
     how = [*(("--real-time", *_CAMERA) if arguments.real_time else ()), *(("--ideal",) if arguments.ideal else ())]
     print(

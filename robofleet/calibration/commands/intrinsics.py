@@ -14,7 +14,9 @@ from robofleet.calibration.commands.shared import (
     Overrides,
     ReportFile,
     camera_file,
+    count,
     report_file,
+    size,
 )
 from robofleet.calibration.commands.shared import live as live_camera
 from robofleet.calibration.frames import open_camera
@@ -24,7 +26,6 @@ from robofleet.calibration.lens.gathering import Gathering, gather
 from robofleet.calibration.lens.intrinsics import COEFFICIENTS, Conditions, Measured, measure
 from robofleet.calibration.lens.live import Screen, capture, lens_config
 from robofleet.calibration.lens.page import page
-from robofleet.calibration.sizes import count, size
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import Lens as Kind
@@ -54,8 +55,7 @@ def intrinsics(
         typer.Option(metavar="LONGxSHORT", help="Sides of the arena, as 3.5x2.3; default: all seen within 45 degrees."),
     ] = "",
     device: Annotated[
-        str,
-        typer.Option("--device", help="The device, as camera.source names it; --live finds it out."),
+        str, typer.Option("--device", help="The device, as camera.source names it; --live finds it out.")
     ] = "",
     configs: ConfigsFolder = None,
     report: ReportFile = None,

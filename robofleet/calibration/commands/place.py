@@ -14,20 +14,18 @@ from robofleet.calibration.commands.shared import (
     ReportFile,
     known_camera,
     report_file,
+    size,
 )
 from robofleet.calibration.commands.shared import live as live_camera
 from robofleet.calibration.extrinsics.arena import Wanted, calibrate_arena, calibrate_together
 from robofleet.calibration.extrinsics.verify import verify as verify_camera
-from robofleet.calibration.sizes import size
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.tree import Config
 
 SurveyFile = Annotated[Path, typer.Argument(metavar="SURVEY", help="YAML with floor_tags and points, in metres.")]
 Images = Annotated[list[Path] | None, typer.Argument(metavar="[IMAGES]...", help="Images, or folders of them.")]
 FrameCount = Annotated[int, typer.Option("--frames", min=1, max=1000, help="Images to average, at most.")]
-SurveyMm = Annotated[
-    float | None, typer.Option(min=0.01, max=100.0, help="Standard deviation of the survey, one coordinate.")
-]
+SurveyMm = Annotated[float | None, typer.Option(min=0.01, max=100.0, help="Survey's standard deviation, a coordinate.")]
 
 
 def arena(
@@ -89,7 +87,6 @@ def arena(
 
 
 def _taken(files: list[Path], images: list[Path], config: Config | None, count: int) -> list[list[frames.Named]]:
-    """Return the images of each camera."""
     if config is not None:
         if len(files) > 1 and not config.cameras:
             raise CalibrationError(

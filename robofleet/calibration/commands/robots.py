@@ -17,6 +17,7 @@ from robofleet.calibration.robots import latency as latencies
 from robofleet.calibration.robots import offsets as tag_offsets
 from robofleet.calibration.robots import results as robot_files
 from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.results import Rows
 from robofleet.calibration.store import CalibrationError, save
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
@@ -26,9 +27,7 @@ from robofleet.core.clock import S
 
 DriveConfig = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
 DriveLockstep = Annotated[bool, typer.Option("--lockstep", help="Drive simulated robots on a simulated clock.")]
-DriveRobots = Annotated[
-    str, typer.Option("--robots", metavar="r1,r2", help="Ids of the robots. Default: those of all groups.")
-]
+DriveRobots = Annotated[str, typer.Option("--robots", metavar="r1,r2", help="Default: the robots of all groups.")]
 DriveFolder = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="For drive.npz and report.html. Default: runs/<UTC time>-..."),
@@ -100,9 +99,7 @@ def _drive(
     if recording is not None:
         tree, driven = load_config(config, overrides), drive_file.chosen(recording, names)
         for unknown in (drive.robot for drive in driven if drive.robot not in {robot.id for robot in tree.robots}):
-            raise CalibrationError(
-                f"{recording}: {unknown} drove, but {config} has no such robot: name its configuration"
-            )
+            raise CalibrationError(f"{recording}: {unknown} drove; {config} has no such robot: name its configuration")
         return tree, driven, folder, recording.read_bytes()
     tree, count = drives.configure(config, names, overrides, lockstep=lockstep)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -135,14 +132,7 @@ def _each(driven: Sequence[RobotDrive], find: Callable[[RobotDrive], Found]) -> 
     return found
 
 
-def _keep(
-    config: Path,
-    tree: Config,
-    calibrations: Sequence[RobotCalibration],
-    table: tuple[tuple[str, ...], list[tuple[str, ...]]],
-    folder: Path,
-) -> None:
-    """Write every robot's file, and say what was found."""
+def _keep(config: Path, tree: Config, calibrations: Sequence[RobotCalibration], table: Rows, folder: Path) -> None:
     head, rows = table
     shown = Table(*head)
     for row in rows:

@@ -38,9 +38,11 @@ Overrides = Annotated[
     ),
 ]
 
+_NUMBER = r"\d{1,6}(?:\.\d{1,6})?"
+_LARGEST = 1000.0
+
 
 def report_file(requested: Path | None, command: str) -> Path:
-    """Return where the page goes."""
     return requested or Path("runs") / f"{utc_now().strftime('%Y%m%dT%H%M%SZ')}-{command}" / "report.html"
 
 
@@ -68,7 +70,6 @@ def camera_file(camera: str, configs: Path | None, config: Path | None) -> Path:
 
 
 def known_camera(camera: str, configs: Path | None, config: Path | None) -> Path:
-    """Return the file of a camera that was calibrated before."""
     file = camera_file(camera, configs, config)
     if not file.exists():
         others = sorted(other.stem for other in file.parent.glob("*.yaml"))
@@ -76,3 +77,22 @@ def known_camera(camera: str, configs: Path | None, config: Path | None) -> Path
         hint = f"did you mean {near[0]}?" if near else f"there are: {', '.join(others) or 'none'}"
         raise CalibrationError(f"there is no camera {file} ({hint}): `robofleet calibrate intrinsics` writes one")
     return file
+
+
+def size(text: str, option: str) -> tuple[float, float]:
+    """Return the two sides of ``3.5x2.3``; CalibrationError, which names the option, for anything else."""
+    found = re.fullmatch(rf"\s*({_NUMBER})\s*[xX]\s*({_NUMBER})\s*", text)
+    if found is None:
+        raise CalibrationError(f"{option}: {text!r} is not a size: write two numbers with an x between, as 3.5x2.3")
+    sides = float(found[1]), float(found[2])
+    if not all(0.0 < side <= _LARGEST for side in sides):
+        raise CalibrationError(f"{option}: {text!r}: each side must be more than 0 and at most {_LARGEST:g}")
+    return sides
+
+
+def count(text: str, option: str) -> tuple[int, int]:
+    """Return columns and rows of ``11x8``; CalibrationError, which names the option, for anything else."""
+    found = re.fullmatch(r"\s*(\d{1,3})\s*[xX]\s*(\d{1,3})\s*", text)
+    if found is None:
+        raise CalibrationError(f"{option}: {text!r} is not COLUMNSxROWS: write two whole numbers, as 11x8")
+    return int(found[1]), int(found[2])

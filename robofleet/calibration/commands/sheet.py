@@ -18,8 +18,8 @@ from typing import Annotated
 import typer
 
 from robofleet.calibration import floor_sheet
+from robofleet.calibration.commands.shared import count as columns_and_rows
 from robofleet.calibration.sheets import PAPERS, board_page, tag_pages, write
-from robofleet.calibration.sizes import count as columns_and_rows
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.load import load_config
 from robofleet.core.settings import FAMILIES, LAST_TAG, FamilyName, is_family

@@ -11,9 +11,9 @@ import numpy as np
 
 from robofleet.calibration.extrinsics.consensus import Agreement, agree, chance
 from robofleet.calibration.extrinsics.fiducials import Look, Marks, TagFinder, look
-from robofleet.calibration.extrinsics.page import write_page
+from robofleet.calibration.extrinsics.page import Found, write_page
 from robofleet.calibration.extrinsics.placing import PARAMETERS, Lens, Placement, on_plane, rotation_vector
-from robofleet.calibration.extrinsics.region import Region, predicted, region_of
+from robofleet.calibration.extrinsics.region import floor_points, predicted
 from robofleet.calibration.extrinsics.survey import LEAST, Survey, load_survey
 from robofleet.calibration.extrinsics.together import SurveyView, agree_together, with_places
 from robofleet.calibration.frames import Named, refuse_other_sizes
@@ -28,27 +28,6 @@ _UNLIKELY = 1e-3  # chance of residuals, below which the marks contradict what w
 _WIDTH_RATIO = (0.8, 1.25)  # of a tag as seen, over the surveyed side
 
 
-class Result(NamedTuple):
-    """A camera's place."""
-
-    model: CameraModel  # with it
-    figures: dict[str, float | None]
-    notes: tuple[str, ...]  # marks that were left out, and what else to know
-    kept: Path | None  # where the calibration before went
-
-
-class Found(NamedTuple):
-    """A camera's place that can be used; nothing is written yet."""
-
-    camera: Path
-    model: CameraModel  # with it
-    agreement: Agreement
-    marks: Marks
-    region: Region
-    sigma_mm: Array
-    notes: tuple[str, ...]
-
-
 class Wanted(NamedTuple):
     """What is asked of a calibration."""
 
@@ -58,7 +37,7 @@ class Wanted(NamedTuple):
     tag_height_m: float = 0.0
 
 
-def calibrate_arena(camera: Path, images: Sequence[Named], report: Path, wanted: Wanted) -> Result:
+def calibrate_arena(camera: Path, images: Sequence[Named], report: Path, wanted: Wanted) -> Found:
     """Measure where a camera hangs, write it into its file, and a page about it.
 
     Raises:
@@ -74,7 +53,7 @@ def calibrate_arena(camera: Path, images: Sequence[Named], report: Path, wanted:
 
 def calibrate_together(
     cameras: Sequence[Path], images: Sequence[Sequence[Named]], report: Path, wanted: Wanted
-) -> list[Result]:
+) -> list[Found]:
     """Measure where several cameras hang by one survey, ``images`` of each; writes their files and a page for each.
 
     Tags that two cameras see tie them together, also those that nobody surveyed: they lie on the floor.
@@ -89,12 +68,11 @@ def calibrate_together(
     for model, camera_images in zip(models, images, strict=True):
         refuse_other_sizes(camera_images, model)
     strangers = _shared_strangers(survey, images)
+    whole_survey = survey.model_copy(update={"floor_tags": (*survey.floor_tags, *strangers)})
     views, looks = [], []
     for camera, model, camera_images in zip(cameras, models, images, strict=True):
         lens = lens_of(camera, model)
-        seen = look(
-            survey.model_copy(update={"floor_tags": (*survey.floor_tags, *strangers)}), camera_images, lens.size
-        )
+        seen = look(whole_survey, camera_images, lens.size)
         points = seen.marks.points.copy()
         points[np.isin(seen.marks.names, [f"tag {tag.tag}" for tag in strangers]), :2] = np.nan
         views.append(SurveyView(camera.stem, lens, replace(seen.marks, points=points)))
@@ -106,32 +84,25 @@ def calibrate_together(
         notes = [note for note in looks[k].notes if "in no image" not in note or note.partition(":")[0] not in others]
         seen = Look(with_places(view, agreement), tuple(f"{camera.stem}: {note}" for note in notes))
         judged.append(_judged(camera, model, survey, images[k], seen, agreement, wanted))
-    return [
-        _written(camera_images, report.with_name(f"{report.stem}-{camera_images.camera.stem}{report.suffix}"))
-        for camera_images in judged
-    ]
+    return [_written(found, report.with_name(f"{report.stem}-{found.camera.stem}{report.suffix}")) for found in judged]
 
 
 def _shared_strangers(survey: Survey, images: Sequence[Sequence[Named]]) -> list[FloorTag]:
     """Return the tags that two cameras or more see and nobody surveyed."""
     finder, surveyed = TagFinder(survey.family), {tag.tag for tag in survey.floor_tags}
-    seen = Counter(
-        tag for camera_images in images for tag in (finder.find(camera_images[0][1]) if camera_images else ())
-    )
+    seen = Counter(tag for own_images in images for tag in (finder.find(own_images[0][1]) if own_images else ()))
     side_m = survey.floor_tags[0].side_m
-    return [
-        FloorTag(tag=tag, side_m=side_m, x_m=0.0, y_m=0.0) for tag, n in seen.items() if n > 1 and tag not in surveyed
-    ]
+    shared = [tag for tag, count in seen.items() if count > 1 and tag not in surveyed]
+    return [FloorTag(tag=tag, side_m=side_m, x_m=0.0, y_m=0.0) for tag in shared]
 
 
 def _judged(
     camera: Path, model: CameraModel, survey: Survey, images: Sequence[Named], seen: Look, agreement: Agreement,
     wanted: Wanted,
 ) -> Found:  # fmt: skip
-    """Return a place that is good enough; CalibrationError if it is not."""
     placement, survey_mm = agreement.placement, wanted.survey_mm
-    region = region_of(survey, wanted.arena_m, wanted.tag_height_m)
-    sigma = predicted(placement, region)
+    points = floor_points(survey, wanted.arena_m, wanted.tag_height_m)
+    sigma = predicted(placement, points)
     figures = _figures(agreement, seen.marks, sigma)
     notes = (*seen.notes, *_notes(agreement, seen.marks, survey_mm))
     if 0.0 < (in_sight := float(np.isfinite(sigma).mean())) < 1.0:
@@ -143,15 +114,12 @@ def _judged(
     where = provenance("arena", inputs, figures, PARAMETERS, placement.covariance.tolist())
     pose, marks = _pose(placement.T_world_camera), _seen(seen.marks)
     model = model.model_copy(update={"T_world_camera": pose, "arena": where, "marks": marks})
-    return Found(camera, model, agreement, seen.marks, region, sigma, notes)
+    return Found(camera, model, agreement, seen.marks, points, sigma, notes)
 
 
-def _written(found: Found, report: Path) -> Result:
-    """Write the page and the camera's file."""
-    camera, model, agreement, marks, region, sigma_mm, notes = found
-    write_page(report, f"Where {camera.stem} hangs", model, agreement, marks, region, sigma_mm, notes)
-    assert model.arena is not None
-    return Result(model, model.arena.figures, notes, save(camera, model))
+def _written(found: Found, report: Path) -> Found:
+    write_page(report, found)
+    return found._replace(kept=save(found.camera, found.model))
 
 
 def lens_of(file: Path, model: CameraModel) -> Lens:
@@ -212,7 +180,6 @@ def _rms_mm(errors: Array) -> float:
 
 
 def _notes(agreement: Agreement, marks: Marks, survey_mm: float | None) -> list[str]:
-    """Return what to know of single marks."""
     placement, inside = agreement.placement, agreement.inside
     notes = []
     for i in np.flatnonzero(~inside):
@@ -241,13 +208,11 @@ def _notes(agreement: Agreement, marks: Marks, survey_mm: float | None) -> list[
 def _refuse_poor(
     agreement: Agreement, marks: Marks, figures: dict[str, float | None], notes: Sequence[str], survey_mm: float | None
 ) -> None:
-    """Raise CalibrationError if the pose should not be used."""
     placement, faults = agreement.placement, []
     widths = _widths(placement, marks)
     if len(widths) and not _WIDTH_RATIO[0] < np.median(widths) < _WIDTH_RATIO[1]:
-        faults.append(
-            f"the tags look {np.median(widths):.3g} times as wide as their side_m: side_m or the survey's unit is wrong"
-        )
+        ratio = f"the tags look {np.median(widths):.3g} times as wide as their side_m"
+        faults.append(f"{ratio}: side_m or the survey's unit is wrong")
     if survey_mm is not None and chance(placement.chi_square, placement.freedom) < _UNLIKELY:
         faults.append(
             f"the marks are {figures['residual_rms_mm']:.2g} mm rms off the best pose, too much for a survey of "

@@ -36,7 +36,6 @@ class Agreement(NamedTuple):
 
 
 def agree(lens: Lens, marks: Marks, survey_m: float | None) -> Agreement:
-    """Return what most marks agree on; CalibrationError when they do not, or leave the pose open."""
     refuse_undetermined(marks)
     agreement = _begin(lens, marks, survey_m)
     visited = {agreement.inside.tobytes()}
@@ -54,7 +53,6 @@ def agree(lens: Lens, marks: Marks, survey_m: float | None) -> Agreement:
 
 
 def refuse_undetermined(marks: Marks) -> None:
-    """Raise CalibrationError if marks leave the camera's pose open."""
     if len(marks) < LEAST:
         seen = f": {', '.join(marks.names)}" if len(marks) else ""
         raise CalibrationError(
@@ -66,7 +64,6 @@ def refuse_undetermined(marks: Marks) -> None:
 
 
 def chance(distance: float, freedom: int) -> float:
-    """Return the probability that a chi-square variable is larger."""
     half = max(distance, 1e-300) / 2.0
     tail, a = (math.exp(-half), 1.0) if freedom % 2 == 0 else (math.erfc(math.sqrt(half)), 0.5)
     while 2.0 * a < freedom - 0.5:
@@ -113,9 +110,7 @@ def _begin(lens: Lens, marks: Marks, survey_m: float | None) -> Agreement:
             if off[order].sum() < best:
                 best, best_T, nearest = off[order].sum(), T, order
     if best_T is None:
-        raise CalibrationError(
-            "no pose above the floor shows the marks where they are: check the survey's axes and units"
-        )
+        raise CalibrationError("no pose above the floor shows the marks where they are: check the survey's axes, units")
     inside = np.zeros(n, np.bool_)
     inside[nearest] = True
     if on_one_line(marks.points[inside]):

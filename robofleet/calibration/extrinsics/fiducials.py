@@ -7,7 +7,8 @@ do not look like their tag are dropped.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import compress
 from typing import NamedTuple
 
 import cv2
@@ -55,17 +56,11 @@ class Marks:
     by_lens: Array | float = 0.0  # (N, 2, K) how x, y follow the lens's values [m], if they were seen; 0: by hand
 
     def __len__(self) -> int:
-        """Return N."""
         return len(self.names)
 
     def chosen(self, which: NDArray[np.bool_]) -> "Marks":
-        """Return some of them."""
-        names = tuple(name for name, keep in zip(self.names, which, strict=True) if keep)
-        points, headings, sides, pixels, ahead, sigma_px = (
-            array[which] for array in (self.points, self.headings, self.sides, self.pixels, self.ahead, self.sigma_px)
-        )
-        by_lens = self.by_lens if isinstance(self.by_lens, float) else self.by_lens[which]
-        return Marks(names, points, headings, sides, pixels, ahead, sigma_px, by_lens)
+        arrays = {name: values[which] for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        return replace(self, names=tuple(compress(self.names, which)), **arrays)
 
 
 class Look(NamedTuple):
@@ -160,9 +155,7 @@ def look(survey: Survey, images: Sequence[Named], size: tuple[int, int]) -> Look
         for tag in survey.floor_tags
         if tag.tag not in twice and any(tag.tag in prints for prints in found)
     }
-    spreads = {
-        tag: float(np.sqrt(np.var([seen.centre for seen in track], axis=0).max())) for tag, track in tracks.items()
-    }
+    spreads = {tag: float(np.std([seen.centre for seen in track], axis=0).max()) for tag, track in tracks.items()}
     usual = float(np.median(list(spreads.values()))) if spreads else 0.0
     carried = {tag for tag, spread in spreads.items() if spread > 3.0 * usual + _MOVED_PX}
     marks = _marks(survey, {tag: track for tag, track in tracks.items() if tag not in carried})

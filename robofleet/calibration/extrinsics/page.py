@@ -1,9 +1,8 @@
 """The page about a camera's pose: its uncertainty over the floor, and each mark's error."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -13,7 +12,7 @@ from matplotlib.figure import Figure
 
 from robofleet.calibration.extrinsics.consensus import Agreement
 from robofleet.calibration.extrinsics.fiducials import Marks
-from robofleet.calibration.extrinsics.region import COLUMNS, ROWS, Region
+from robofleet.calibration.extrinsics.region import COLUMNS, ROWS
 from robofleet.calibration.report import Report
 from robofleet.config.calibrated import CameraModel
 from robofleet.core.arrays import Array
@@ -21,47 +20,56 @@ from robofleet.core.figures import COLOURS, INK, STYLE
 
 _BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", COLOURS[0]])
 _PLOT_WIDTH = 7.0  # [inch]
-_ARROW_SHARE = 0.12  # of the longest arrow, over the region's width
+_ARROW_SHARE = 0.12  # of the longest arrow, over the floor's width
 
 
-def write_page(
-    file: Path,
-    title: str,
-    model: CameraModel,
-    agreement: Agreement,
-    marks: Marks,
-    region: Region,
-    sigma_mm: Array,
-    notes: Sequence[str],
-) -> None:
-    """Write the page; ``sigma_mm`` (ROWS * COLUMNS,) at the region's points, NaN out of sight."""
-    assert model.arena is not None and model.T_world_camera is not None
-    figures = model.arena.figures
-    report = Report(title)
+class Found(NamedTuple):
+    """A camera's place that can be used."""
+
+    camera: Path
+    model: CameraModel  # with it
+    agreement: Agreement
+    marks: Marks
+    points: Array  # (ROWS * COLUMNS, 3) of the floor that matters [m; world]
+    sigma_mm: Array  # (G,) at these; NaN: out of sight
+    notes: tuple[str, ...]  # marks that were left out, and what else to know
+    kept: Path | None = None  # where the calibration before went
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        assert self.model.arena is not None
+        return self.model.arena.figures
+
+
+def write_page(file: Path, found: Found) -> None:
+    """Write the page about a camera's place."""
+    model, agreement, marks, points, figures = found.model, found.agreement, found.marks, found.points, found.figures
+    report = Report(f"Where {found.camera.stem} hangs")
     report.verdict(
         f"Expected error on the arena: {figures['predicted_rms_mm']:.2f} mm rms, {figures['predicted_max_mm']:.2f} mm "
         f"at most, from {figures['marks_used']:.0f} marks.",
         good=True,
     )
-    if notes:
-        report.verdict("\n".join(notes), good=False)
+    if found.notes:
+        report.verdict("\n".join(found.notes), good=False)
     with mpl.rc_context(STYLE):
         report.section("Expected error", "One standard deviation, both coordinates together, where robots wear tags.")
-        report.figure(_heat_map(region, sigma_mm, marks, agreement), "White: out of the camera's sight.")
+        report.figure(_heat_map(points, found.sigma_mm, marks, agreement), "White: out of the camera's sight.")
         report.section("Marks", "Each mark is compared with a pose that was fitted to all the others.")
-        report.figure(_arrows(region, marks, agreement), "From where a mark was surveyed to where it is seen.")
+        report.figure(_arrows(points, marks, agreement), "From where a mark was surveyed to where it is seen.")
     _table(report, marks, agreement)
     report.section("The camera's place")
     _place(report, model)
     report.section("Figures")
     report.figures(figures)
     report.section("Measured in")
+    assert model.arena is not None
     report.table(("input", "hash"), list(model.arena.inputs.items()))
     report.write(file)
 
 
-def _axes(region: Region) -> tuple[Figure, Axes]:
-    x, y = np.subtract(region.high, region.low)
+def _axes(points: Array) -> tuple[Figure, Axes]:
+    x, y, _ = np.ptp(points, axis=0)
     height = min(1.5 * _PLOT_WIDTH, _PLOT_WIDTH * (y + 0.2 * x) / (1.2 * x)) if x > 0 else _PLOT_WIDTH
     figure = Figure(figsize=(_PLOT_WIDTH, max(2.5, height)), layout="constrained")
     axes = figure.subplots()
@@ -69,10 +77,10 @@ def _axes(region: Region) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _heat_map(region: Region, sigma_mm: Array, marks: Marks, agreement: Agreement) -> Figure:
-    figure, axes = _axes(region)
+def _heat_map(points: Array, sigma_mm: Array, marks: Marks, agreement: Agreement) -> Figure:
+    figure, axes = _axes(points)
     axes.grid(visible=False)
-    x, y = (np.unique(region.points[:, k]) for k in (0, 1))
+    x, y = (np.unique(points[:, k]) for k in (0, 1))
     values = np.ma.masked_invalid(sigma_mm.reshape(ROWS, COLUMNS))
     image = axes.pcolormesh(x, y, values, cmap=_BLUES, vmin=0.0, shading="nearest", rasterized=True)
     lines = axes.contour(x, y, values, 5, colors=INK, linewidths=0.6)
@@ -82,12 +90,12 @@ def _heat_map(region: Region, sigma_mm: Array, marks: Marks, agreement: Agreemen
     return figure
 
 
-def _arrows(region: Region, marks: Marks, agreement: Agreement) -> Figure:
-    figure, axes = _axes(region)
+def _arrows(points: Array, marks: Marks, agreement: Agreement) -> Figure:
+    figure, axes = _axes(points)
     known = np.isfinite(agreement.error[:, 0])
     used = known & agreement.inside
     longest = np.hypot(*agreement.error[used].T).max() if used.any() else 1e-3
-    scale = _ARROW_SHARE * (region.high[0] - region.low[0]) / longest
+    scale = _ARROW_SHARE * np.ptp(points[:, 0]) / longest
     for which, colour in ((used, COLOURS[0]), (known & ~agreement.inside, COLOURS[1])):
         # One that was left out may be far off: its arrow is cut, its number is in the table.
         error = agreement.error[which]
@@ -117,18 +125,8 @@ def _table(report: Report, marks: Marks, agreement: Agreement) -> None:
         cells = (x, y, math.hypot(x, y), float(sigma[i]), heading)
         shown = [None if math.isnan(cell) else cell for cell in cells]
         rows.append((marks.names[i], *marks.points[i].tolist(), *shown, "" if used else "left out"))
-    head = (
-        "mark",
-        "x, m",
-        "y, m",
-        "height, m",
-        "off in x, mm",
-        "in y, mm",
-        "both, mm",
-        "expected, mm",
-        "heading off, deg",
-    )
-    report.table((*head, ""), rows)
+    where, off = ("x, m", "y, m", "height, m"), ("off in x, mm", "in y, mm", "both, mm", "expected, mm")
+    report.table(("mark", *where, *off, "heading off, deg", ""), rows)
 
 
 def _place(report: Report, model: CameraModel) -> None:

@@ -13,6 +13,7 @@ P = V^-1 - V^-1 J C J^T V^-1, its error is P_ii^-1 (P r)_i, with covariance P_ii
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,13 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.fiducials import Marks
+from robofleet.calibration.lens import projection
 from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
 
 PARAMETERS = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "shift_x_m", "shift_y_m", "shift_z_m")  # of a covariance
 LEAST_SURVEY_M = 1e-4  # nobody surveys a floor better
 _GAUSS_NEWTON_STEPS = 8  # from a pose that is right to some centimetres
-_DIFFERENCE_PX = 0.25
+_UNSURVEYED_SIGMA_M = 1.0  # standard deviation of a place that nobody surveyed
 _HEADING_RAD = math.radians(1.0)  # standard deviation of a tag's heading laid out by hand, until the tags tell
 _LEAST_HEADING_RAD = math.radians(0.2)
 _TURNED = 4.0  # a heading so many standard deviations off was surveyed wrongly
@@ -46,23 +48,20 @@ class Lens:
 
     def by_pixel(self, pixels: Array) -> Array:
         """Return how the slopes change with the pixel (N, 2, 2) [1/px]."""
-        steps = _DIFFERENCE_PX * np.eye(2)
-        return np.stack([self.slopes(pixels + s) - self.slopes(pixels - s) for s in steps], -1) / (2.0 * _DIFFERENCE_PX)
+        return np.asarray(np.linalg.inv(self._derivatives(pixels)[0]))
 
     def by_lens(self, pixels: Array) -> Array:
         """Return how the slopes change with the lens's values (N, 2, K)."""
-        K, distortion, lens = self.geometry.K, self.geometry.distortion, self.geometry.lens
-        values = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], distortion])
-        columns = []
-        for k in range(len(self.covariance)):
-            step = 0.1 if k < 4 else 1e-4
-            seen = []
-            for sign in (1.0, -1.0):
-                f_x, f_y, c_x, c_y, *rest = values + sign * step * (np.arange(len(values)) == k)
-                changed = CameraGeometry([[f_x, 0, c_x], [0, f_y, c_y], [0, 0, 1]], rest, np.eye(4), lens)
-                seen.append(changed.to_plane(pixels, 1.0))
-            columns.append((seen[0] - seen[1]) / (2.0 * step))
-        return np.stack(columns, -1) if columns else np.zeros((len(pixels), 2, 0))
+        by_slope, by_value = self._derivatives(pixels)
+        return np.asarray(np.linalg.solve(by_slope, -by_value))
+
+    def _derivatives(self, pixels: Array) -> tuple[Array, Array]:
+        """Return how pixels change with their slopes (N, 2, 2) [px], and with the lens's values (N, 2, K)."""
+        K = self.geometry.K
+        values = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], self.geometry.distortion])
+        points = np.column_stack([self.slopes(pixels), np.ones(len(pixels))])
+        _, by_value, by_pose = projection.Lens(self.geometry.lens, self.size, values).project(points, np.zeros(6))
+        return by_pose[:, :, 3:5], by_value[:, :, : len(self.covariance)]
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,6 @@ class Placement:
 
     @property
     def geometry(self) -> CameraGeometry:
-        """Return the camera in its place."""
         return self.lens.geometry.moved(self.T_world_camera)
 
     def spread(self, points: Array) -> Array:
@@ -134,45 +132,81 @@ def on_plane(T_world_camera: Array, slopes: Array, heights: Array) -> tuple[Arra
 
 
 def place(lens: Lens, marks: Marks, T_world_camera: Array, survey_m: float | None) -> Placement:
-    """Fit a pose to four marks or more, beginning near it; ``survey_m`` None: estimated from what is left over.
+    """Fit one camera's pose: see ``place_together``."""
+    return place_together([lens], [marks], [T_world_camera], survey_m)[0]
+
+
+def place_together(
+    lenses: Sequence[Lens], marks: Sequence[Marks], poses: Sequence[Array], survey_m: float | None
+) -> list[Placement]:
+    """Fit the poses of cameras, each to its own marks, beginning near them.
+
+    Marks of one name have one survey's error, or, where nobody surveyed them (NaN), one place. ``survey_m`` None:
+    estimated from what is left over.
 
     Raises:
-        np.linalg.LinAlgError: the marks do not determine a pose.
+        np.linalg.LinAlgError: the marks do not determine the poses.
     """
-    slopes, heights = lens.slopes(marks.pixels), marks.points[:, 2]
-    by_pixel, by_lens = lens.by_pixel(marks.pixels), lens.by_lens(marks.pixels)
-    freedom = 2 * len(marks) - 6
-    T, sigma, r = T_world_camera, LEAST_SURVEY_M if survey_m is None else survey_m, np.zeros(0)
+    T, counts = list(poses), [len(own) for own in marks]
+    ends = np.cumsum(counts)
+    rows = [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]  # of marks, by camera
+    names = np.concatenate([own.names for own in marks])
+    surveyed = np.concatenate([own.points[:, :2] for own in marks])
+    unsurveyed, same = np.isnan(surveyed[:, 0]), np.equal.outer(names, names)
+    freedom = 2 * len(names) - 6 * len(T) - 2 * len(set(names[unsurveyed]))
+    slopes = [lens.slopes(own.pixels) for lens, own in zip(lenses, marks, strict=True)]
+    by_pixel = [lens.by_pixel(own.pixels) for lens, own in zip(lenses, marks, strict=True)]
+    by_lens = [lens.by_lens(own.pixels) for lens, own in zip(lenses, marks, strict=True)]
+
+    def linearised(survey_m: float) -> tuple[Array, Array, Array, list[Array]]:
+        """Return what the poses leave over (2N,), its derivatives, its covariance, and how it follows each lens."""
+        seen, J = np.empty((len(names), 2)), np.zeros((len(names), 2, 6 * len(T)))
+        V = np.kron(same * np.where(unsurveyed, _UNSURVEYED_SIGMA_M, survey_m) ** 2, np.eye(2))
+        follows = []
+        for c, (own, part) in enumerate(zip(marks, rows, strict=True)):
+            seen[part], J[part, :, 6 * c : 6 * c + 6], by_slope = on_plane(T[c], slopes[c], own.points[:, 2])
+            follows.append((by_slope @ by_lens[c] - own.by_lens).reshape(2 * len(own), -1))
+            block = slice(2 * part.start, 2 * part.stop)
+            V[block, block] += _seen_noise(by_slope @ by_pixel[c], follows[c], own.sigma_px, lenses[c].covariance)
+        mean = same @ seen / same.sum(axis=1)[:, None]
+        return (np.where(unsurveyed[:, None], mean, surveyed) - seen).ravel(), J.reshape(2 * len(names), -1), V, follows
+
+    def step(change: Array) -> None:
+        T[:] = [moved(pose, part) for pose, part in zip(T, change.reshape(-1, 6), strict=True)]
+
+    sigma, chi_square = LEAST_SURVEY_M if survey_m is None else survey_m, 0.0
     for _ in range(_GAUSS_NEWTON_STEPS):
-        seen, J, by_slope = on_plane(T, slopes, heights)
-        r, J = (marks.points[:, :2] - seen).ravel(), J.reshape(-1, 6)
-        V = noise(by_slope @ by_pixel, by_slope @ by_lens - marks.by_lens, marks.sigma_px, sigma, lens.covariance)
+        r, J, V, _ = linearised(sigma)
         weighted, covariance, P = normal(J, V)
-        T = moved(T, covariance @ (weighted.T @ r))
+        chi_square = float(r @ P @ r)
+        step(covariance @ (weighted.T @ r))
         if survey_m is None:
-            sigma = max(LEAST_SURVEY_M, sigma * math.sqrt(float(r @ P @ r) / freedom))
-    chi_square = float(r @ P @ r)
-    off, J_heading = _headings(lens, marks, T)
+            sigma = max(LEAST_SURVEY_M, sigma * math.sqrt(chi_square / freedom))
+    headings = [_headings(lens, own, pose) for lens, own, pose in zip(lenses, marks, T, strict=True)]
+    off = np.concatenate([own for own, _ in headings])
     heading_sigma = _heading_sigma(off)
     turned = np.abs(off) > _TURNED * heading_sigma
     used = np.isfinite(off) & ~turned
-    seen, J_seen, by_slope = on_plane(T, slopes, heights)
-    follows = by_slope @ by_lens - marks.by_lens
-    V = noise(by_slope @ by_pixel, follows, marks.sigma_px, sigma, lens.covariance)
-    rows = len(V)
-    whole = np.diag(np.full(rows + np.count_nonzero(used), heading_sigma**2))
-    whole[:rows, :rows] = V
-    J = np.vstack([J_seen.reshape(-1, 6), J_heading[used]])
-    r = np.concatenate([(marks.points[:, :2] - seen).ravel(), -off[used]])
-    weighted, covariance, P = normal(J, whole)
-    T = moved(T, covariance @ (weighted.T @ r))
-    seen, *_ = on_plane(T, slopes, heights)
+    J_heading = np.zeros((len(names), 6 * len(T)))
+    for c, (part, (_, J_own)) in enumerate(zip(rows, headings, strict=True)):
+        J_heading[part, 6 * c : 6 * c + 6] = J_own
+    r, J, V, follows = linearised(sigma)
+    whole = np.diag(np.full(len(V) + np.count_nonzero(used), heading_sigma**2))
+    whole[: len(V), : len(V)] = V
+    r = np.concatenate([r, -off[used]])
+    weighted, covariance, P = normal(np.vstack([J, J_heading[used]]), whole)
     without, without_covariance = left_out(P, r, used)
-    return Placement(
-        lens, T, covariance, sigma, seen - marks.points[:, :2], -without, without_covariance,
-        off, turned, chi_square, freedom,
-        covariance @ weighted[:rows].T @ follows.reshape(rows, -1),
-    )  # fmt: skip
+    without[unsurveyed], without_covariance[unsurveyed] = np.nan, np.nan
+    step(covariance @ (weighted.T @ r))
+    error = -linearised(sigma)[0].reshape(-1, 2)
+    placements = []
+    for c, part in enumerate(rows):
+        pose, own = slice(6 * c, 6 * c + 6), weighted[2 * part.start : 2 * part.stop]
+        placements.append(Placement(
+            lenses[c], T[c], covariance[pose, pose], sigma, error[part], -without[part], without_covariance[part],
+            off[part], turned[part], chi_square, freedom, covariance[pose] @ own.T @ follows[c],
+        ))  # fmt: skip
+    return placements
 
 
 def moved(T_world_camera: Array, change: Array) -> Array:
@@ -204,14 +238,13 @@ def errors_at(lens: Lens, marks: Marks, T: Array, covariance: Array, survey_m: f
     return seen - marks.points[:, :2], noise + J @ covariance @ J.transpose(0, 2, 1)
 
 
-def noise(by_pixel: Array, by_lens: Array, sigma_px: Array, survey_m: float, lens: Array) -> Array:
-    """Return the covariance (2N, 2N) of what is seen minus what was surveyed."""
-    own = _ownnoise(by_pixel, sigma_px, survey_m)
+def _seen_noise(by_pixel: Array, by_lens: Array, sigma_px: Array, lens: Array) -> Array:
+    """Return the covariance (2N, 2N) of what one camera sees: its pixels', and its lens's (2N, K)."""
+    own = _ownnoise(by_pixel, sigma_px, 0.0)
     n = len(own)
     V = np.zeros((n, 2, n, 2))
     V[np.arange(n), :, np.arange(n), :] = own
-    F = by_lens.reshape(2 * n, -1)
-    whole: Array = V.reshape(2 * n, 2 * n) + F @ lens @ F.T
+    whole: Array = V.reshape(2 * n, 2 * n) + by_lens @ lens @ by_lens.T
     return whole
 
 

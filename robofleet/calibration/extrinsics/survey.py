@@ -40,12 +40,10 @@ class Survey(Model):
 
     @property
     def marks(self) -> tuple[FloorTag | SurveyedPoint, ...]:
-        """Return all of them, tags first."""
         return (*self.floor_tags, *self.points)
 
 
 def load_survey(file: Path) -> Survey:
-    """Read a survey; CalibrationError with all that is wrong in it."""
     survey = load(file, Survey)
     faults = [f"{file}: {fault}" for fault in _faults(survey)]
     if faults:

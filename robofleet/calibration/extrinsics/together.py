@@ -2,11 +2,10 @@
 
 A surveyed tag that two cameras see has one error of its survey, which both have in common. A tag that nobody surveyed
 ties two cameras together, too: both see it at one place, wherever that is. So every mark has a place with a standard
-deviation, the survey's or a metre, and the poses of all cameras are fitted at once, as ``placing`` fits one. What is
-then known of one camera counts what the others may be off by.
+deviation, the survey's or a metre, and ``placing`` fits the poses of all cameras at once. What is then known of one
+camera counts what the others may be off by.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -16,23 +15,12 @@ from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.consensus import Agreement, agree
 from robofleet.calibration.extrinsics.fiducials import Marks
-from robofleet.calibration.extrinsics.placing import (
-    LEAST_SURVEY_M,
-    Lens,
-    Placement,
-    left_out,
-    moved,
-    noise,
-    normal,
-    on_plane,
-)
+from robofleet.calibration.extrinsics.placing import Lens, Placement, on_plane, place_together
 from robofleet.calibration.extrinsics.survey import LEAST
 from robofleet.calibration.store import CalibrationError
 from robofleet.core.arrays import Array
 
-_GAUSS_NEWTON_STEPS = 8
 _TIED_M = 0.003  # standard deviation at first of a place that another camera saw
-_UNSURVEYED_SIGMA_M = 1.0
 
 
 class SurveyView(NamedTuple):
@@ -49,9 +37,9 @@ def agree_together(views: Sequence[SurveyView], survey_m: float | None) -> list[
     CalibrationError where a camera cannot be placed: it sees too few marks that are surveyed, or that others see.
     """
     found = _begun(views, survey_m)
-    placements = _place(
-        [view.lens for view in views], _used(views, found), [agreement.placement for agreement in found], survey_m
-    )
+    used = [view.marks.chosen(agreement.inside) for view, agreement in zip(views, found, strict=True)]
+    begun = [agreement.placement.T_world_camera for agreement in found]
+    placements = place_together([view.lens for view in views], used, begun, survey_m)
     agreements = []
     for view, agreement, placement in zip(views, found, placements, strict=True):
         marks = _placed(view.marks, agreement.placement, known={})
@@ -108,7 +96,6 @@ def _known(marks: Marks, known: dict[str, Array]) -> NDArray[np.bool_]:
 
 
 def _placed(marks: Marks, placement: Placement | None, known: dict[str, Array]) -> Marks:
-    """Return marks with a place for those that nobody surveyed: a known one, or where a camera sees it."""
     points = marks.points.copy()
     for i in np.flatnonzero(np.isnan(points[:, 0])):
         if marks.names[i] in known:
@@ -117,63 +104,3 @@ def _placed(marks: Marks, placement: Placement | None, known: dict[str, Array]) 
             slopes = placement.lens.slopes(marks.pixels[[i]])
             points[i, :2] = on_plane(placement.T_world_camera, slopes, points[[i], 2])[0][0]
     return replace(marks, points=points)
-
-
-def _used(views: Sequence[SurveyView], found: Sequence[Agreement]) -> list[Marks]:
-    return [view.marks.chosen(agreement.inside) for view, agreement in zip(views, found, strict=True)]
-
-
-def _place(
-    lenses: Sequence[Lens], marks: list[Marks], begun: Sequence[Placement], survey_m: float | None
-) -> list[Placement]:
-    """Fit all poses at once; ``survey_m`` None: estimated from what is left over."""
-    cameras, ends = len(lenses), np.cumsum([2 * len(camera_marks) for camera_marks in marks])
-    parts = [slice(end - 2 * len(camera_marks), end) for end, camera_marks in zip(ends, marks, strict=True)]
-    names = [name for camera_marks in marks for name in camera_marks.names]
-    open_ = np.concatenate([np.isnan(camera_marks.points[:, 0]) for camera_marks in marks])
-    shared = np.array([[candidate == other for other in names] for candidate in names], np.float64)
-    freedom = (
-        2 * len(names)
-        - 6 * cameras
-        - 2 * len({name for name, camera_marks in zip(names, open_, strict=True) if camera_marks})
-    )
-    sigma = LEAST_SURVEY_M if survey_m is None else survey_m
-    slopes = [lens.slopes(camera_marks.pixels) for lens, camera_marks in zip(lenses, marks, strict=True)]
-    by_pixel = [lens.by_pixel(camera_marks.pixels) for lens, camera_marks in zip(lenses, marks, strict=True)]
-    by_lens = [lens.by_lens(camera_marks.pixels) for lens, camera_marks in zip(lenses, marks, strict=True)]
-    T = [placement.T_world_camera for placement in begun]
-    surveyed = np.concatenate([camera_marks.points[:, :2] for camera_marks in marks])
-    J, V, follows = np.zeros((ends[-1], 6 * cameras)), np.zeros((ends[-1], ends[-1])), [np.zeros(0)] * cameras
-    r, P, weighted, covariance = (np.zeros(0),) * 4
-    seen = surveyed
-    for last in [False] * _GAUSS_NEWTON_STEPS + [True]:
-        V[:] = np.kron(shared * np.where(open_, _UNSURVEYED_SIGMA_M, sigma) ** 2, np.eye(2))
-        places = []
-        for c, (camera_marks, part) in enumerate(zip(marks, parts, strict=True)):
-            point, J_c, by_slope = on_plane(T[c], slopes[c], camera_marks.points[:, 2])
-            follows[c] = by_slope @ by_lens[c]
-            J[part, 6 * c : 6 * c + 6] = J_c.reshape(-1, 6)
-            V[part, part] += noise(by_slope @ by_pixel[c], follows[c], camera_marks.sigma_px, 0.0, lenses[c].covariance)
-            places.append(point)
-        seen = np.concatenate(places)
-        mean = (shared @ seen) / shared.sum(axis=1)[:, None]
-        r = (np.where(open_[:, None], mean, surveyed) - seen).ravel()
-        weighted, covariance, P = normal(J, V)
-        if not last:
-            change = (covariance @ (weighted.T @ r)).reshape(-1, 6)
-            T = [moved(at, step) for at, step in zip(T, change, strict=True)]
-            if survey_m is None:
-                sigma = max(LEAST_SURVEY_M, sigma * math.sqrt(float(r @ P @ r) / freedom))
-    off, off_covariance = left_out(P, r, np.zeros(len(names), np.bool_))
-    off[open_], off_covariance[open_] = np.nan, np.nan
-    found = []
-    for c, (camera_marks, part, placement) in enumerate(zip(marks, parts, begun, strict=True)):
-        rows, own = slice(part.start // 2, part.stop // 2), slice(6 * c, 6 * c + 6)
-        found.append(replace(
-            placement, T_world_camera=T[c], covariance=covariance[own, own], survey_m=sigma,
-            error=-r[part].reshape(-1, 2), left_out=-off[rows], left_out_covariance=off_covariance[rows],
-            heading_error=np.full(len(camera_marks), np.nan), turned=np.zeros(len(camera_marks), np.bool_),
-            chi_square=float(r @ P @ r), freedom=freedom,
-            absorbed=covariance[own] @ weighted[part].T @ follows[c].reshape(2 * len(camera_marks), -1),
-        ))  # fmt: skip
-    return found

@@ -35,7 +35,7 @@ from robofleet.calibration.extrinsics.arena import covariance_of, lens_of
 from robofleet.calibration.extrinsics.consensus import agree, chance, distances, limit, refuse_undetermined
 from robofleet.calibration.extrinsics.fiducials import Marks, look
 from robofleet.calibration.extrinsics.placing import Lens, Placement, change_between, errors_at, on_plane, place
-from robofleet.calibration.extrinsics.region import region_of
+from robofleet.calibration.extrinsics.region import floor_points
 from robofleet.calibration.extrinsics.survey import LEAST, load_survey, on_one_line
 from robofleet.calibration.frames import Named, refuse_other_sizes
 from robofleet.calibration.store import CalibrationError, load
@@ -79,8 +79,6 @@ class _Known(NamedTuple):
 
 
 class _Hypothesis(NamedTuple):
-    """What may have happened."""
-
     placement: Placement  # by the marks that stayed
     stayed: Flags  # (N,)
     change: Array  # (6,) of the camera
@@ -101,14 +99,13 @@ def verify(camera: Path, survey_file: Path, images: Sequence[Named], survey_mm: 
     refuse_other_sizes(images, model)
     marks, notes = look(survey, images, lens.size)
     try:
-        verdict = judge(lens, marks, calibrated, region_of(survey, None, 0.0).points)
+        verdict = judge(lens, marks, calibrated, floor_points(survey, None, 0.0))
     except CalibrationError as unclear:
         raise CalibrationError((*(f"cannot tell: {fault}" for fault in unclear.faults), *notes)) from unclear
     return Verdict(verdict.good, (*verdict.sentences, *notes))
 
 
 def _calibrated(camera: Path, model: CameraModel, survey_mm: float | None) -> Calibrated:
-    """Return the pose of a camera's file, and how good it was."""
     if model.T_world_camera is None:
         raise CalibrationError(f"{camera}: T_world_camera: is missing: run robofleet calibrate arena")
     arena, covariance = model.arena, np.zeros((6, 6))
@@ -179,7 +176,6 @@ def _by_pixels(lens: Lens, marks: Marks, calibrated: Calibrated) -> _Known | Non
 
 
 def _by_survey(lens: Lens, marks: Marks, calibrated: Calibrated) -> _Known:
-    """Return the places at which marks were surveyed."""
     try:
         absorbed = place(lens, marks, calibrated.T, calibrated.survey_m).absorbed
     except np.linalg.LinAlgError as error:
@@ -205,7 +201,6 @@ def _compared(lens: Lens, known: _Known) -> tuple[Array, Array, Array]:
 
 
 def _by_those(lens: Lens, known: _Known, stayed: Flags) -> _Hypothesis | None:
-    """Return the hypothesis that some marks stayed; None if they do not determine a pose."""
     if np.count_nonzero(stayed) < LEAST - 1 or on_one_line(known.marks.points[stayed]):
         return None
     try:

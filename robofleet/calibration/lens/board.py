@@ -42,25 +42,21 @@ class Board:
     dictionary: str = "DICT_5X5_250"
 
     def __post_init__(self) -> None:
-        """Refuse a board that cannot be printed."""
         if min(self.squares) < 4:
             raise CalibrationError(f"a board of {self.shown} has too few corners: take 4 x 4 squares or more")
         if not 0.3 * self.square_m <= self.marker_m < self.square_m:
-            raise CalibrationError(
-                f"markers of {self.marker_m * 1e3:g} mm do not fit {self.square_m * 1e3:g} mm squares"
-            )
+            sizes_mm = f"{self.marker_m * 1e3:g} mm do not fit {self.square_m * 1e3:g}"
+            raise CalibrationError(f"markers of {sizes_mm} mm squares")
         if not self.dictionary.startswith("DICT_") or not hasattr(cv2.aruco, self.dictionary):
             known = ", ".join(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
             raise CalibrationError(f"there is no dictionary {self.dictionary}: take one of {known}")
         markers, printed = len(self._dictionary.bytesList), self.squares[0] * self.squares[1] // 2
         if printed > markers:
-            raise CalibrationError(
-                f"{self.shown} need {printed} markers, {self.dictionary} has {markers}: take a larger one"
-            )
+            needed = f"{self.shown} need {printed} markers, {self.dictionary} has {markers}"
+            raise CalibrationError(f"{needed}: take a larger one")
 
     @property
     def shown(self) -> str:
-        """The board's squares in words."""
         return f"{self.squares[0]} x {self.squares[1]} squares"
 
     @property
@@ -70,7 +66,6 @@ class Board:
 
     @property
     def print(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board."""
         return cv2.aruco.CharucoBoard(self.squares, self.square_m, self.marker_m, self._dictionary)
 
     @property
@@ -119,7 +114,6 @@ class BoardCheck:
         self._ratios: list[float] = []
 
     def add(self, sight: Sight) -> None:
-        """Take what one image showed."""
         self._images += 1
         self._marked += len(sight.markers) >= _CORNERS
         self._fitting += sight.view is not None
@@ -128,7 +122,6 @@ class BoardCheck:
             self._ratios.append(sight.marker_ratio)
 
     def faults(self) -> list[str]:
-        """Return why this cannot be the board that was named."""
         board, last = self._board, self._board.squares[0] * self._board.squares[1] // 2 - 1
         if not self._seen:
             where = f"{self._images} images"

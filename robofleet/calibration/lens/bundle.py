@@ -56,9 +56,8 @@ class Fit:
     @property
     def information(self) -> Array:
         """Return what is known of the lens (P, P), prior included, poses eliminated [1 / px^2 of noise]."""
-        return np.asarray(
-            np.einsum("vkp,vkq->pq", self.roots, self.roots) + self.noise_px**2 * np.diag(self.prior.information)
-        )
+        prior = self.noise_px**2 * np.diag(self.prior.information)
+        return np.asarray(np.einsum("vkp,vkq->pq", self.roots, self.roots) + prior)
 
     @property
     def covariance(self) -> Array:
@@ -103,13 +102,11 @@ class Fit:
         return [np.linalg.solve(identity - R @ known @ R.T, e) for R, e in zip(self.roots, self.rests, strict=True)]
 
     def without(self, left_out: Sequence[int]) -> "Fit":
-        """Return the fit to the other views, from here."""
         kept = [k for k in range(len(self.views)) if k not in left_out]
         return _adjusted(self.lens, tuple(self.views[k] for k in kept), self.poses[kept], self.prior)
 
 
 def fit(kind: Kind, coefficients: int, size: tuple[int, int], views: Sequence[BoardView]) -> Fit:
-    """Fit a lens with so many distortion coefficients to views."""
     views = tuple(views)
     few, starts = views[:: -(-len(views) // _START_VIEWS)], []
     for scale in _FOCAL_STARTS:
@@ -146,21 +143,11 @@ def _prior(start: Lens, focal: float) -> Prior:
     width, height = start.size
     corner = float(np.hypot(width, height)) / 2 / focal
     shares = [share * corner**-power for power, share in _SHARES[start.kind]]
-    sigma = [
-        _PRIOR_FOCAL * focal,
-        _PRIOR_FOCAL * focal,
-        _PRIOR_CENTRE * width,
-        _PRIOR_CENTRE * height,
-        *shares,
-        _PRIOR_TILT,
-        _PRIOR_TILT,
-    ]
+    sigma = [*[_PRIOR_FOCAL * focal] * 2, _PRIOR_CENTRE * width, _PRIOR_CENTRE * height, *shares, *[_PRIOR_TILT] * 2]
     return Prior(start.values, np.array(sigma[: len(start.values)]) ** -2.0)
 
 
 class _Blocks(NamedTuple):
-    """One view's part of the normal equations."""
-
     lens: Array  # (P, P)
     both: Array  # (P, 6)
     pose: Array  # (6, 6)

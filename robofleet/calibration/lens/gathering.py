@@ -27,17 +27,14 @@ class Gathering:
 
     @property
     def views(self) -> list[BoardView]:
-        """The views worth having."""
         return [] if self._collector is None else self._collector.views
 
     @property
     def mirrored(self) -> bool:
-        """Whether the board was seen in a mirror only."""
         return self._mirrored and not self.views
 
     @property
     def counts(self) -> Counter[Offer]:
-        """How many images had which fate."""
         return Counter(self.fates.values())
 
     def take(self, name: str, image: Image) -> Offer:
@@ -72,7 +69,6 @@ class Gathering:
 
 
 def gather(source: Path, board: Board) -> Gathering:
-    """Return what a folder of images or a video shows."""
     gathering = Gathering(board, film=not source.is_dir())
     for name, image in images(source):
         gathering.take(name, image)

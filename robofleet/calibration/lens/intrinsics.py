@@ -67,12 +67,10 @@ class Measured:
 
     @cached_property
     def floor(self) -> FloorErrors:
-        """What the lens's errors do on the floor."""
         return FloorErrors(self.fit.lens, self.conditions.ceiling)
 
     @cached_property
     def coverage(self) -> Coverage:
-        """What the views show."""
         return Coverage.of(self.fit, self.conditions.ceiling)
 
     @property
@@ -93,7 +91,6 @@ class Measured:
 
     @cached_property
     def wanted(self) -> Wanted:
-        """The view that would help most."""
         return next_view(self.fit, self.floor, self.coverage, self.conditions.board)
 
     def faults(self) -> list[str]:

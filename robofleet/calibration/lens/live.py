@@ -50,18 +50,15 @@ class Screen:
         self._live = Live(console=console, auto_refresh=False) if console.is_terminal else None
 
     def __enter__(self) -> "Screen":
-        """Start drawing."""
         if self._live is not None:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop drawing."""
         if self._live is not None:
             self._live.stop()
 
     def show(self, gathering: Gathering, measured: Measured | None, offer: Offer) -> None:
-        """Show what there is, and what is wanted."""
         if self._live is not None:
             self._live.update(picture(gathering, measured, offer), refresh=True)
         elif offer is Offer.NEW or (gathering.mirrored and not self._warned):

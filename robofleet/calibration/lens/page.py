@@ -27,7 +27,6 @@ _CORNER_BGR = (90, 60, 230)
 
 
 def page(measured: Measured, gathering: Gathering, faults: Sequence[str]) -> Report:
-    """Return the report of a lens, refused for ``faults`` or good."""
     report = Report("Camera lens")
     warnings = measured.warnings()
     if not faults:
@@ -37,16 +36,17 @@ def page(measured: Measured, gathering: Gathering, faults: Sequence[str]) -> Rep
         )
     if faults or warnings:
         report.verdict("\n".join((*faults, *warnings)), good=False)
-    report.section("Figures")
-    report.figures(measured.figures(measured.held_out()))
-    _lens(report, measured)
-    report.section("Where the board was")
-    report.figure(coverage_figure(measured), "Corners of the views that were used, by the edge that was away.")
-    report.section("On the floor")
-    report.figure(floor_figure(measured), _floor_caption(measured), long=True)
-    report.section("Residuals")
-    report.figure(residual_figure(measured), "Left: each corner's residual. Right: their mean over cells, magnified.")
-    _views(report, measured, gathering)
+    with mpl.rc_context(STYLE):
+        report.section("Figures")
+        report.figures(measured.figures(measured.held_out()))
+        _lens(report, measured)
+        report.section("Where the board was")
+        report.figure(coverage_figure(measured), "Corners of the views that were used, by the edge that was away.")
+        report.section("On the floor")
+        report.figure(floor_figure(measured), _floor_caption(measured), long=True)
+        report.section("Residuals")
+        report.figure(residual_figure(measured), "Left: each corner's residual. Right: means over cells, magnified.")
+        _views(report, measured, gathering)
     return report
 
 
@@ -65,68 +65,63 @@ def distortion_figure(measured: Measured) -> Figure:
     radius = np.linalg.norm(pixels - centre, axis=1)
     _, by_lens, _ = lens.project(np.column_stack([slopes, np.ones(len(slopes))]), np.zeros(6))
     variance = np.einsum("gip,pq,giq->g", by_lens, measured.fit.covariance, by_lens) if len(slopes) else np.zeros(0)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 2.9), layout="constrained")
-        curve, certain = figure.subplots(1, 2)
-        curve.plot(radius, radius - np.linalg.norm(straight, axis=1), color=COLOURS[0])
-        curve.set(xlabel="radius, px", ylabel="farther out, px")
-        certain.plot(radius, np.sqrt(np.maximum(variance, 0.0)), color=COLOURS[1])
-        certain.set(xlabel="radius, px", ylabel="standard deviation, px", ylim=(0.0, None))
+    figure = Figure(figsize=(8.6, 2.9), layout="constrained")
+    curve, certain = figure.subplots(1, 2)
+    curve.plot(radius, radius - np.linalg.norm(straight, axis=1), color=COLOURS[0])
+    curve.set(xlabel="radius, px", ylabel="farther out, px")
+    certain.plot(radius, np.sqrt(np.maximum(variance, 0.0)), color=COLOURS[1])
+    certain.set(xlabel="radius, px", ylabel="standard deviation, px", ylim=(0.0, None))
     return figure
 
 
 def coverage_figure(measured: Measured) -> Figure:
-    """Draw the corners over the image."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.0, 4.2), layout="constrained")
-        axes = figure.subplots()
-        leans = [tilt(pose)[0] for pose in measured.fit.poses]
-        for lean in Lean:
-            seen = [view.pixels for view, own in zip(measured.fit.views, leans, strict=True) if own is lean]
-            if seen:
-                name = "flat" if lean is Lean.FLAT else f"{lean.value} edge away"
-                points = np.concatenate(seen)
-                axes.plot(*points.T, ".", color=_LEANS[lean], ms=3, label=f"{name}: {len(seen)}")
-        _image_frame(axes, measured)
-        figure.legend(loc="outside lower center", markerscale=3, ncols=3)
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    leans = [tilt(pose)[0] for pose in measured.fit.poses]
+    for lean in Lean:
+        seen = [view.pixels for view, own in zip(measured.fit.views, leans, strict=True) if own is lean]
+        if seen:
+            name = "flat" if lean is Lean.FLAT else f"{lean.value} edge away"
+            points = np.concatenate(seen)
+            axes.plot(*points.T, ".", color=_LEANS[lean], ms=3, label=f"{name}: {len(seen)}")
+    _image_frame(axes, measured)
+    figure.legend(loc="outside lower center", markerscale=3, ncols=3)
     return figure
 
 
 def floor_figure(measured: Measured) -> Figure:
     """Draw the uncertainty over the image, before and after the pose is fitted to floor tags."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 2.9), layout="constrained")
-        titles = ("with the camera's place known, mm", "after its place is fitted to floor tags, mm")
-        for axes, title, refitted in zip(figure.subplots(1, 2), titles, (False, True), strict=True):
-            sigma = measured.floor.sigma_mm(measured.fit.covariance, refitted=refitted)
-            _image_frame(axes, measured)
-            width, height = measured.conditions.size
-            image = axes.imshow(
-                sigma.reshape(floor.ROWS, floor.COLUMNS),
-                extent=(-0.5, width - 0.5, height - 0.5, -0.5),
-                cmap=_HEAT, vmin=0.0, interpolation="bilinear",
-            )  # fmt: skip
-            axes.set_title(title)
-            axes.grid(visible=False)
-            figure.colorbar(image, ax=axes, shrink=0.85).outline.set_visible(False)
+    figure = Figure(figsize=(8.6, 2.9), layout="constrained")
+    titles = ("with the camera's place known, mm", "after its place is fitted to floor tags, mm")
+    for axes, title, refitted in zip(figure.subplots(1, 2), titles, (False, True), strict=True):
+        sigma = measured.floor.sigma_mm(measured.fit.covariance, refitted=refitted)
+        _image_frame(axes, measured)
+        width, height = measured.conditions.size
+        image = axes.imshow(
+            sigma.reshape(floor.ROWS, floor.COLUMNS),
+            extent=(-0.5, width - 0.5, height - 0.5, -0.5),
+            cmap=_HEAT, vmin=0.0, interpolation="bilinear",
+        )  # fmt: skip
+        axes.set_title(title)
+        axes.grid(visible=False)
+        figure.colorbar(image, ax=axes, shrink=0.85).outline.set_visible(False)
     return figure
 
 
 def residual_figure(measured: Measured) -> Figure:
     """Draw all residuals, and where in the image they point the same way."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.6, 2.9), layout="constrained")
-        cloud, field = figure.subplots(1, 2, width_ratios=(1, 2))
-        residuals = np.concatenate(measured.fit.residuals)
-        cloud.plot(*residuals.T, ".", color=COLOURS[0], ms=2, alpha=0.5)
-        reach = 1.05 * float(np.percentile(np.abs(residuals), 99.9))
-        cloud.set(xlabel="u, px", ylabel="v, px", aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
-        _image_frame(field, measured)
-        at, mean = _means(measured, residuals)
-        longest = max(float(np.abs(mean).max(initial=0.0)), 1e-9)
-        scale = longest / (0.8 * measured.conditions.size[0] / _ARROW_CELLS[0])
-        field.quiver(*at.T, *mean.T, angles="xy", scale_units="xy", scale=scale, color=COLOURS[1], width=0.004)
-        field.set_title(f"longest arrow: {longest:.3f} px")
+    figure = Figure(figsize=(8.6, 2.9), layout="constrained")
+    cloud, field = figure.subplots(1, 2, width_ratios=(1, 2))
+    residuals = np.concatenate(measured.fit.residuals)
+    cloud.plot(*residuals.T, ".", color=COLOURS[0], ms=2, alpha=0.5)
+    reach = 1.05 * float(np.percentile(np.abs(residuals), 99.9))
+    cloud.set(xlabel="u, px", ylabel="v, px", aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
+    _image_frame(field, measured)
+    at, mean = _means(measured, residuals)
+    longest = max(float(np.abs(mean).max(initial=0.0)), 1e-9)
+    scale = longest / (0.8 * measured.conditions.size[0] / _ARROW_CELLS[0])
+    field.quiver(*at.T, *mean.T, angles="xy", scale_units="xy", scale=scale, color=COLOURS[1], width=0.004)
+    field.set_title(f"longest arrow: {longest:.3f} px")
     return figure
 
 
@@ -177,7 +172,6 @@ def _lens(report: Report, measured: Measured) -> None:
 
 
 def _thumbnail(view: BoardView, text: str, *, good: bool | None) -> Picture:
-    """Return a view's image, small, with the corners that were found."""
     scale = _THUMBNAIL_WIDTH_PX / view.image.shape[1]
     small = cv2.resize(view.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     drawn = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
@@ -195,22 +189,14 @@ def _views(report: Report, measured: Measured, gathering: Gathering) -> None:
         lean, angle = tilt(pose)
         cells = int((cell_counts(measured.conditions.size, view.pixels) > 0).sum())
         where = f"{angle:.0f} deg" if lean is Lean.FLAT else f"{angle:.0f} deg, {lean.value} edge away"
-        rows.append(
-            (view.name, len(view.ids), cells, f"{pose[5]:.2f}", where, float(miss), measured.floor.shift_mm(change))
-        )
+        influence_mm = measured.floor.shift_mm(change)
+        rows.append((view.name, len(view.ids), cells, f"{pose[5]:.2f}", where, float(miss), influence_mm))
     report.table(("image", "corners", "cells", "distance, m", "tilt", "typical miss, px", "influence, mm"), rows)
-    report.pictures(
-        [
-            *(
-                _thumbnail(view, f"{view.name}: {miss:.2f} px", good=None)
-                for view, miss in zip(fit.views, fit.typical_px, strict=True)
-            ),
-            *(
-                _thumbnail(view, f"{view.name}: left out, {miss:.2f} px", good=False)
-                for view, miss in measured.outliers
-            ),
-        ]
-    )
+    used = zip(fit.views, fit.typical_px, strict=True)
+    left_out = [
+        _thumbnail(o.view, f"{o.view.name}: left out, {o.typical_px:.2f} px", good=False) for o in measured.outliers
+    ]
+    report.pictures([*(_thumbnail(view, f"{view.name}: {miss:.2f} px", good=None) for view, miss in used), *left_out])
     if measured.outliers:
         report.section("Left out", "These views do not fit the others: blurred, moved, bent, or another board.")
         report.table(

@@ -25,7 +25,6 @@ class Lens:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the values' names, with their units."""
         coefficients = _FISHEYE if self.kind == "fisheye" else _PINHOLE
         return ("f_x_px", "f_y_px", "c_x_px", "c_y_px", *coefficients[: len(self.values) - 4])
 
@@ -64,13 +63,10 @@ class Lens:
         seen = np.asarray(np.isfinite(slopes).all(axis=1))
         if seen.sum() < 4:
             slopes, seen = (view.pixels - self.values[2:4]) / self.values[:2], np.ones(len(seen), np.bool_)
-        _, rotations, translations, _ = cv2.solvePnPGeneric(
-            view.points[seen], slopes[seen], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
-        )
-        poses = [
-            self._refined(view, np.concatenate([r.ravel(), t.ravel()]))
-            for r, t in zip(rotations, translations, strict=True)
-        ]
+        plane = cv2.SOLVEPNP_IPPE
+        _, turns, shifts, _ = cv2.solvePnPGeneric(view.points[seen], slopes[seen], np.eye(3), None, flags=plane)
+        found = (np.concatenate([r.ravel(), t.ravel()]) for r, t in zip(turns, shifts, strict=True))
+        poses = [self._refined(view, pose) for pose in found]
         return min(poses, key=lambda pose: cost(self.project(view.points, pose)[0] - view.pixels))
 
     def _refined(self, view: BoardView, pose: Array) -> Array:

@@ -58,7 +58,6 @@ class Collector:
         self.views: list[BoardView] = []
 
     def offer(self, view: BoardView) -> Offer:
-        """Take a view, or say why not."""
         before, self._before = self._before, view
         if self._film and (before is None or self._apart(before, view) > _STILL_WAY):
             return Offer.MOVING
@@ -100,7 +99,6 @@ class Coverage:
 
     @classmethod
     def of(cls, fit: Fit, ceiling: Ceiling) -> "Coverage":
-        """Count the views of a fit."""
         lens = fit.lens
         corners, leans = np.zeros((ROWS, COLUMNS)), np.zeros((ROWS, COLUMNS, len(Lean)))
         counts, depths = dict.fromkeys(Lean, 0), []
@@ -134,7 +132,6 @@ class Coverage:
         return tuple(lean for pair in pairs if sum(self.views[k] for k in pair) < _TILTED_VIEWS for lean in pair)
 
     def faults(self) -> list[str]:
-        """Return what the views do not show."""
         faults = []
         if self.empty.any():
             places = sorted({place(*cell) for cell in np.argwhere(self.empty).tolist()})
@@ -147,9 +144,8 @@ class Coverage:
                     f"{_TILTED_VIEWS} or more are needed"
                 )
         if self.depths < _DEPTH_RATIO:
-            faults.append(
-                f"all corners are about equally far: the farthest is {self.depths:.2f} times as far as the nearest"
-            )
+            depths = f"the farthest is {self.depths:.2f} times as far as the nearest"
+            faults.append(f"all corners are about equally far: {depths}")
         return faults
 
 
@@ -163,15 +159,12 @@ class Wanted(NamedTuple):
     rms_mm: float  # over the arena, with it
 
     def __str__(self) -> str:
-        """Ask for it."""
-        how = (
-            "flat" if self.lean is Lean.FLAT else f"its {self.lean.value} edge {_ASKED_DEG:g} deg away from the camera"
-        )
+        away = f"its {self.lean.value} edge {_ASKED_DEG:g} deg away from the camera"
+        how = "flat" if self.lean is Lean.FLAT else away
         return f"show the board {place(self.row, self.column)} of the image, about {self.distance_m:.1f} m away, {how}"
 
 
 def place(row: int, column: int) -> str:
-    """Return where a cell is."""
     vertical = "upper" if row == 0 else "lower" if row == ROWS - 1 else ""
     horizontal = "left" if column == 0 else "right" if column == COLUMNS - 1 else ""
     if vertical and horizontal:

@@ -1,7 +1,7 @@
 """A calibration drive: runs it with the fleet's own processes, and extracts the data of each robot."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from robofleet.bus.private_folder import PlaceError
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.config import groups
-from robofleet.config.calibrated import TagOffset
 from robofleet.config.tree import Config, Group
 from robofleet.core.arrays import Array
 from robofleet.core.clock import S
@@ -33,7 +32,7 @@ from robofleet.runs.launcher import Launcher
 from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.offset import tag_from_centre
 
-Turned = tuple[Array, Array]  # at [s], angles (n, 2) [rad]
+Timed = tuple[Array, Array]  # at (n,) [s], values (n, ...)
 Seen = tuple[float, float, float, float]  # at [s], x, y [m], psi [rad]
 
 _GROUP = "excitation"
@@ -77,7 +76,7 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
     Raises:
         CalibrationError: the drive did not come to its end.
     """
-    watch = _Watch(config, say)
+    watch = _watch(config, say)
     if lockstep:
         simulated = Lockstep(config)
         outcome, cause = simulated.run(watch)
@@ -130,18 +129,32 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
                 seen[pose.tag].append(((exposure_ns + pose.after_ns) / S, pose.x_m, pose.y_m, pose.psi_rad))
     drives = []
     for row, robot in enumerate(robots[:count]):
-        offset = TagOffset() if robot.calibration is None else robot.calibration.tag_offset
+        offset = robot.tag_offset
         poses = [(at_s, *tag_from_centre(x, y, psi, offset)) for at_s, x, y, psi in seen[robot.tag]]
+        measured = np.array(sorted(poses)).reshape(-1, 4)
+        measured = measured[np.unique(measured[:, 0], return_index=True)[1]]
         wheels = np.column_stack([ticks["items"]["left_rad_s"][:, row], ticks["items"]["right_rad_s"][:, row]])
-        statuses = recording.of_robot(STATUS, robot.id)
-        held_s = float(held[:, row].sum()) * config.controller.tick_s
-        commands_s = (ticks["stamp_ns"] - start_ns) / S
-        scalars = held_s, robot.vehicle.max_wheel_acceleration_rad_s2
-        drives.append(_cut(robot.id, commands_s, wheels, poses, _angles(statuses, ticks), scalars))
+        series = ((ticks["stamp_ns"] - start_ns) / S, wheels), (measured[:, 0], measured[:, 1:])
+        angles = _angles(recording.of_robot(STATUS, robot.id), ticks)
+        requested, located, commanded, counted = _cut(robot.id, *series, *angles)
+        drive = RobotDrive(
+            robot=robot.id,
+            commands_s=requested[0],
+            commands_rad_s=requested[1],
+            poses_s=located[0],
+            poses=located[1],
+            told_s=commanded[0],
+            told_rad=commanded[1],
+            encoders_s=counted[0],
+            encoders_rad=counted[1],
+            held_s=float(held[:, row].sum()) * config.controller.tick_s,
+            acceleration_rad_s2=robot.vehicle.max_wheel_acceleration_rad_s2,
+        )
+        drives.append(drive)
     return drives
 
 
-def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Turned, Turned]:
+def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Timed, Timed]:
     """Return how far the wheels were told to turn, and how far they did (nothing, where the robot does not know that).
 
     Both are on the controller's clock: a status says when the newest command was applied, and by which image that
@@ -150,10 +163,9 @@ def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Turned, Turned
     """
     exposures, index, counts = np.unique(ticks["exposure_ns"], return_index=True, return_counts=True)
     stamp_of = dict(zip(exposures[counts == 1].tolist(), ticks["stamp_ns"][index[counts == 1]].tolist(), strict=True))
+    stamp_of.pop(0, None)  # of ticks without an image
     applied = zip(statuses["applied_exposure_ns"].tolist(), statuses["applied_ns"].tolist(), strict=True)
-    shifts = [
-        at_ns - stamp_of[exposure_ns] for exposure_ns, at_ns in applied if exposure_ns and exposure_ns in stamp_of
-    ]
+    shifts = [at_ns - stamp_of[exposure_ns] for exposure_ns, at_ns in applied if exposure_ns in stamp_of]
     nothing = np.empty(0), np.empty((0, 2))
     if not shifts:
         return nothing, nothing
@@ -166,56 +178,40 @@ def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Turned, Turned
     return (at_s, commanded), (at_s, counted) if np.ptp(counted, axis=0).any() else nothing
 
 
-def _cut(
-    robot: str,
-    commands_s: Array,
-    wheels: Array,
-    poses: list[Seen],
-    angles: tuple[Turned, Turned],
-    scalars: tuple[float, float],
-) -> RobotDrive:
-    """Return a robot's own part of the drive: the others stand then, and it stands before and after."""
-    moving = commands_s[wheels.any(axis=1)]
+def _cut(robot: str, requested: Timed, *others: Timed) -> Iterator[Timed]:
+    """Yield a robot's own part of each series: the others stand then, and it stands before and after."""
+    moving = requested[0][requested[1].any(axis=1)]
     if not len(moving):
         raise CalibrationError(f"{robot}: it was never commanded to move: did the tracker see it, and had it room?")
     start_s, end_s = float(moving[0]) - _REST_AROUND_S, float(moving[-1]) + _REST_AROUND_S
-    seen = np.array(sorted(poses)).reshape(-1, 4)
-    seen = seen[np.unique(seen[:, 0], return_index=True)[1]]
-
-    def inside(at_s: Array, values: Array) -> tuple[Array, Array]:
+    for at_s, values in (requested, *others):
         own = (at_s >= start_s) & (at_s <= end_s)
-        return at_s[own], values[own]
-
-    requested, measured = inside(commands_s, wheels), inside(seen[:, 0], seen[:, 1:])
-    commanded, counted = (inside(*turned) for turned in angles)
-    return RobotDrive(robot, *requested, *measured, *commanded, *counted, *scalars)
+        yield at_s[own], values[own]
 
 
 def _ends(config: Config) -> Array:
-    """Return when each robot of a drive has driven [s]."""
     (behaviour,) = groups.behaviours(config)
     assert isinstance(behaviour, Excitation)
     return behaviour.ends
 
 
-class _Watch:
-    """Says which robot drives, or what is waited for."""
+def _watch(config: Config, say: Callable[[str], None]) -> Watch:
+    """Return what says which robot drives, or what is waited for."""
+    ends, last_text = _ends(config), ""
+    count = int(np.searchsorted(ends, config.run.duration_s))
 
-    def __init__(self, config: Config, say: Callable[[str], None]) -> None:
-        self._config, self._say, self._last_text = config, say, ""
-        self._ends = _ends(config)
-        self._count = int(np.searchsorted(self._ends, config.run.duration_s))
-
-    def __call__(self, recording: Recording, phase: str) -> None:
+    def watch(recording: Recording, phase: str) -> None:
+        nonlocal last_text
         text = WAITING.get(phase, phase)
         if phase == "held" and (state := recording.newest(STATE)) is not None:
-            words = state_words(state, None, self._config.ids)
-            text = f"held: {words.advice}; then press r, or `robofleet resume`"
+            text = f"held: {state_words(state, None, config.ids).advice}; then press r, or `robofleet resume`"
         head = recording.newest(TICK) if phase == "running" else None
         if head is not None and head.run_tick >= 0:
-            row = int(np.searchsorted(self._ends, head.run_tick * self._config.controller.tick_s, side="right"))
-            if row < self._count:
-                text = f"{self._config.members[row].id} drives"
-        if text != self._last_text:
-            self._last_text = text
-            self._say(text)
+            row = int(np.searchsorted(ends, head.run_tick * config.controller.tick_s, side="right"))
+            if row < count:
+                text = f"{config.members[row].id} drives"
+        if text != last_text:
+            last_text = text
+            say(text)
+
+    return watch

@@ -47,7 +47,6 @@ class RobotDrive:
 
 
 def save(file: Path, drives: Sequence[RobotDrive]) -> None:
-    """Write a drive."""
     arrays: dict[str, Any] = {"version": np.array(VERSION), "robots": np.array([drive.robot for drive in drives])}
     for drive in drives:
         fields = {name: value for name, value in vars(drive).items() if name != "robot"}
@@ -57,7 +56,6 @@ def save(file: Path, drives: Sequence[RobotDrive]) -> None:
 
 
 def load(file: Path) -> list[RobotDrive]:
-    """Read a drive; CalibrationError says what is wrong with a file that is none."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
@@ -74,7 +72,6 @@ def load(file: Path) -> list[RobotDrive]:
 
 
 def chosen(file: Path, robots: Sequence[str]) -> list[RobotDrive]:
-    """Return the recorded drives of some robots, of all where none is named."""
     recorded = {drive.robot: drive for drive in load(file)}
     for unknown in (name for name in robots if name not in recorded):
         raise CalibrationError(f"--robots: {unknown!r} did not drive in {file} ({', '.join(recorded)} did)")
@@ -97,7 +94,6 @@ def _robot_drive(file: Path, robot: str, arrays: dict[str, NDArray[Any]]) -> Rob
 
 
 def _shape(name: str, found: dict[str, Any]) -> tuple[int, ...]:
-    """Return the shape that a field must have beside its instants."""
     if name in _SCALARS:
         return ()
     instants = name if name.endswith("s_s") else f"{name.partition('_')[0]}_s"

@@ -142,13 +142,8 @@ def lagging(at_s: Array, commanded: Array, lag_s: float) -> Array:
 
     They are told evenly from sample to sample, and stand where they were told at the first.
     """
-    steps, ways, lag_s = np.diff(at_s), np.diff(commanded, axis=0), max(lag_s, _SHORTEST_LAG_S)
-    turned, behind = [commanded[:1]], np.zeros((1, 2))  # how far behind what they were told
-    for step, kept, way, at in zip(steps, np.exp(-steps / lag_s), ways, commanded[1:], strict=True):
-        steady = way / step * lag_s
-        behind = steady + (behind - steady) * kept
-        turned.append(at - behind)
-    return np.concatenate(turned)
+    speeds = np.diff(commanded, axis=0) / np.diff(at_s)[:, None]
+    return np.asarray(commanded[0] + wheel_travel(at_s, np.vstack([speeds, speeds[-1:]]), 0.0, lag_s, at_s))
 
 
 def solve(columns: Array, y: Array, inc: Increments) -> Solution:

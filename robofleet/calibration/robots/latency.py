@@ -59,7 +59,6 @@ class Latency:
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations of the two [s]."""
         return np.sqrt(np.diag(self.covariance))
 
 
@@ -105,7 +104,6 @@ def _find(drive: RobotDrive) -> Latency:
 
 
 def _refuse(found: Latency) -> None:
-    """Say what the drive does not determine, and what cannot be."""
     robot, sigma = found.robot, found.sigma
     if not max(sigma) <= _WORST_SIGMA_S:
         raise CalibrationError(
@@ -166,7 +164,6 @@ class _Model:
         return theta, covariance
 
     def turns(self, theta: Array) -> tuple[Array, Array]:
-        """Return the measured and the modelled rate of turning (n,) [rad/s]."""
         e = self.residuals(theta)[0]
         return self.inc.turn / self.inc.duration_s, (self.inc.turn - e) / self.inc.duration_s
 

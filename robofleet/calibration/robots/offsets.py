@@ -56,13 +56,11 @@ class Offsets:
 
     @property
     def values(self) -> Array:
-        """The five, in the order of PARAMETERS."""
         o = self.tag_offset
         return np.array([o.forward_m, o.left_m, o.heading_deg, self.wheel_radius_m, self.wheel_base_m])
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations of the five."""
         return np.sqrt(np.diag(self.covariance))
 
 
@@ -177,9 +175,8 @@ def _physical(fitted: Array) -> Array:
     h = math.atan2(-f_y, f_x)
     c, s = math.cos(h), math.sin(h)
     radius = math.hypot(f_x, f_y)
-    return np.array(
-        [c * q_x - s * q_y, s * q_x + c * q_y, math.degrees(h), radius, 2 * radius / (left_turn + right_turn)]
-    )
+    base = 2 * radius / (left_turn + right_turn)
+    return np.array([c * q_x - s * q_y, s * q_x + c * q_y, math.degrees(h), radius, base])
 
 
 def _between(at_s: Array, angles: Array, asked_s: Array) -> Array:
@@ -217,7 +214,6 @@ def _smoothed(values: Array, width: int) -> Array:
 
 
 def _refuse(found: Offsets, fit: _Fit) -> None:
-    """Say what the drive does not determine."""
     robot, sigma = found.robot, found.sigma
     turn, forward = np.diff(fit.heading), fit.angle * found.wheel_radius_m
     ways = float(turn[turn > 0].sum()), -float(turn[turn < 0].sum())

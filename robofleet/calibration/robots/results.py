@@ -19,6 +19,8 @@ from robofleet.core.figures import COLOURS, QUIET, STYLE
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
+Rows = tuple[tuple[str, ...], list[tuple[str, ...]]]  # a table: its head, and its rows
+
 _SHOWN_TURNS_S = 4.0
 
 
@@ -42,7 +44,6 @@ def earlier(file: Path, robot: str) -> RobotCalibration:
 
 
 def with_offsets(before: RobotCalibration, found: Offsets, recording: bytes) -> RobotCalibration:
-    """Return a calibration with new offsets."""
     o = found.tag_offset
     sigma = dict(zip(("forward", "left"), (1e3 * found.sigma[:2]).tolist(), strict=True))
     figures = {
@@ -67,7 +68,6 @@ def with_offsets(before: RobotCalibration, found: Offsets, recording: bytes) -> 
 
 
 def with_latency(before: RobotCalibration, found: Latency, recording: bytes) -> RobotCalibration:
-    """Return a calibration with a new delay and lag."""
     figures = {
         "sigma_delay_ms": 1e3 * float(found.sigma[0]),
         "sigma_motor_lag_ms": 1e3 * float(found.sigma[1]),
@@ -86,8 +86,7 @@ def with_latency(before: RobotCalibration, found: Latency, recording: bytes) -> 
     )
 
 
-def offsets_table(found: Sequence[Offsets]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return the head and the rows of what was found, with sigma."""
+def offsets_table(found: Sequence[Offsets]) -> Rows:
     head = ("robot", "tag forward mm", "tag left mm", "tag heading deg", "wheel radius mm", "wheel base mm", "by")
     scales, digits = (1e3, 1e3, 1.0, 1e3, 1e3), (3, 3, 3, 4, 2)
     rows = []
@@ -98,8 +97,7 @@ def offsets_table(found: Sequence[Offsets]) -> tuple[tuple[str, ...], list[tuple
     return head, rows
 
 
-def latency_table(found: Sequence[Latency]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return the head and the rows of what was found, with sigma."""
+def latency_table(found: Sequence[Latency]) -> Rows:
     rows = []
     for robot_latency in found:
         numbers = zip((robot_latency.delay_s, robot_latency.motor_lag_s), robot_latency.sigma, strict=True)
@@ -108,7 +106,6 @@ def latency_table(found: Sequence[Latency]) -> tuple[tuple[str, ...], list[tuple
 
 
 def offsets_page(found: Sequence[Offsets], drives: Sequence[RobotDrive], vehicles: Sequence[Vehicle]) -> Report:
-    """Return the page of ``robofleet calibrate offsets``."""
     page = Report("Where the tags sit on their robots")
     page.verdict("Measured, and good enough to use.", good=True)
     page.table(*offsets_table(found))
@@ -135,9 +132,7 @@ def latency_page(found: Sequence[Latency], believed: Sequence[tuple[float, Diffe
             f"{robot_latency.left_out} of {len(robot_latency.at_s) + 1 + robot_latency.left_out} poses were outliers.",
         )
         figure = _latency_figure(robot_latency, delay_s, drive.motor_lag)
-        page.figure(
-            figure, "A wheel's answer to a step of its command at 0; and the turns of the drive, beside the fit's."
-        )
+        page.figure(figure, "A wheel's answer to a step of its command at 0; the turns of the drive, beside the fit's.")
     return page
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 SHIPPED = Path(__file__).parents[2] / "configs"
 _ENDS = (".yaml", ".yml")
-_MOST_NAMES = 5  # in a line
+_MOST_NAMES_IN_LINE = 5
 
 
 def missing(file: Path) -> str:
@@ -72,6 +72,6 @@ def _near(name: str, paths: Iterable[Path]) -> Path | None:
 
 def _listed(names: Iterable[str]) -> str:
     first = list(names)
-    return ", ".join(first[:_MOST_NAMES]) + (
-        f" and {len(first) - _MOST_NAMES} more" if len(first) > _MOST_NAMES else ""
+    return ", ".join(first[:_MOST_NAMES_IN_LINE]) + (
+        f" and {len(first) - _MOST_NAMES_IN_LINE} more" if len(first) > _MOST_NAMES_IN_LINE else ""
     )

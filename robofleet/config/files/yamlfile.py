@@ -16,7 +16,7 @@ Value = dict[str, "Node"] | list["Node"] | str | int | float | bool | None
 _TAG = "tag:yaml.org,2002:"
 _SCALARS = {_TAG + kind for kind in ("null", "bool", "int", "float", "str")}
 _ALIAS, _EXPLICIT = "!alias", "!explicit "
-_LARGEST_BYTES = 1 << 20  # of a document: a hundred robots with their calibrations fit twice
+_LARGEST_DOCUMENT_BYTES = 1 << 20  # of a document: a hundred robots with their calibrations fit twice
 _MCAP_MAGIC = b"\x89MCAP"
 _DEEPEST_NESTING = 32
 _LONGEST_NUMBER = 100  # [characters]; a longer one takes its time, and is none that can be meant
@@ -115,7 +115,7 @@ def read_yaml(file: Path, source: Source) -> tuple[Node | None, list[Mistake]]:
         FileNotFoundError: there is no such file.
     """
     try:
-        data = read_named(file, _LARGEST_BYTES)
+        data = read_named(file, _LARGEST_DOCUMENT_BYTES)
     except FileNotFoundError:
         raise
     except IsADirectoryError:
@@ -131,8 +131,8 @@ def parse_bytes(data: bytes, source: Source) -> tuple[Node | None, list[Mistake]
     if data.startswith(_MCAP_MAGIC):
         message = f"is a recording, not a configuration: `robofleet report {source.name}` reads it"
         return None, [Mistake(Position(source, 1, 1, source.key), message)]
-    if len(data) > _LARGEST_BYTES:
-        return None, [Mistake(Position(source, 1, 1, source.key), f"is longer than {_LARGEST_BYTES} bytes")]
+    if len(data) > _LARGEST_DOCUMENT_BYTES:
+        return None, [Mistake(Position(source, 1, 1, source.key), f"is longer than {_LARGEST_DOCUMENT_BYTES} bytes")]
     try:
         return parse_yaml(data.decode("utf-8-sig"), source)
     except UnicodeDecodeError as error:

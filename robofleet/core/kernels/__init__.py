@@ -8,21 +8,6 @@ import types
 from collections.abc import Callable, Iterator
 from typing import Any, ParamSpec, TypeVar, cast
 
-from robofleet.core.errors import UnknownMeaningError
-
-__all__ = [
-    "INFINITE",
-    "Kernel",
-    "UnknownMeaningError",
-    "image_kernel",
-    "infinite_kernel",
-    "kernel",
-    "kernel_of_plain",
-    "model",
-    "reached",
-    "snapshot",
-]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -42,7 +27,6 @@ class Kernel:
         self.py_func, self._options = function, {**options, **_NO_CALLBACK}
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return what the compiled function returns."""
         return self.compiled(*arguments)
 
     @functools.cached_property

@@ -79,7 +79,6 @@ class KernelCache(_Cache):
 
     @property
     def cache_path(self) -> str:
-        """Return the folder."""
         return str(folder())
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -97,7 +96,6 @@ class KernelCache(_Cache):
         return _rebuilt(target_context, content)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled function."""
         if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted) or _calls_back(data):
             return  # addresses of this process are in it
         dumps: Callable[..., bytes] = serialize.dumps

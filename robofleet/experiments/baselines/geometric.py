@@ -115,7 +115,6 @@ class Stanley(_Follower):
         self._k, self._damping = gain, damping
 
     def update(self, t: float, x: Array) -> Input:
-        """Return the input."""
         m, psi = self.problem.model, float(x[4])
         front = x[:2] + m.front_axle * np.array([math.cos(psi), math.sin(psi)])
         at = self.nearest(front, psi)

@@ -22,7 +22,6 @@ _START_BARRIER, _TOLERANCE = 1e-4, 1e-6  # a small first barrier parameter: the 
 
 
 def has(solver: Solver) -> bool:
-    """Return whether this casadi was built with a solver."""
     return bool(ca.has_nlpsol(solver))
 
 
@@ -64,7 +63,6 @@ class CasadiMpc:
         self._last = np.zeros(2)
 
     def update(self, t: float, x: Array) -> Input:
-        """Return the first input of the optimal sequence."""
         r = self._problem.target(t + self._times)
         first = np.concatenate([x, self._last])
         if "x0" not in self._start:

@@ -39,7 +39,6 @@ class DoMpc:
         self._started = False
 
     def update(self, t: float, x: Array) -> Input:
-        """Return the first input of the optimal sequence."""
         self._r[:] = self._problem.target(t + self._times)
         if not self._started:
             self._mpc.x0 = x

@@ -49,7 +49,6 @@ class OsqpMpc:
         )  # fmt: skip
 
     def update(self, t: float, x: Array) -> Input:
-        """Return the first input of the optimal sequence."""
         z, G = linearised(x, self._u, self._p, self._interval)
         r = self._problem.target(t + self._times).ravel()
         U, scale = self._u.ravel(), self._scale

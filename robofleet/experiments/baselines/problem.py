@@ -7,7 +7,6 @@ import numpy as np
 
 from robofleet.control.arrays import cached
 from robofleet.core.arrays import Array
-from robofleet.core.clock import stopwatch_ns
 from robofleet.core.kernels import kernel
 from robofleet.experiments.curves import Reference
 from robofleet.vehicles import bicycle
@@ -106,7 +105,6 @@ class Drive:
     t: Array  # (K,) [s]
     states: Array  # (K, 6) true, before the update
     inputs: Array  # (K, 2) as they act
-    durations: Array  # (K,) of each update, through its Python API [s]
     lateral: Array  # (K,) [m], + to the left of the curve
     heading: Array  # (K,) [rad]
     step: float  # [s]
@@ -134,20 +132,18 @@ def drive(problem: Problem, controller: Controller, conditions: Conditions, dist
     """Drive until the reference's point is ``distance`` [m] along the curve, or the vehicle is lost."""
     count = round(distance / problem.speed / problem.step)
     noise = np.random.default_rng(conditions.seed).normal(0.0, 1.0, (count, 2)) * conditions.position_noise
-    states, durations = np.empty((count, 6)), np.empty(count)
+    states = np.empty((count, 6))
     inputs: list[Input] = [(0.0, 0.0)] * conditions.delay
     x, k, failure = problem.start(), 0, ""
     for k in range(count):
         states[k] = x
         measured = x.copy()
         measured[:2] += noise[k]
-        started = stopwatch_ns()
         try:
             u = controller.update(k * problem.step, measured)
         except (ValueError, RuntimeError) as error:
             failure = f"at {k * problem.step:.2f} s: {error}"
             break
-        durations[k] = (stopwatch_ns() - started) / 1e9
         inputs.append(problem.limited(u))
         x = problem.moved(x, inputs[k], conditions.plant)
         if failure := _lost(problem, x, (k + 1) * problem.step):
@@ -155,7 +151,7 @@ def drive(problem: Problem, controller: Controller, conditions: Conditions, dist
     states, used = states[: k + 1], np.array(inputs[: k + 1])
     lateral, heading, _ = problem.reference.errors(states[:, :2], states[:, 4])
     t = np.asarray(problem.step * np.arange(k + 1), dtype=np.float64)
-    return Drive(t, states, used, durations[: k + 1], lateral, heading, problem.step, failure)
+    return Drive(t, states, used, lateral, heading, problem.step, failure)
 
 
 def _lost(problem: Problem, x: Array, t: float) -> str:

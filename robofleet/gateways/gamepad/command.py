@@ -18,8 +18,8 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra
-from robofleet.gateways.gamepad.pads import Pad
-from robofleet.gateways.place import is_over, joined_otherwise, run_of
+from robofleet.gateways.gamepad.pads import EventPad
+from robofleet.gateways.place import Served, answering, is_over, joined_bus, joined_otherwise, run_of
 from robofleet.operator.commands import ArenaName
 from robofleet.operator.hand import Hand
 from robofleet.safety.supervisor import Phase
@@ -28,11 +28,10 @@ if TYPE_CHECKING:
     from robofleet.config.tree import Config
 
 _REPEAT_NS = 20 * MS  # of a command that stays as it is
-_CONTROLLER_SILENT_NS = 3 * S
 
 
 def drive(
-    pad: Pad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool], out: str = ""
+    pad: EventPad, config: Config, bus: Bus, clock: Clock, group: str, over: Callable[[], bool], out: str = ""
 ) -> None:  # fmt: skip
     """Drive a group until the run is over; OSError where the gamepad is gone. Then, too, the robots stand.
 
@@ -40,10 +39,8 @@ def drive(
     """
     hand, observer = Hand(bus, config, group), Observer(bus, [STATE])
     out = out or next(own.robots[0] for own in config.groups if own.title == group)
-    epoch = 0  # of the run's supervisor: another one is another run's
     ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
-    stick = pad.read()
-    newest, heard_ns = 0, clock.now_ns()
+    stick, served = pad.read(), Served(over, clock.now_ns())
     try:
         while True:
             readable, _, _ = select.select([pad], [], [], _REPEAT_NS / S)
@@ -51,22 +48,15 @@ def drive(
                 stick = pad.read()
             ticks.update()
             now_ns = clock.now_ns()
-            observer.update(now_ns)
-            state: RunState | None = observer[STATE]
-            epoch = epoch or (state.epoch if state else 0)
-            if state is not None and state.epoch != epoch:
+            if observer.update(now_ns):
+                served.take(observer[STATE].epoch, now_ns)
+            if served.is_over(now_ns):
                 return
+            state: RunState | None = observer[STATE]
             held = state is not None and state.phase == Phase.HOLD
             hand.drive(stick, ticks.newest, out if held else None)
-            if ticks.newest != newest:
-                newest, heard_ns = ticks.newest, now_ns
-            elif now_ns - heard_ns > _CONTROLLER_SILENT_NS and over():
-                return
     finally:
         hand.let_go()
-
-
-_JOINS_WITHIN_S = 3.0
 
 
 def teleop(
@@ -92,7 +82,6 @@ def teleop(
     Hold a shoulder button (L1 or R1): the left stick drives. Let it go, and the robot stands. While the run is held, it
     drives one robot out at a crawl. Ctrl-C ends this, and not the run.
     """
-    from robofleet.bus.joining import joined  # noqa: PLC0415
     from robofleet.bus.permissions import OPERATOR as PERSON  # noqa: PLC0415
     from robofleet.core.clock import WallClock  # noqa: PLC0415
     from robofleet.gateways.gamepad import pads  # noqa: PLC0415
@@ -112,13 +101,8 @@ def teleop(
         raise RefusedError(str(error)) from error
     clock = WallClock()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        bus = joined(
-            tree.arena.name, access.endpoint, access.role, clock, _JOINS_WITHIN_S, credentials=access.credentials
-        )
-    except TimeoutError as error:
-        print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
-        raise typer.Exit(1) from error
+    with answering(tree):
+        bus = joined_bus(tree, access, access.role, clock)
     robot = robots[0]
     print(
         f"{pad.name} drives {robot} while a shoulder button is held: Ctrl-C ends this, and not the run", file=sys.stderr

@@ -1,10 +1,10 @@
-"""Gamepads by Linux's event devices, through the library ``evdev``; what reads them asks for a ``Pad``."""
+"""Gamepads by Linux's event devices, through the library ``evdev``."""
 
 import os
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from robofleet.core.errors import RobofleetError
 from robofleet.operator.hand import Stick
@@ -23,18 +23,6 @@ class PadError(RobofleetError):
     """Raised where there is no gamepad, or it cannot be read. The message is a line that says how to mend it."""
 
 
-class Pad(Protocol):
-    """What is asked of a gamepad. A file descriptor, which is readable when something happened."""
-
-    name: str
-
-    def fileno(self) -> int:
-        """Return the descriptor."""
-
-    def read(self) -> Stick:
-        """Take what happened, and return how its stick is; OSError where it is gone."""
-
-
 class Held:
     """The state of a stick and of the buttons, from events: kind, code, value.
 
@@ -50,7 +38,6 @@ class Held:
         self._broken = False  # the report that is being read
 
     def take(self, events: Iterable[tuple[int, int, int]]) -> Stick:
-        """Take events, in order."""
         for kind, code, value in events:
             if kind == EV_SYN:
                 self._broken = code == SYN_DROPPED or (self._broken and code != SYN_REPORT)
@@ -69,7 +56,7 @@ class Held:
 
 
 class EventPad:
-    """A gamepad of ``evdev``."""
+    """A gamepad of ``evdev``: a file descriptor, which is readable when something happened."""
 
     def __init__(self, device: Any) -> None:
         axes = {code: (info.min, info.max) for code, info in device.capabilities(absinfo=True)[EV_ABS]}
@@ -77,11 +64,10 @@ class EventPad:
         self._held = Held({axis: axes[axis] for axis in (ABS_X, ABS_Y)})
 
     def fileno(self) -> int:
-        """Return the descriptor."""
         return int(self._device.fd)
 
     def read(self) -> Stick:
-        """Take what happened."""
+        """Take what happened, and return how its stick is; OSError where it is gone."""
         events: list[Any] = []
         with suppress(BlockingIOError):  # nothing happened
             events = list(self._device.read())

@@ -147,12 +147,13 @@ def _hint(error: Exception, version: int) -> str:
 def _tell(runs: "Runs") -> None:
     """Say what the project's own checks found in the last run."""
     run = runs.last
-    if run is None or not (summary := run.summary):
+    if run is None or not (summary := run.fleet.summary):
         return
     gap, changed = summary.get("min_gap_mm"), summary.get("filtered_fraction") or 0.0
     parts = [f"{summary['outcome']}", f"{run.steps} steps of {len(run.robots)} robots"]
     parts += [] if gap is None else [f"smallest gap between bodies {gap:.0f} mm"]
     parts.append(f"the barrier changed {changed:.1%} of the commands")
-    parts += [f"the run was held and went on {run.resumed} time{'s' * (run.resumed > 1)}"] if run.resumed else []
+    held = run.fleet.held
+    parts += [f"the run was held and went on {held} time{'s' * (held > 1)}"] if held else []
     print(printable(f"robofleet: {', '.join(parts)}"))
     print(printable(f"robofleet: {run.folder}/report.html"))

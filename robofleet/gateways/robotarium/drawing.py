@@ -60,11 +60,9 @@ class Drawing:
             self.axes.plot(wall[:, 0], wall[:, 1], color="0.5", linewidth=4)
 
     def colour(self, robot: int, rgb: Any) -> None:
-        """Give a robot another colour."""
         self.robots[robot].set_facecolor(rgb)
 
     def place(self, poses: Array) -> None:
-        """Put the robots to where they are."""
         ahead = self._radius * np.vstack([np.cos(poses[2]), np.sin(poses[2])])
         tips = poses[:2] + ahead
         for row, (robot, nose) in enumerate(zip(self.robots, self._noses, strict=True)):

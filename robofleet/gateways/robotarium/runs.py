@@ -4,7 +4,6 @@ import math
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +47,6 @@ class Runs:
 
     @property
     def most(self) -> int:
-        """How many robots there are."""
         return len(self._config.members)
 
     def begin(self, starts: Array, *, sensors: bool = False, walls: Walls | None = None) -> "Run":
@@ -105,8 +103,7 @@ class Run:
     """A run that a script drives, tick by tick."""
 
     def __init__(self, fleet: Fleet) -> None:
-        """Take a fleet that is open."""
-        self._fleet = fleet
+        self.fleet = fleet
         self.robots, self.config, self.folder = fleet.robots, fleet.config, fleet.folder
         self.pictures: list[Drawing] = []  # in which the script draws
         self.steps = 0
@@ -116,25 +113,15 @@ class Run:
         self._first = self._angles()
 
     @property
-    def summary(self) -> dict[str, Any]:
-        """What the run left; empty before its end."""
-        return self._fleet.summary
-
-    @property
-    def resumed(self) -> int:
-        """How often the robots stood because the script was late, or blocked each other, and went on."""
-        return self._fleet.held
-
-    @property
     def poses(self) -> Array:
         """x, y [m], psi [rad] of the robots (3, N), as they are measured."""
-        return np.ascontiguousarray(self._fleet.poses.T)
+        return np.ascontiguousarray(self.fleet.poses.T)
 
     @property
     def sensors(self) -> tuple[SensorReading | None, ...]:
         """What the robots' sensors say, by the project's conventions."""
         if self._sensed is None:
-            self._sensed = self._fleet.sensors
+            self._sensed = self.fleet.sensors
         return self._sensed
 
     @property
@@ -143,12 +130,12 @@ class Run:
         return self._angles() - self._first
 
     def _angles(self) -> Array:
-        readings = self._fleet.readings
+        readings = self.fleet.readings
         return np.vstack([readings["left_angle_rad"], readings["right_angle_rad"]]).astype(np.float64)
 
     def step(self, velocities: Array) -> None:
         """Drive with v [m/s], omega [rad/s] (2, N) until the next tick; FleetError where there is none."""
-        self._fleet.drive(velocities.T)
+        self.fleet.drive(velocities.T)
         self.steps += 1
         self._next()
 
@@ -159,7 +146,7 @@ class Run:
             robot: (x, y, math.degrees(psi)) for robot, (x, y, psi) in zip(self.robots, poses.T.tolist(), strict=True)
         }
         try:
-            self._fleet.go_to(goals)
+            self.fleet.go_to(goals)
         except ValueError as error:
             raise FleetError(f"the robots cannot go to the initial conditions: {error}") from error
 
@@ -173,13 +160,12 @@ class Run:
         """End it, and keep its pictures; ``failed``: why the script ends."""
         self.stand()
         poses = self.poses
-        self._fleet.close(failed)
+        self.fleet.close(failed)
         for number, picture in enumerate(self.pictures if self.folder is not None else (), 1):
             picture.save(self.folder / f"figure{number}.png", poses)  # type: ignore[operator]
 
     def _next(self) -> None:
-        """Wait for the next tick."""
         if self._ticks is None:
-            self._ticks = self._fleet.ticks(resume=True)
+            self._ticks = self.fleet.ticks(resume=True)
         next(self._ticks)
         self._sensed = None

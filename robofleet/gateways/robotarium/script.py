@@ -82,7 +82,6 @@ def version_of(source: str, name: str) -> int | None:
 
 
 def version_installed(package: Path) -> int:
-    """Return the version of the installed package."""
     file = package / "robotarium_abc.py"
     try:
         defined = {node.name for node in ast.parse(file.read_text()).body if isinstance(node, ast.ClassDef)}

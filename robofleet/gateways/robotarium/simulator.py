@@ -102,7 +102,6 @@ class Simulator:
         raise NotImplementedError
 
     def _report(self, title: str, lines: list[str]) -> None:
-        """Print what the original reports."""
         with_errors = lines or ["no errors"]
         print(f"{title}: {self._steps} steps, {self._steps * TIME_STEP:.1f} s on the Robotarium")
         for line in with_errors:
@@ -123,7 +122,6 @@ class Simulator:
 
 
 def outside(poses: Array) -> NDArray[np.bool_]:
-    """Return which robots are outside the arena."""
     return np.asarray((np.abs(poses[0]) > LENGTH / 2) | (np.abs(poses[1]) > WIDTH / 2))
 
 

@@ -56,7 +56,6 @@ class Robotarium(Simulator):
     set_left_leds = set_right_leds = set_leds
 
     def call_at_scripts_end(self) -> None:
-        """Print the errors."""
         found, lines = self._errors, []
         if "boundary" in found:
             lines.append(f"{max(found['boundary'].values())} {found['boundary_string']}")

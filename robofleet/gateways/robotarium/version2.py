@@ -83,7 +83,6 @@ class Robotarium(Simulator):
         self._take(ids, velocities)
 
     def robot_colormap(self) -> Any:
-        """Return twenty colours for robots."""
         import matplotlib as mpl  # noqa: PLC0415 - slow to load
 
         return mpl.colormaps["tab20"]
@@ -126,7 +125,6 @@ class Robotarium(Simulator):
         return np.rint(self._run.turned * a_turn / math.tau).astype(np.int32)
 
     def debug(self) -> None:
-        """Print the errors."""
         found, lines = self._errors, []
         if _TOO_CLOSE in found:
             lines.append(f"{found[_TOO_CLOSE]} time(s) two robots too close in a step")

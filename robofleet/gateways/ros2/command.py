@@ -13,13 +13,12 @@ import typer
 from robofleet.core.clock import utc_now
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import LAB_MODULES, RefusedError, how_to_install, need_extra, new_folder
-from robofleet.gateways.place import run_of
+from robofleet.gateways.place import answering, run_of
 from robofleet.gateways.ros2 import topics
 from robofleet.operator.commands import running_names
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
-    from robofleet.gateways.place import ArenaAccess
 
 SHARE = Path(__file__).parent / "share"  # the launch file
 
@@ -93,7 +92,10 @@ def ros2(
         raise RefusedError(f"a run in real time is another process: start {run}, or write --lockstep")
     tree, access = run_of(arena or None, config)
     _check_names(tree)
-    _serve(tree, access, namespace)
+    from robofleet.gateways.ros2 import live  # noqa: PLC0415
+
+    with answering(tree):
+        live.serve(tree, access, namespace)
 
 
 def _need_ros() -> None:
@@ -127,7 +129,6 @@ def _configuration(arena: str | None, overrides: list[str], copy: Path | None) -
 
 
 def _rviz(config: "Config", namespace: str) -> str:
-    """Return what RViz shows of a run."""
     from robofleet.gateways.ros2 import rviz  # noqa: PLC0415
 
     _check_names(config)
@@ -156,8 +157,8 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
         raise RefusedError(f"--lockstep: {file or 'CONFIG'}: name a configuration, for example configs/ros2.yaml")
     if not _SLOWEST <= speed <= _FASTEST:
         raise RefusedError(f"--speed {speed:g}: must be {_SLOWEST:g} to {_FASTEST:g}")
+    from robofleet.gateways.ros2 import simulated  # noqa: PLC0415
     from robofleet.gateways.ros2.live import node  # noqa: PLC0415
-    from robofleet.gateways.ros2.simulated import Simulated  # noqa: PLC0415
     from robofleet.runs.check import load_checked  # noqa: PLC0415
     from robofleet.scripts.script_link import FleetError  # noqa: PLC0415
 
@@ -168,7 +169,7 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{Path(file).stem}"
     new_folder(folder)
     try:
-        summary = Simulated(tree, Path(file).stem, folder).serve(namespace, speed)
+        summary = simulated.serve(tree, Path(file).stem, folder, namespace, speed)
     except FleetError as error:
         print(error, file=sys.stderr)
         raise typer.Exit(1) from error
@@ -176,13 +177,3 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
     if summary["outcome"] == "fault":
         print(summary["cause"], file=sys.stderr)
         raise typer.Exit(1)
-
-
-def _serve(config: "Config", access: "ArenaAccess", namespace: str) -> None:
-    from robofleet.gateways.ros2 import live  # noqa: PLC0415
-
-    try:
-        live.serve(config, access, namespace)
-    except TimeoutError as error:
-        print(f"the run of {config.arena.name}: {error}", file=sys.stderr)
-        raise typer.Exit(1) from error

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
@@ -34,13 +34,6 @@ from robofleet.vehicles.solids import distances
 NODE = "robofleet"
 
 
-class Component(Protocol):
-    """A part of the gateway that publishes what the observer has."""
-
-    def step(self, now_ns: int, updated: set[Source]) -> None:
-        """Publish what is new; ``updated``: the sources of which the observer has a new message."""
-
-
 class Gateway:
     """Publishes a run on a ROS 2 graph, and takes the commands of ROS 2 nodes."""
 
@@ -59,12 +52,19 @@ class Gateway:
         robots = Robots(graph, config, names, observer, self._ticks)
         self.velocities = Velocities(graph, config, names, bus, self._ticks)
         run, sensing = Run(graph, config, observer, served), Sensing(graph, config, names, observer)
-        self._parts: list[Component] = [robots, run, sensing]
+        # Each publishes what is new at an instant, of the sources of which the observer has a new message.
+        self._steps: list[Callable[[int, set[Source]], None]] = [robots.step, run.step, sensing.step]
         if config.tracker.source == "camera":
-            self._parts += [Camera(graph, name, view, robots, bus, observer) for name, view in config.trackers.items()]
-        self._markers = graph.publisher(topics.MARKERS)
-        self._markers.publish(markers(config, names, graph.frames))
-        self._floor = Floor(graph, config, names)
+            for name, view in config.trackers.items():
+                self._steps.append(Camera(graph, name, view, robots, bus, observer).step)
+        self._latched = [
+            published(graph, topics.MARKERS, markers(config, names, graph.frames)),
+            published(graph, topics.FLOOR, grid(config, graph)),
+            *(
+                published(graph, topics.DESCRIPTION, String(data=urdf.urdf(robot)), names[robot.id])
+                for robot in config.robots
+            ),
+        ]
         self._publish_fixed_frames(graph, config, names)
         if not has_transforms():
             node.get_logger().warning(
@@ -78,11 +78,10 @@ class Gateway:
         self._ticks.update()
         self.velocities.step(now_ns)
         updated = self._observer.update(now_ns)
-        for part in self._parts:
-            part.step(now_ns, updated)
+        for step in self._steps:
+            step(now_ns, updated)
 
     def _publish_fixed_frames(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
-        """Publish the frames that do not move."""
         self._fixed = Transforms(graph, topics.FIXED)
         stamp = graph.stamp(graph.clock.now_ns())
         found = [frame for robot in config.robots for frame in places(robot, names[robot.id], graph.frames, stamp)]
@@ -97,16 +96,11 @@ _CELL_M = 0.02
 _MOST_CELLS = 1_000_000
 
 
-class Floor:
-    """Publishes once, for late subscribers too, what does not move."""
-
-    def __init__(self, graph: Graph, config: Config, names: dict[str, str]) -> None:
-        self._publishers: list[Any] = [graph.publisher(topics.FLOOR)]
-        self._publishers[0].publish(grid(config, graph))
-        for robot in config.robots:
-            description = graph.publisher(topics.DESCRIPTION, names[robot.id])
-            description.publish(String(data=urdf.urdf(robot)))
-            self._publishers.append(description)
+def published(graph: Graph, topic: topics.Topic, message: Any, *names: str) -> Any:
+    """Publish what does not change, for late subscribers too, as long as the publisher that is returned is held."""
+    publisher = graph.publisher(topic, *names)
+    publisher.publish(message)
+    return publisher
 
 
 def grid(config: Config, graph: Graph) -> OccupancyGrid:

@@ -42,7 +42,6 @@ class Graph:
         return _WALL.now_ns()
 
     def stamp(self, instant_ns: int) -> Time:
-        """Return the stamp of an instant of the run's clock."""
         return stamped(instant_ns + self._epoch_ns())
 
 
@@ -58,7 +57,6 @@ def single(value: float) -> float:
 
 
 def profile(quality: Quality) -> QoSProfile:
-    """Return a quality of service as rclpy takes it."""
     reliability, durability = QoSReliabilityPolicy, QoSDurabilityPolicy
     return QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
@@ -69,7 +67,6 @@ def profile(quality: Quality) -> QoSProfile:
 
 
 def wanted(publisher: Any) -> bool:
-    """Return whether somebody listens."""
     return bool(publisher.get_subscription_count())
 
 
@@ -95,6 +92,5 @@ class Transforms:
         return self._publisher is not None and (self._latched or wanted(self._publisher))
 
     def say(self, frames: Sequence[TransformStamped]) -> None:
-        """Publish frames."""
         if self._publisher is not None and frames:
             self._publisher.publish(self._type(transforms=frames))

@@ -11,18 +11,16 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from robofleet.behaviours.ros2 import Ros2
-from robofleet.bus.joining import joined
 from robofleet.bus.permissions import SCRIPT
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import WallClock, epoch_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import ArenaAccess, Served, is_over, joined_otherwise
+from robofleet.gateways.place import ArenaAccess, Served, is_over, joined_bus, joined_otherwise
 from robofleet.gateways.ros2.gateway import NODE, Gateway, serve_requests
 from robofleet.operator.terminal.terminal import interrupts
 
-_JOINED_WITHIN_S = 3.0
 _POLL_S = 0.05
 
 
@@ -60,10 +58,7 @@ def serve(config: Config, access: ArenaAccess, namespace: str) -> None:
         interrupted = held.enter_context(interrupts())
         made = held.enter_context(node(namespace))
         held.enter_context(suppress(ExternalShutdownException))
-        bus = held.enter_context(
-            closing(joined(config.arena.name, access.endpoint, SCRIPT, clock, _JOINED_WITHIN_S,
-                           credentials=access.credentials))
-        )  # fmt: skip
+        bus = held.enter_context(closing(joined_bus(config, access, SCRIPT, clock)))
         asking = held.enter_context(closing(Asking(bus, clock, config.units, access.role)))
         executor = SingleThreadedExecutor(context=made.context)
         executor.add_node(made)

@@ -4,6 +4,7 @@ A pose is (x, y, psi): [m, m, rad]. ``odom`` begins where the robot stood when i
 drifts. ``map`` -> ``odom`` is what the tracker knows better.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,21 +14,6 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Array = NDArray[np.float64]
 _REMEMBERED_STATUSES = 64  # a pose is measured less than a second before it comes
-
-
-def compose(first: Array, then: Array) -> Array:
-    """Return poses (N, 3) of what is at ``then`` in frames that are at ``first``."""
-    cos, sin = np.cos(first[:, 2]), np.sin(first[:, 2])
-    x = first[:, 0] + cos * then[:, 0] - sin * then[:, 1]
-    y = first[:, 1] + sin * then[:, 0] + cos * then[:, 1]
-    return np.column_stack([x, y, wrapped(first[:, 2] + then[:, 2])])
-
-
-def inverse(poses: Array) -> Array:
-    """Return the poses (N, 3) of the outer frame, seen from frames at these poses."""
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = -cos * poses[:, 0] - sin * poses[:, 1], sin * poses[:, 0] - cos * poses[:, 1]
-    return np.column_stack([x, y, -poses[:, 2]])
 
 
 def wrapped(angles: Array) -> Array:
@@ -76,21 +62,17 @@ class Odometry:
     def seen(self, robot: int, at_ns: int, pose: Array) -> None:
         """Take the pose (3,) of a robot in the map at an instant that is not long ago."""
         if self._count:
-            self.corrections[robot] = compose(pose[None], inverse(self._then(robot, at_ns)[None]))[0]
+            x, y, psi = self._then(robot, at_ns)
+            turn = pose[2] - psi
+            cos, sin = math.cos(turn), math.sin(turn)
+            place = pose[0] - cos * x + sin * y, pose[1] - sin * x - cos * y
+            self.corrections[robot] = *place, math.remainder(turn, math.tau)
             self.corrected[robot] = True
 
-    def _then(self, robot: int, at_ns: int) -> Array:
+    def _then(self, robot: int, at_ns: int) -> list[float]:
         """Return where a robot was in its odom frame: between two instants on a line."""
         known = min(self._count, _REMEMBERED_STATUSES)
         order = (np.arange(known) + self._count - known) % _REMEMBERED_STATUSES
-        instants, poses = self._at_ns[order], self._past[order, robot]
-        after = int(np.searchsorted(instants, at_ns))
-        if after in (0, known):
-            newest: Array = poses[min(after, known - 1)]
-            return newest
-        before = after - 1
-        share = (at_ns - instants[before]) / max(1, instants[after] - instants[before])
-        step = poses[after] - poses[before]
-        step[2] = wrapped(step[2:])[0]
-        between: Array = poses[before] + share * step
-        return between
+        instants, (x, y, psi) = self._at_ns[order], self._past[order, robot].T
+        first_ns = instants[0]
+        return [float(np.interp(at_ns - first_ns, instants - first_ns, values)) for values in (x, y, np.unwrap(psi))]

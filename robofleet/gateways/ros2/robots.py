@@ -21,7 +21,7 @@ from robofleet.core.clock import S
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, Transforms, single, wanted
 from robofleet.gateways.ros2.odometry import Odometry
-from robofleet.gateways.urdf import WHEELS
+from robofleet.gateways.urdf import BASE, WHEELS
 from robofleet.tracking.filter.estimator import rows_of
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
@@ -57,7 +57,6 @@ class Robots:
         return exposure_ns + self._behind_ns[camera]
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
-        """Publish what is new."""
         for name, unit in self._units.items():
             if (source := (STATUS, name)) in updated:
                 unit.say(self._observer.arrival_ns(source), now_ns, *self._observer[source])
@@ -129,7 +128,7 @@ class _Robot:
 
     def __init__(self, graph: Graph, name: str, drive: DifferentialDrive) -> None:
         frames = graph.frames
-        odom, base = frames.odom(name), frames.base(name)
+        odom, base = frames.link(name, "odom"), frames.link(name, BASE)
         self._pose = graph.publisher(topics.POSE, name)
         self._odom = graph.publisher(topics.ODOM, name)
         self._joints = graph.publisher(topics.JOINTS, name)

@@ -18,7 +18,7 @@ from robofleet.gateways.place import Served
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph
 from robofleet.gateways.ros2.topics import Frames
-from robofleet.gateways.urdf import HEIGHT_M
+from robofleet.gateways.urdf import BASE, HEIGHT_M
 from robofleet.recording.causes import halt_cause, named
 from robofleet.recording.state_words import state_words
 from robofleet.safety.latches import GateStatus, Latch
@@ -44,7 +44,6 @@ class Run:
         self._published_ns = 0
 
     def step(self, now_ns: int, updated: set[Source]) -> None:
-        """Publish what is new."""
         if STATE in updated:
             state = self._observer[STATE]
             self._served.take(state.epoch, now_ns)
@@ -107,7 +106,7 @@ def markers(config: Config, names: dict[str, str], frames: Frames) -> MarkerArra
     edge.points = [Point(x=a * x, y=b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))]
     drawn = [edge]
     for number, robot in enumerate(config.bodies):
-        frame, radius = frames.base(names[robot.id]), robot.vehicle.body_radius_m
+        frame, radius = frames.link(names[robot.id], BASE), robot.vehicle.body_radius_m
         body, nose, title = (
             _marker(kind, number, frame, shape)
             for kind, shape in (("body", Marker.CYLINDER), ("ahead", Marker.ARROW), ("name", Marker.TEXT_VIEW_FACING))

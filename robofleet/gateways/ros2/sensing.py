@@ -17,6 +17,7 @@ from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, single
 from robofleet.gateways.ros2.robots import heading
 from robofleet.gateways.ros2.topics import Frames
+from robofleet.gateways.urdf import BASE
 from robofleet.vehicles.readings import SensorReading
 
 _NOT_MEASURED_COVARIANCE = -1.0  # its first element: sensor_msgs/Imu
@@ -39,7 +40,6 @@ class Sensing:
         }
 
     def step(self, _now_ns: int, updated: set[Source]) -> None:
-        """Publish what is new."""
         for unit, robots in self._units.items():
             if (source := (SENSORS, unit)) in updated:
                 stamp = self._graph.stamp(self._observer.arrival_ns(source))
@@ -54,7 +54,7 @@ class _Sensors:
     def __init__(self, graph: Graph, name: str, robot: Robot) -> None:
         kind = robot.vehicle.sensors
         assert kind is not None
-        self._kind, self._base = kind, graph.frames.base(name)
+        self._kind, self._base = kind, graph.frames.link(name, BASE)
         self._imu = graph.publisher(topics.IMU, name) if kind.gyro or kind.accelerometer else None
         self._magnetic = graph.publisher(topics.MAGNETIC, name) if kind.magnetometer else None
         self._field = _field(kind, self._base)
@@ -115,7 +115,7 @@ def _ranges(kind: SensorSettings, frames: Frames, name: str) -> list[Range]:
     found = []
     for number in range(len(kind.distances.places)):
         message = Range(radiation_type=Range.INFRARED, max_range=kind.distances.range_m)
-        message.header.frame_id = frames.range(name, number)
+        message.header.frame_id = frames.link(name, f"range_{number}")
         found.append(message)
     return found
 
@@ -127,8 +127,8 @@ def places(robot: Robot, name: str, frames: Frames, stamp: Any) -> list[Transfor
         return []
     found = []
     for number, at in enumerate(kind.distances.places):
-        message = TransformStamped(child_frame_id=frames.range(name, number))
-        message.header.stamp, message.header.frame_id = stamp, frames.base(name)
+        message = TransformStamped(child_frame_id=frames.link(name, f"range_{number}"))
+        message.header.stamp, message.header.frame_id = stamp, frames.link(name, BASE)
         message.transform.translation.x, message.transform.translation.y = at.x_m, at.y_m
         message.transform.rotation = heading(math.radians(at.heading_deg))
         found.append(message)

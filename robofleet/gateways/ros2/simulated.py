@@ -32,27 +32,21 @@ _OVER = Phase.FAULT, Phase.ESTOP, Phase.IDLE
 _WORDS = {"stop": "estop"}
 
 
-class Simulated:
-    """A run in lockstep that begins here, and is recorded in a folder."""
+def serve(config: Config, name: str, folder: Path, namespace: str, speed: float) -> dict[str, Any]:
+    """Be a run in lockstep, recorded in a folder, until its duration is over, it ends, or a signal comes.
 
-    def __init__(self, config: Config, name: str, folder: Path) -> None:
-        self._link = LockstepLink(config, config.groups[0].title, name, folder)
-
-    def serve(self, namespace: str, speed: float) -> dict[str, Any]:
-        """Let it go on until its duration is over, it ends, or a signal comes; returns its summary.
-
-        ``speed``: simulated seconds a second. FleetError where it does not begin.
-        """
-        link = self._link
-        with interrupts() as interrupted, node(namespace) as made:
-            link.begin()
-            outcome: tuple[str, str | None] = "stopped", "the operator interrupted"
-            try:
-                with suppress(KeyboardInterrupt):
-                    outcome = link.run.lap(_Passing(link, made, speed, interrupted).until, _OVER)
-            finally:
-                summary = link.end(*outcome)  # whose last messages the node still hears
-        return summary
+    Returns its summary. ``speed``: simulated seconds a second. FleetError where it does not begin.
+    """
+    link = LockstepLink(config, config.groups[0].title, name, folder)
+    with interrupts() as interrupted, node(namespace) as made:
+        link.begin()
+        outcome: tuple[str, str | None] = "stopped", "the operator interrupted"
+        try:
+            with suppress(KeyboardInterrupt):
+                outcome = link.run.lap(_Passing(link, made, speed, interrupted).until, _OVER)
+        finally:
+            summary = link.end(*outcome)  # whose last messages the node still hears
+    return summary
 
 
 class _Passing:

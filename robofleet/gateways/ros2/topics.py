@@ -23,7 +23,6 @@ class Quality(NamedTuple):
     depth: int
 
     def __str__(self) -> str:
-        """Return it in words."""
         words = ["reliable" if self.reliable else "best effort", "transient local" if self.latched else "volatile"]
         return f"{', '.join(words)}, {self.depth}"
 
@@ -112,21 +111,13 @@ class Frames:
         self._prefix = f"{namespace.strip('/')}/".lstrip("/")
         self.map = f"{self._prefix}{MAP}"
 
-    def odom(self, robot: str) -> str:
-        """Return the frame in which a robot's odometry is continuous."""
-        return f"{self._prefix}{robot}/odom"
-
-    def base(self, robot: str) -> str:
-        """Return a robot's own frame: on the floor under the middle of its axle, x ahead, y to the left, z up."""
-        return f"{self._prefix}{robot}/base_link"
-
     def link(self, robot: str, name: str) -> str:
-        """Return the frame of a part of a robot, as its URDF names it."""
-        return f"{self._prefix}{robot}/{name}"
+        """Return a frame of a robot, as its URDF names it; ``odom`` is where its odometry is continuous.
 
-    def range(self, robot: str, number: int) -> str:
-        """Return the frame of a distance sensor: x is the direction in which it looks."""
-        return f"{self._prefix}{robot}/range_{number}"
+        ``base_link`` is on the floor under the middle of its axle, x ahead, y to the left, z up. The x axis of
+        ``range_N`` is the direction in which the distance sensor looks.
+        """
+        return f"{self._prefix}{robot}/{name}"
 
     def optical(self, camera: str) -> str:
         """Return a camera's frame: x to the right of the image, y down, z ahead."""

@@ -97,7 +97,6 @@ class Velocities:
                 group.listen()
 
     def stand(self) -> None:
-        """Publish that the robots are to stand."""
         for group in self._groups:
             group.say(WishKind.STAND)
 

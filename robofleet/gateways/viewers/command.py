@@ -1,16 +1,13 @@
 """The commands ``foxglove`` and ``rerun``, which `robofleet run` starts with the options of these names, too."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from robofleet.gateways.place import ArenaAccess, run_of
+from robofleet.gateways.place import JOINED_WITHIN_S, ArenaAccess, answering, run_of
 from robofleet.operator.commands import ArenaName, LifelineFd
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, RERUN, Address, need
-
-_JOINS_WITHIN_S = 3.0  # a run that is on
 
 _Copy = Annotated[
     Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
@@ -66,11 +63,8 @@ def _serve(viewer: str, arena: str | None, config: Path | None, text: str, lifel
     from robofleet.gateways.viewers import live  # noqa: PLC0415
     from robofleet.nodes.node import Lifeline  # noqa: PLC0415
 
-    try:
-        live.serve(viewer, tree, access, at, access.folder or Path.cwd(), Lifeline(None), _JOINS_WITHIN_S)
-    except TimeoutError as error:
-        print(f"the run of {tree.arena.name}: {error}", file=sys.stderr)
-        raise typer.Exit(1) from error
+    with answering(tree):
+        live.serve(viewer, tree, access, at, access.folder or Path.cwd(), Lifeline(None), JOINED_WITHIN_S)
 
 
 def _of_run(viewer: str, file: Path, at: Address, lifeline: int) -> None:

@@ -6,7 +6,6 @@ from contextlib import closing
 from pathlib import Path
 
 from robofleet.bus.bus import Stream
-from robofleet.bus.joining import joined
 from robofleet.bus.keys import STATE, split
 from robofleet.bus.keys import key as key_of
 from robofleet.bus.messages import RUN_STATE
@@ -16,12 +15,12 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, WallClock, epoch_ns
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.asking import Asking
-from robofleet.gateways.place import ArenaAccess, Served, is_over
-from robofleet.gateways.viewers.server import Opened, Run
+from robofleet.gateways.place import ArenaAccess, Served, is_over, joined_bus
+from robofleet.gateways.viewers.server import Run, Server
 from robofleet.nodes.node import Lifeline
 from robofleet.operator.viewer_address import RERUN, Address
-from robofleet.recording.channels import keys
-from robofleet.recording.scenes.drawn import Channel, Drawn, of_key
+from robofleet.recording.channels import Channel, keys, of_key
+from robofleet.recording.scenes.drawn import Drawn
 
 _NICE = 5  # viewers wait for the run, never the other way round
 _JOIN_WITHIN_S = 60.0  # the router is the first process of a run
@@ -50,10 +49,10 @@ def serve(
         if lifeline.cut:
             raise SystemExit
 
-    bus = joined(config.arena.name, access.endpoint, VIEWER, clock, within_s, look, access.credentials)
+    bus = joined_bus(config, access, VIEWER, clock, within_s, look)
     run = Run(config, access, folder, Asking(bus, clock, config.units, access.role))
 
-    def opened(channels: Sequence[Channel]) -> Opened:
+    def opened(channels: Sequence[Channel]) -> Server:
         try:
             return _opening(viewer)(run, at, channels)
         except OSError as error:
@@ -63,7 +62,7 @@ def serve(
     try:
         stream = bus.stream(*keys(config), capacity=_QUEUE_MESSAGES)
         with closing(Viewers(config, stream, served, opened, epoch_ns())) as viewers:
-            lifeline.ready(viewers.line)
+            lifeline.ready(viewers.address)
             while not lifeline.cut and not served.is_over(now_ns := clock.now_ns()):
                 viewers.step(now_ns)
                 clock.sleep_until(now_ns + _PERIOD_NS)
@@ -73,7 +72,7 @@ def serve(
         bus.close()
 
 
-def _opening(viewer: str) -> Callable[[Run, Address, Sequence[Channel]], Opened]:
+def _opening(viewer: str) -> Callable[[Run, Address, Sequence[Channel]], Server]:
     """Return what opens a viewer's server; its library is loaded by that."""
     if viewer == RERUN:
         from robofleet.gateways.viewers.rerun import server as of_rerun  # noqa: PLC0415
@@ -88,17 +87,17 @@ class Viewers:
     """Tells viewers what the bus says, and what is drawn of it."""
 
     def __init__(
-        self, config: Config, stream: Stream, served: Served, opened: Callable[[Sequence[Channel]], Opened],
+        self, config: Config, stream: Stream, served: Served, opened: Callable[[Sequence[Channel]], Server],
         epoch_ns: int,
     ) -> None:  # fmt: skip
         """Take all that is said, what opens a server of channels, and what makes its instants dates."""
         self._stream, self._served, self._epoch_ns = stream, served, epoch_ns
         self._drawn = Drawn(config, groups.descriptions(config), epoch_ns=epoch_ns, batch=_BATCH_TICKS)
-        self._server, self.line = opened([*map(of_key, keys(config)), *self._drawn.channels])
+        self._server = opened([*map(of_key, keys(config)), *self._drawn.channels])
+        self.address = self._server.address
         self._state = key_of(config.arena.name, STATE)
 
     def step(self, now_ns: int) -> None:
-        """Pass on new messages."""
         for at_ns, full_of_sender, payload in self._stream.drain():
             full, _ = split(full_of_sender)
             if full == self._state and (epoch := RUN_STATE.head_of(payload, "epoch")):
@@ -117,5 +116,4 @@ class Viewers:
         self._server.step(now_ns + self._epoch_ns)
 
     def close(self) -> None:
-        """Close every viewer's connection."""
         self._server.close()

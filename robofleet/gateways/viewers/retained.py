@@ -17,7 +17,6 @@ class RetainedMessages:
         self._scenes: dict[str, dict[str, SceneEntity]] = {}
 
     def take(self, topic: str, message: bytes) -> None:
-        """Keep a message of a rare topic."""
         if topic in _WHOLE or topic.endswith(_LENS):
             self._newest[topic] = message
         elif topic in _SCENES:

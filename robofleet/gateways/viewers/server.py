@@ -9,7 +9,12 @@ from robofleet.gateways.place import ArenaAccess
 
 
 class Server(Protocol):
-    """Shows messages of channels to viewers. None of them is waited for."""
+    """Shows messages of channels to viewers. None of them is waited for.
+
+    ``address`` tells a user how to open it.
+    """
+
+    address: str
 
     def tell(self, topic: str, log_ns: int, message: bytes) -> None:
         """Take a message of a channel; ``log_ns``: a date."""
@@ -28,10 +33,3 @@ class Run(NamedTuple):
     access: ArenaAccess
     folder: Path  # for what a viewer needs
     ask: Asking
-
-
-class Opened(NamedTuple):
-    """A server, and what its user is told."""
-
-    server: Server
-    line: str

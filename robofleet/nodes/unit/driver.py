@@ -13,14 +13,14 @@ from robofleet.bus.messages import (
     UnitLeases,
     UnitStatus,
     UnitTruth,
-)
+)  # fmt: skip
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock
-from robofleet.nodes.unit.drivers import Drivers, UnitMessage, behind_gates
-from robofleet.nodes.unit.gated_robot import Probe
+from robofleet.nodes.unit.drivers import Drivers, behind_gates
+from robofleet.nodes.unit.gated_robot import Probe, UnitMessage
 from robofleet.nodes.unit.state_store import StateStore
-from robofleet.nodes.unit.status_scheduling import ByCable, ByRadio, StatusScheduling
+from robofleet.nodes.unit.status_scheduling import ByCable, ByRadio
 from robofleet.safety.gate import LeaseAction
 
 LOOP_NS = 10 * MS
@@ -31,18 +31,9 @@ class DriverProcess:
     """The robots of one unit: a 100 Hz loop that also wakes for a message and for a gate's deadline."""
 
     def __init__(
-        self,
-        config: Config,
-        unit: str,
-        bus: Bus,
-        clock: Clock,
-        wake: Wake,
-        boot_id: int,
-        phase_ns: int,
-        state_store: StateStore,
-        drivers: Drivers,
-        probe: Probe | None = None,
-    ) -> None:
+        self, config: Config, unit: str, bus: Bus, clock: Clock, wake: Wake, boot_id: int, phase_ns: int,
+        state_store: StateStore, drivers: Drivers, probe: Probe | None = None,
+    ) -> None:  # fmt: skip
         """Open every robot; DriverError where one does not answer.
 
         ``boot_id``: 64 bits that nobody has had before; ``phase_ns``: of the loop, so that those of several processes
@@ -60,12 +51,11 @@ class DriverProcess:
         self._refused = 0  # messages and requests that nobody could read
         self._seq = 0
         self._loop_ns = clock.now_ns() + phase_ns
-        self._scheduling: StatusScheduling = ByRadio() if unit in config.daemons else ByCable()
+        self._scheduling = ByRadio() if unit in config.daemons else ByCable()
         self._truth_is_due = False
         self._sense_ns, self._sensed = self._loop_ns, 0
 
     def _join(self, unit: str, bus: Bus, wake: Wake) -> None:
-        """Take the unit's place on the bus."""
         self._commands = Inbox(bus.newest(COMMAND, unit, wake), UNIT_COMMAND.arrays)
         self._enables = Inbox(bus.newest(ENABLE, unit, wake), UNIT_ENABLE.arrays)
         self._requests = bus.serve(LEASE, unit, wake)
@@ -101,16 +91,13 @@ class DriverProcess:
 
     @property
     def build(self) -> int:
-        """The number of the configuration that these robots were made by."""
         return self._build
 
     @property
     def any_open(self) -> bool:
-        """Whether a gate lets a controller's commands through."""
         return self._robots.any_open
 
     def close(self) -> None:
-        """Motors off, every robot, whatever one of them does."""
         self._robots.close()
 
     def _now(self) -> int:
@@ -137,7 +124,6 @@ class DriverProcess:
         request.reply(UNIT_LEASES.encode(UnitLeases(answers)))
 
     def _tell_truth(self) -> None:
-        """Publish where the simulated ones really are."""
         if self._publish_truth is not None and (truths := self._robots.truths()) is not None:
             self._seq += 1
             self._publish_truth(UNIT_TRUTH.encode_view(UnitTruth(self._seq, self._now(), ()), truths))
@@ -150,7 +136,6 @@ class DriverProcess:
             publish(sensors.encoded(self._sensed, self._now(), self._robots.sensors()))
 
     def _tell(self) -> None:
-        """Publish what every robot says of itself."""
         robots, now_ns = self._robots, self._now()
         self._seq += 1
         refused = self._refused + self._commands.rejected + self._enables.rejected

@@ -3,84 +3,21 @@
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from numpy.typing import NDArray
-
-from robofleet.bus.messages import LeaseAnswer
-from robofleet.bus.sensors import SensorMessage
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.plugins import load
 from robofleet.nodes.unit import driver_settings
-from robofleet.nodes.unit.gated_robot import GatedRobots, Probe
+from robofleet.nodes.unit.gated_robot import GatedRobots, Probe, Robots
 from robofleet.nodes.unit.reconnecting_driver import ReconnectingDriver
 from robofleet.nodes.unit.state_store import StateStore
-from robofleet.safety.gate import LeaseAction
 from robofleet.vehicles.interface import Driver, DriverContext, DriverError, SimulatedDriver, is_concurrent
 
 if TYPE_CHECKING:
     from robofleet.simulation.bodies import Bodies
 
-UnitMessage = tuple[NDArray[Any], NDArray[Any]]  # a message's head (1,) and its items (N,)
 _ARRAYS = "simulated"  # the driver whose robots are simulated all at once
-
-
-class Robots(Protocol):
-    """The robots of a unit (N,), each behind its gate."""
-
-    def __len__(self) -> int: ...
-
-    @property
-    def boot_id(self) -> int:
-        """What every message to them must echo."""
-
-    @property
-    def deadline_ns(self) -> int:
-        """When a gate must be asked again."""
-
-    @property
-    def hurries(self) -> bool:
-        """Whether the link was bad a short while ago: then a status goes out in every loop."""
-
-    @property
-    def newest_nonce_ns(self) -> int:
-        """The newest nonce that a command and a permission have echoed: by it the gates live."""
-
-    @property
-    def latch_is_new(self) -> bool:
-        """Whether the newest status does not tell of a gate's latch yet."""
-
-    @property
-    def any_open(self) -> bool:
-        """Whether a gate lets a controller's commands through."""
-
-    def set_back(self, from_ns: int, now_ns: int) -> None:
-        """Let every gate begin anew: the clock was set back from one instant to another."""
-
-    def pass_on(self, now_ns: int, command: UnitMessage | None, enable: UnitMessage | None, *, due: bool) -> None:
-        """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
-
-    def lease(self, session: int, action: LeaseAction, now_ns: int) -> tuple[LeaseAnswer, ...]:
-        """Answer a request for the leases."""
-
-    def keep(self, *, due: bool) -> None:
-        """Keep what must be kept of the gates: the disk is slow, so every robot's wheels went before."""
-
-    def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
-        """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
-
-    def truths(self) -> NDArray[Any] | None:
-        """Return the part of a truth of each that is simulated; None where all exist."""
-
-    def sensors(self) -> SensorMessage:
-        """Return what is said of the sensors of each that tells of them; asked where somebody wants to know."""
-
-    def say(self) -> None:
-        """Say in the log what there is to complain about."""
-
-    def close(self) -> None:
-        """Motors off at once, drivers closed. Idempotent."""
 
 
 class Drivers(Protocol):
@@ -104,11 +41,9 @@ class ConfiguredDrivers:
         self._constructing = threading.Lock()
 
     def context(self, robot: str) -> DriverContext:
-        """Return what a robot's driver is made from."""
         return driver_settings.context(self._config, self._config.robot(robot), self._now_ns, self._world)
 
     def driver(self, context: DriverContext) -> Driver:
-        """Return a robot's driver; DriverError where the robot does not answer."""
         kind = load("robofleet.drivers", self._config.robot(context.robot).driver)
         make: Callable[[], Driver] = partial(kind, context)
         if not is_concurrent(kind):
@@ -121,7 +56,6 @@ class ConfiguredDrivers:
             return make()
 
     def bodies(self, contexts: Sequence[DriverContext]) -> "Bodies | None":
-        """Return the robots of a unit that this project simulates, as bodies in arrays; None for any other unit."""
         if not in_arrays(self._config, [context.robot for context in contexts]):
             return None
         from robofleet.simulation.bodies import Bodies  # noqa: PLC0415 - it needs numba
@@ -130,7 +64,6 @@ class ConfiguredDrivers:
 
 
 def in_arrays(config: Config, robots: Sequence[str]) -> bool:
-    """Return whether this project simulates all of these robots, so that their bodies are in arrays."""
     return all(config.robot(robot).driver == _ARRAYS for robot in robots)
 
 

@@ -6,6 +6,7 @@ These are real robots, and those of a simulation that somebody else wrote. ``sim
 
 import math
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from copy import copy
 from types import SimpleNamespace
@@ -35,6 +36,7 @@ from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import STOP, Driver, DriverContext, DriverError, SimulatedDriver, WheelSpeeds
 from robofleet.vehicles.readings import SensorReading
 
+UnitMessage = tuple[NDArray[Any], NDArray[Any]]  # a message's head (1,) and its items (N,)
 Probe = Callable[[str, int, Inputs, GateState], None]  # robot, instant, what its gate got and decided
 
 
@@ -46,7 +48,6 @@ class Complaints:
         self._lines: list[str] = []
 
     def add(self, robot: str, complaint: str) -> None:
-        """Note a complaint."""
         if complaint != self._newest.get(robot):
             self._newest[robot] = complaint
             self._lines.append(f"{robot}: {complaint}")
@@ -58,8 +59,8 @@ class Complaints:
             print("\n".join(lines), file=sys.stderr)
 
 
-class LinkedRobots:
-    """What every unit does about its robots' links, whatever moves the robots."""
+class Robots(ABC):
+    """The robots of a unit (N,), each behind its gate."""
 
     def __init__(self) -> None:
         self._complaints = Complaints()
@@ -67,7 +68,7 @@ class LinkedRobots:
 
     @property
     def hurries(self) -> bool:
-        """Whether the link was bad a short while ago."""
+        """Whether the link was bad a short while ago: then a status goes out in every loop."""
         return bool(self._pending & link.HURRIES)
 
     @property
@@ -79,8 +80,64 @@ class LinkedRobots:
         """Say in the log what there is to complain about."""
         self._complaints.say()
 
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return how many robots these are."""
 
-class GatedRobots(LinkedRobots):
+    @property
+    @abstractmethod
+    def boot_id(self) -> int:
+        """What every message to them must echo: drawn at the unit's start, counted on when its clock is set back."""
+
+    @property
+    @abstractmethod
+    def deadline_ns(self) -> int:
+        """When a gate must be asked again."""
+
+    @property
+    @abstractmethod
+    def newest_nonce_ns(self) -> int:
+        """The newest nonce that a command and a permission have echoed: by it the gates live."""
+
+    @property
+    @abstractmethod
+    def any_open(self) -> bool:
+        """Whether a gate lets a controller's commands through."""
+
+    @abstractmethod
+    def set_back(self, from_ns: int, now_ns: int) -> None:
+        """Let every gate begin anew: the clock was set back from one instant to another."""
+
+    @abstractmethod
+    def pass_on(self, now_ns: int, command: UnitMessage | None, enable: UnitMessage | None, *, due: bool) -> None:
+        """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
+
+    @abstractmethod
+    def lease(self, session: int, action: LeaseAction, now_ns: int) -> tuple[LeaseAnswer, ...]:
+        """Answer a request for the leases."""
+
+    @abstractmethod
+    def keep(self, *, due: bool) -> None:
+        """Keep a lease's epoch and a latch of the gates: the disk is slow, so every robot's wheels went before."""
+
+    @abstractmethod
+    def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
+        """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
+
+    @abstractmethod
+    def truths(self) -> NDArray[Any] | None:
+        """Return the part of a truth of each that is simulated; None where all exist."""
+
+    @abstractmethod
+    def sensors(self) -> SensorMessage:
+        """Return what is said of the sensors of each that tells of them; asked where somebody wants to know."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Motors off at once, drivers closed. Idempotent."""
+
+
+class GatedRobots(Robots):
     """The robots of a unit, each behind its gate; ``now_ns`` is asked again for each: the one before may block."""
 
     def __init__(
@@ -96,40 +153,30 @@ class GatedRobots(LinkedRobots):
         self._simulated = [index for index, driver in enumerate(drivers) if isinstance(driver, SimulatedDriver)]
 
     def __len__(self) -> int:
-        """Return how many robots these are."""
         return len(self._robots)
 
     @property
     def boot_id(self) -> int:
-        """What was drawn when the unit started, and counted on whenever its clock was set back."""
         return self._robots[0].gate.boot_id
 
     @property
     def deadline_ns(self) -> int:
-        """When a gate must be asked again."""
         return min(robot.gate.deadline_ns for robot in self._robots)
 
     @property
     def newest_nonce_ns(self) -> int:
-        """The newest nonce that a command and a permission have echoed."""
         return max(min(robot.gate.command_nonce, robot.gate.enabled_nonce) for robot in self._robots)
 
     @property
     def any_open(self) -> bool:
-        """Whether a gate lets a controller's commands through."""
         return any(robot.gate.status == GateStatus.OPEN for robot in self._robots)
 
     def set_back(self, from_ns: int, now_ns: int) -> None:
-        """Let every gate begin anew: the clock was set back."""
         for robot in self._robots:
             robot.gate.at_ns = from_ns
             self._pending |= robot.pass_on(now_ns, Inputs(), 0)
 
-    def pass_on(
-        self, _now_ns: int, command: tuple[NDArray[Any], NDArray[Any]] | None,
-        enable: tuple[NDArray[Any], NDArray[Any]] | None, *, due: bool,
-    ) -> None:  # fmt: skip
-        """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
+    def pass_on(self, _now_ns: int, command: UnitMessage | None, enable: UnitMessage | None, *, due: bool) -> None:
         inputs = [Inputs() for _ in self._robots]
         exposure_ns = 0
         if command is not None:
@@ -148,32 +195,26 @@ class GatedRobots(LinkedRobots):
             self._pending |= robot.pass_on(self._now_ns(), given, exposure_ns)
 
     def lease(self, session: int, action: LeaseAction, _now_ns: int) -> tuple[LeaseAnswer, ...]:
-        """Answer a request for the leases."""
         return tuple(robot.lease(session, action, self._now_ns()) for robot in self._robots)
 
     def keep(self, *, due: bool) -> None:
-        """Keep what must be kept of the gates: a lease's epoch, a latch."""
         if self._pending & link.TO_STORE:
             for robot in self._robots:
                 robot.keep(due=due)
 
     def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
-        """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
         self._pending &= ~link.NEW_LATCH
         return np.array([robot.status(now_ns, refused) for robot in self._robots], UNIT_STATUS.item_dtype)
 
     def truths(self) -> NDArray[Any] | None:
-        """Return the part of a truth of each that is simulated; None where all exist."""
         truths = [self._robots[index].truth(index) for index in self._simulated]
         return np.array(truths, UNIT_TRUTH.item_dtype) if truths else None
 
     def sensors(self) -> SensorMessage:
-        """Return what is said of the sensors of each that tells of them, and answers."""
         readings = ((index, robot.sensors) for index, robot in enumerate(self._robots))
         return sensors.said((index, reading) for index, reading in readings if reading is not None)
 
     def close(self) -> None:
-        """Motors off, every robot, whatever one of them does."""
         errors = []
         for robot in self._robots:
             try:
@@ -233,7 +274,6 @@ class GatedRobot:
             self._obey(inputs, now_ns, write=write)
 
     def _obey(self, inputs: Inputs, now_ns: int, *, write: bool) -> None:
-        """Do what the gate decided on ``inputs``."""
         if self._probe is not None:
             self._probe(self._robot, now_ns, inputs, copy(self.gate))
         if write:
@@ -242,11 +282,9 @@ class GatedRobot:
             self._decide(Inputs(), 0, now_ns)
 
     def keep(self, *, due: bool) -> None:
-        """Keep what must be kept of the gate."""
         link.store(self.gate, self._link, self._memory, due=due)
 
     def lease(self, session: int, action: LeaseAction, now_ns: int) -> LeaseAnswer:
-        """Answer a request for the lease."""
         l = self._link
         inputs, after, answer = link.take_lease(self.gate, l, self._drive, self._memory, session, action, now_ns)
         if after is not self.gate:

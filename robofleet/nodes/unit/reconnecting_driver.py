@@ -36,7 +36,6 @@ class ReconnectingDriver:
         self._closing = threading.Lock()
 
     def write(self, wheels: WheelSpeeds) -> None:
-        """Command the wheels [rad/s]."""
         if wheels == STOP:
             self._take_up()
         try:
@@ -46,7 +45,6 @@ class ReconnectingDriver:
             raise
 
     def read(self) -> DriverReading:
-        """Return the newest reading."""
         try:
             reading = sound(self._present().read())
             left, right = self._before

@@ -17,7 +17,7 @@ from robofleet.core.compiling import Say, told
 from robofleet.core.kernels import kernel, kernel_of_plain
 from robofleet.core.rows import record_of, row_type
 from robofleet.nodes.unit import link
-from robofleet.nodes.unit.gated_robot import LinkedRobots, Probe
+from robofleet.nodes.unit.gated_robot import Probe, Robots, UnitMessage
 from robofleet.nodes.unit.link import Link
 from robofleet.nodes.unit.state_store import RobotState, StateStore
 from robofleet.safety.gate import DRIVE, GATE, INPUT, NEVER_NS, GateState, Inputs, LeaseAction
@@ -25,6 +25,7 @@ from robofleet.safety.latches import GateStatus
 from robofleet.simulation import bodies as simulated
 from robofleet.simulation.bodies import Bodies
 from robofleet.vehicles.interface import DriverContext
+from robofleet.vehicles.plant import WATCHDOG_NS
 
 LINK = row_type(Link)
 _NO_COMMAND = np.ndarray((1,), UNIT_COMMAND.head_dtype, bytes(64)), np.ndarray((0,), UNIT_COMMAND.item_dtype, b"0")
@@ -34,10 +35,12 @@ _NOTHING = np.array([astuple(Inputs())], INPUT)
 _put_command, _put_permission = kernel_of_plain(link.put_command), kernel_of_plain(link.put_permission)
 _look_at, _pass_to_gate = kernel_of_plain(link.look), kernel_of_plain(link.pass_on)
 _settle, _fill_status = kernel_of_plain(link.settle), kernel_of_plain(link.fill_status)
-_advance, _measured, _write_wheels = simulated.advance, simulated.measured, simulated.write
+_advance, _command, _measured, _write_wheels = (
+    simulated.advance, simulated.command, simulated.measured, simulated.write
+)  # fmt: skip
 
 
-class SimulatedRobots(LinkedRobots):
+class SimulatedRobots(Robots):
     """Robots (N,) behind their gates."""
 
     def __init__(
@@ -59,42 +62,37 @@ class SimulatedRobots(LinkedRobots):
         self._statuses, self._truths = np.zeros(n, UNIT_STATUS.item_dtype), np.zeros(n, UNIT_TRUTH.item_dtype)
         self._truths["place"] = range(n)
         self._closed = False
-        self.deadline_ns: int = 0
+        self._deadline_ns = 0
         world_ns = bodies.prepare()
         for row, gate in enumerate(self._gates):
             _look(gate, self._links[row], *bodies.row(row), now_ns, world_ns)
 
     def __len__(self) -> int:
-        """Return how many robots these are."""
         return len(self._robots)
 
     @property
     def boot_id(self) -> int:
-        """What was drawn when the unit started, and counted on whenever its clock was set back."""
         return int(self._gates["boot_id"][0])
 
     @property
+    def deadline_ns(self) -> int:
+        return self._deadline_ns
+
+    @property
     def newest_nonce_ns(self) -> int:
-        """The newest nonce that a command and a permission have echoed."""
         return int(np.minimum(self._gates["command_nonce"], self._gates["enabled_nonce"]).max())
 
     @property
     def any_open(self) -> bool:
-        """Whether a gate lets a controller's commands through."""
         return bool((self._gates["status"] == GateStatus.OPEN).any())
 
     def set_back(self, from_ns: int, now_ns: int) -> None:
-        """Let every gate begin anew: the clock was set back."""
         self._gates["at_ns"] = from_ns
         self.pass_on(now_ns, None, None, due=False)
 
-    def pass_on(
-        self, now_ns: int, command: tuple[NDArray[Any], NDArray[Any]] | None,
-        enable: tuple[NDArray[Any], NDArray[Any]] | None, *, due: bool,
-    ) -> None:  # fmt: skip
-        """Let the gates decide on what arrived, and write the wheels; read the robots before, if that is due."""
+    def pass_on(self, now_ns: int, command: UnitMessage | None, enable: UnitMessage | None, *, due: bool) -> None:
         b = self._bodies
-        self._pending, self.deadline_ns = _pass_on(
+        self._pending, self._deadline_ns = _pass_on(
             self._gates, self._inputs, self._links, self._drive_rows, b.bodies, b.builds, b.coming, b.noise,
             *(command or _NO_COMMAND), *(enable or _NO_ENABLE), now_ns, b.prepare(), due,
         )  # fmt: skip
@@ -107,7 +105,6 @@ class SimulatedRobots(LinkedRobots):
                 self._complaints.add(self._robots[row], link.runaway_complaint(record_of(Link, self._links[row])))
 
     def lease(self, session: int, action: LeaseAction, now_ns: int) -> tuple[LeaseAnswer, ...]:
-        """Answer a request for the leases."""
         return tuple(self._lease(row, session, action, now_ns) for row in range(len(self)))
 
     def _lease(self, row: int, session: int, action: LeaseAction, now_ns: int) -> LeaseAnswer:
@@ -121,11 +118,10 @@ class SimulatedRobots(LinkedRobots):
             self._gates[row], self._links[row] = astuple(after), astuple(l)
             if self._probe is not None:
                 self._probe(self._robots[row], now_ns, inputs, after)
-        self.deadline_ns = min(self.deadline_ns, after.deadline_ns)
+        self._deadline_ns = min(self._deadline_ns, after.deadline_ns)
         return answer
 
     def keep(self, *, due: bool) -> None:
-        """Keep what must be kept of the gates: a lease's epoch, a latch."""
         if self._pending & link.TO_STORE:
             for row, memory in enumerate(self._memories):
                 g, l = self._records(row)
@@ -133,23 +129,19 @@ class SimulatedRobots(LinkedRobots):
                 self._links[row] = astuple(l)
 
     def _records(self, row: int) -> tuple[GateState, Link]:
-        """Return copies of a robot's gate and link."""
         return record_of(GateState, self._gates[row]), record_of(Link, self._links[row])
 
     def statuses(self, now_ns: int, refused: int) -> NDArray[Any]:
-        """Return every robot's part of a status; ``refused``: messages of the unit that nobody could read."""
         _fill_statuses(self._gates, self._links, self._statuses, now_ns, refused)
         self._pending &= ~link.NEW_LATCH
         return self._statuses
 
     def truths(self) -> NDArray[Any]:
-        """Return every robot's part of a truth."""
         b = self._bodies
         _fill_truths(b.bodies, b.builds, b.coming, b.noise, self._truths, b.prepare())
         return self._truths
 
     def sensors(self) -> SensorMessage:
-        """Return what the sensors say, of each robot whose sensors are read."""
         sensing = self._bodies.sensing
         assert sensing is not None
         robots = np.zeros(len(sensing.rows), UNIT_SENSORS.item_dtype)
@@ -157,7 +149,6 @@ class SimulatedRobots(LinkedRobots):
         return robots, self._bodies.sense()[sensing.has]
 
     def close(self) -> None:
-        """Motors off at once. Idempotent."""
         if not self._closed:
             self._closed = True
             world_ns = self._bodies.prepare()
@@ -168,22 +159,9 @@ class SimulatedRobots(LinkedRobots):
 
 @kernel
 def _pass_on(  # type: ignore[no-untyped-def]
-    gates,
-    inputs,
-    links,
-    drives,
-    bodies,
-    builds,
-    coming,
-    noise,
-    command,
-    commands,
-    enable,
-    enables,
-    now_ns,
-    world_ns,
+    gates, inputs, links, drives, bodies, builds, coming, noise, command, commands, enable, enables, now_ns, world_ns,
     due,
-):
+):  # fmt: skip
     pending, deadline_ns = 0, NEVER_NS
     for k in range(len(gates)):
         g, l, b, p = gates[k], links[k], bodies[k], builds[k]
@@ -208,7 +186,8 @@ def _look(g, l, b, p, coming, noise, now_ns, world_ns):  # type: ignore[no-untyp
     l.left_angle, l.right_angle, l.left_speed, l.right_speed, l.battery = _measured(b, p)
     l.faults = b.faults
     if _look_at(g, l, now_ns):
-        _write(l, b, p, coming, noise, 0.0, 0.0, world_ns)
+        _command(b, p, coming, 0.0, 0.0, world_ns + WATCHDOG_NS)
+        l.left_written, l.right_written = 0.0, 0.0
 
 
 @kernel

@@ -49,15 +49,12 @@ class MemoryStateStore:
         self._kept: dict[str, StoredRobot] = {}
 
     def load(self, robot: str) -> StoredRobot:
-        """Return what was kept."""
         return self._kept.get(robot, StoredRobot())
 
     def save(self, robot: str, kept: StoredRobot) -> None:
-        """Keep it."""
         self._kept[robot] = kept
 
     def lose(self, robot: str) -> None:
-        """Forget it."""
         self._kept[robot] = _UNKNOWN
 
 

@@ -27,13 +27,11 @@ TopicMessages = Sequence[tuple[str, Message]]  # (topic, message)
 
 
 def stamp(date_ns: int) -> Timestamp:
-    """Return a date [ns since 1970]."""
     seconds, nanos = divmod(date_ns, S)
     return Timestamp(seconds=seconds, nanos=nanos)
 
 
 def pose_topic(robot: str) -> str:
-    """Return where a robot's pose is told."""
     return f"/robots/{robot}/pose"
 
 
@@ -65,12 +63,10 @@ class FleetScene:
         return ()
 
     def truth(self, unit: str, payload: bytes, date_ns: int) -> TopicMessages:
-        """Take the true states of a unit's simulated robots; they are drawn later."""
         self._truths[unit] = date_ns, payload
         return ()
 
     def image(self, payload: bytes, date_ns: int) -> TopicMessages:
-        """Take what an image showed; the bystanders are drawn later."""
         self._image = (date_ns, payload) if self._parked else None
         return ()
 

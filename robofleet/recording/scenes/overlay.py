@@ -45,7 +45,6 @@ class Overlay:
         self._robots = {robot.tag: robot.id for robot in config.robots}
 
     def place(self, at: Timestamp) -> FrameTransform:
-        """Return where the camera is."""
         x, y, z = self._geometry.position.tolist()
         rotation = cv2.Rodrigues(self._geometry.T_world_camera[:3, :3])[0].ravel()
         angle = float(np.linalg.norm(rotation))
@@ -85,14 +84,8 @@ class Overlay:
                 PointsAnnotation(timestamp=at, type=kind, points=corners, outline_color=ink, thickness=_LINE_PX)
             )
             text, corner = self._robots[tag], max(corners, key=lambda point: point.x)
-            drawn.texts.append(
-                TextAnnotation(
-                    timestamp=at,
-                    position=corner,
-                    text=text,
-                    font_size=_FONT_PX,
-                    text_color=ink,
-                    background_color=colour(_LABEL, 0.6),
-                )
-            )
+            drawn.texts.append(TextAnnotation(
+                timestamp=at, position=corner, text=text, font_size=_FONT_PX, text_color=ink,
+                background_color=colour(_LABEL, 0.6),
+            ))  # fmt: skip
         return drawn

@@ -12,9 +12,9 @@ from robofleet.behaviours import described
 from robofleet.bus.keys import STATUS, TICK, TRUTH, key
 from robofleet.bus.messages import TICK_RECORD
 from robofleet.config.tree import Config
+from robofleet.recording.channels import of_protobuf
 from robofleet.recording.columns import COLUMNS, own_name, own_names, own_table, table
 from robofleet.recording.gauge import Gauge
-from robofleet.recording.measures import series
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.scenes.scalars import Scalar, Scalars
 
@@ -25,7 +25,6 @@ PACKAGE, MESSAGE = "robofleet", "RobotTick"
 
 
 def topic(robot: str) -> str:
-    """Return where a robot's ticks are told."""
     return f"/robots/{robot}/tick"
 
 
@@ -45,14 +44,13 @@ def _described(gauges: Sequence[Gauge], gauge: Gauge) -> Scalars:
         *(Scalar(column.name, "<f4", f"{column.meaning}; NaN: not known") for column in COLUMNS),
         *own,
     )
-    return Scalars(PACKAGE, message_name(gauges, gauge.said.name), fields)
+    return Scalars(PACKAGE, message_name(gauges, gauge.group.name), fields)
 
 
 class RobotTicks:
     """Makes each robot's ticks of the bus's messages, which it is given in order."""
 
     def __init__(self, config: Config, groups: tuple[described.Group, ...], batch: int = BATCH) -> None:
-        """Take how many ticks are told at once."""
         self._batch = batch
         arena, robots = config.arena.name, config.members
         self._tick_key = key(arena, TICK)
@@ -60,13 +58,13 @@ class RobotTicks:
         self._status_keys = {key(arena, STATUS, unit) for unit in config.units}
         self._truth_keys = {key(arena, TRUTH, unit) for unit in config.units}
         self._statuses: dict[str, bytes] = {}  # the newest ones since the tick before
-        self._window = Recording(config, said=groups)
+        self._window = Recording(config, file_groups=groups)
         self._came: array[int] = array("Q")  # when each tick of the window did [ns]
         gauges = self._window.gauges  # and what they compute with is loaded by that
         self._messages = [_described(gauges, gauge) for gauge in gauges]
         self._own = [own_names([gauge]) for gauge in gauges]
         self.channels = [
-            (topic(robot), message)
+            of_protobuf(topic(robot), message.name, message.descriptor)
             for group, message in zip(groups, self._messages, strict=True)
             for robot in group.robots
         ]
@@ -88,22 +86,21 @@ class RobotTicks:
         return ()
 
     def rest(self) -> Sequence[tuple[str, int, bytes]]:
-        """Return what is left at the end."""
         return self._take(len(self._came)) if self._came else ()
 
     def _take(self, count: int) -> list[tuple[str, int, bytes]]:
         run = Run(self._window, every_tick=True)
-        ticks, values = run.ticks[:count], table(series(run))[:count]
+        ticks, values = run.ticks[:count], table(run)[:count]
         common = {name: ticks[name][:, None] for name in ("tick", "run_tick")}
         by_robot: list[list[bytes]] = []
         for part, message, names in zip(run.parts, self._messages, self._own, strict=True):
             robot_values = {column.name: values[:, part.rows, index] for index, column in enumerate(COLUMNS)}
             own = own_table(part, names)[:count]
             robot_values |= {name: own[..., index] for index, name in enumerate(names)}
-            n = len(part.said.robots)
+            n = len(part.group.robots)
             messages = message.messages((count, n), common | robot_values)
             by_robot += [messages[k::n] for k in range(n)]
-        places = [(topic, came) for came in self._came[:count] for topic, _ in self.channels]
+        places = [(topic, came) for came in self._came[:count] for topic, *_ in self.channels]
         self._forget(count)
         in_order = (robot_message for tick in zip(*by_robot, strict=True) for robot_message in tick)
         return [(*index, message) for index, message in zip(places, in_order, strict=True)]

@@ -16,7 +16,7 @@ _KINDS = {
     "<i4": FieldDescriptorProto.TYPE_SFIXED32,
     "<f4": FieldDescriptorProto.TYPE_FLOAT,
 }
-_FOUR_BYTES = 5  # protobuf's wire type
+_FIXED32_WIRE_TYPE = 5
 
 
 class Scalar(NamedTuple):
@@ -59,7 +59,7 @@ def _blank(fields: Sequence[tuple[str, str]]) -> NDArray[np.void]:
     columns: list[tuple[str, str]] = []
     tags: list[int] = []
     for number, (name, kind) in enumerate(fields, 1):
-        tag = number << 3 | _FOUR_BYTES
+        tag = number << 3 | _FIXED32_WIRE_TYPE
         short = tag < 0x80  # else a varint of two bytes
         tags.append(tag if short else (tag & 0x7F | 0x80) | tag >> 7 << 8)
         columns += (f"tag of {name}", "u1" if short else "<u2"), (name, kind)
@@ -70,7 +70,6 @@ def _blank(fields: Sequence[tuple[str, str]]) -> NDArray[np.void]:
 
 
 def _described(package: str, name: str, fields: tuple[Scalar, ...]) -> bytes:
-    """Return the FileDescriptorSet."""
     files = FileDescriptorSet()
     file = files.file.add(name=f"{package}/{name}.proto", package=package, syntax="proto3")
     message = file.message_type.add(name=name)

@@ -7,7 +7,6 @@ changes seldom is told when it changes. A robot's shapes lie in its own frame: v
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import NamedTuple
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -25,6 +24,7 @@ from robofleet.bus.messages import BUSY_MACHINE, FLEET_POSES, RUN_STATE, TRACKER
 from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
+from robofleet.recording.channels import Channel, of_protobuf
 from robofleet.recording.lines import Line, busy_line, latch_line, news_line, note_line, state_lines
 from robofleet.recording.notes import noted
 from robofleet.recording.scenes import shapes
@@ -33,14 +33,6 @@ from robofleet.recording.scenes.overlay import Overlay
 
 _PERIOD_NS = S // 10
 _KEPT_IMAGES = 8  # whose poses are kept until their picture comes
-
-
-class Channel(NamedTuple):
-    """What a viewer must know before the first message of a topic."""
-
-    topic: str
-    schema: str  # full name of the message
-    descriptor: bytes  # FileDescriptorSet
 
 
 class Scene:
@@ -52,7 +44,7 @@ class Scene:
         self._ids = config.ids
         self._fleet = FleetScene(config, groups)
         self._overlays = [Overlay(view) for view in config.views] if config.tracker.source == "camera" else []
-        self.channels = tuple(Channel(*channel) for channel in self._described())
+        self.channels = tuple(self._channels())
         self._takes = self._by_key()
         self._due_ns = 0
         self._busy = False  # the machine, and that was told
@@ -76,7 +68,7 @@ class Scene:
         first, self._due_ns = not self._due_ns, (at_ns // _PERIOD_NS + 1) * _PERIOD_NS
         return (*(self._unchanging(date_ns) if first else ()), *self._fleet.draw(date_ns))
 
-    def _described(self) -> Iterator[tuple[str, str, bytes]]:
+    def _channels(self) -> Iterator[Channel]:
         kinds: dict[str, type[Message]] = {
             "/tf": FrameTransforms, "/tf_static": FrameTransforms, "/arena": SceneUpdate, "/fleet": SceneUpdate,
             "/references": SceneUpdate, "/log": Log, **{pose_topic(robot): PoseInFrame for robot in self._ids},
@@ -85,7 +77,7 @@ class Scene:
             kinds |= {f"{overlay.topic}/image": CompressedImage, f"{overlay.topic}/annotations": ImageAnnotations}
             kinds[f"{overlay.topic}/calibration"] = CameraCalibration
         for topic, kind in kinds.items():
-            yield topic, kind.DESCRIPTOR.full_name, build_file_descriptor_set(kind).SerializeToString()
+            yield of_protobuf(topic, kind.DESCRIPTOR.full_name, build_file_descriptor_set(kind).SerializeToString())
 
     def _by_key(self) -> dict[str, Callable[[bytes, int], TopicMessages]]:
         arena = self._config.arena.name

@@ -191,7 +191,6 @@ def references(rows: Sequence[int], points: Array, at: Timestamp) -> SceneEntity
 
 
 def turned(psi: float) -> Quaternion:
-    """Return a heading."""
     return Quaternion(z=math.sin(psi / 2), w=math.cos(psi / 2))
 
 

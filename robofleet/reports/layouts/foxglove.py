@@ -63,7 +63,6 @@ def _split(direction: str, *parts: str | Panel) -> str | Panel:
 
 
 def _scene(config: Config) -> Panel:
-    """Return the arena from above."""
     size = config.arena.size_m
     camera = {
         "distance": 1.3 * max(size), "perspective": False, "phi": 0, "thetaOffset": 90, "target": [0, 0, 0],
@@ -71,16 +70,10 @@ def _scene(config: Config) -> Panel:
     }  # fmt: skip
     topics = "/arena", "/fleet", "/references"
     return {
-        "cameraState": camera,
-        "followMode": "follow-none",
-        "followTf": WORLD,
-        "topics": {name: {"visible": True} for name in topics},
-        "layers": {},
-        "scene": {},
-        "transforms": {},
-        "publish": {},
-        "imageMode": {},
-    }
+        "cameraState": camera, "followMode": "follow-none", "followTf": WORLD,
+        "topics": {name: {"visible": True} for name in topics}, "layers": {}, "scene": {}, "transforms": {},
+        "publish": {}, "imageMode": {},
+    }  # fmt: skip
 
 
 def _image(topic: str) -> Panel:
@@ -90,15 +83,10 @@ def _image(topic: str) -> Panel:
 
 def _button(service: str, request: Mapping[str, str]) -> Panel:
     return {
-        "serviceName": service,
-        "requestPayload": dumps(request),
-        "layout": "vertical",
-        "editingMode": False,
-        "timeoutSeconds": 10,
-        "buttonText": _BUTTONS.get(service, service.capitalize()),
-        "buttonColor": "#c62828" if service == "stop" else "#37474f",
-        "buttonTooltip": "",
-    }
+        "serviceName": service, "requestPayload": dumps(request), "layout": "vertical", "editingMode": False,
+        "timeoutSeconds": 10, "buttonText": _BUTTONS.get(service, service.capitalize()),
+        "buttonColor": "#c62828" if service == "stop" else "#37474f", "buttonTooltip": "",
+    }  # fmt: skip
 
 
 def _plot(plot: Plot) -> Panel:
@@ -112,14 +100,8 @@ def _plot(plot: Plot) -> Panel:
             }
             for line in plot.lines
         ],
-        "xAxisVal": "timestamp",
-        "isSynced": True,
-        "showLegend": True,
-        "legendDisplay": "floating",
-        "showPlotValuesInLegend": False,
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-        "sidebarDimension": 240,
+        "xAxisVal": "timestamp", "isSynced": True, "showLegend": True, "legendDisplay": "floating",
+        "showPlotValuesInLegend": False, "showXAxisLabels": True, "showYAxisLabels": True, "sidebarDimension": 240,
     }  # fmt: skip
 
 

@@ -72,9 +72,7 @@ VIEWERS = {
         ("In Lichtblick open the local file {run}. Then: Layouts, Import from file, {layout}",),
     ),
     "plotjuggler": Viewer(
-        "plotjuggler.xml",
-        lambda recording, run: layout(recording, run.absolute()),
-        ("plotjuggler --layout {layout}",),
+        "plotjuggler.xml", lambda recording, run: layout(recording, run.absolute()), ("plotjuggler --layout {layout}",)
     ),
     "rerun": Viewer(
         "rerun.rbl",

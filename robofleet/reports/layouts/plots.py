@@ -55,7 +55,7 @@ def tabs(recording: Recording) -> tuple[Tab, ...]:
     """Return what is plotted of a run: each group's own first."""
     robots = [robot.id for robot in recording.config.members]
     colours = dict(zip(robots, robot_colours(len(robots)), strict=True))
-    own = [Tab(gauge.said.name, tuple(_own(gauge, colours))) for gauge in recording.gauges]
+    own = [Tab(gauge.group.name, tuple(_own(gauge, colours))) for gauge in recording.gauges]
     rest = [
         Tab(name, tuple(Plot(title, _lines(colours, fields)) for title, fields in plots.items()))
         for name, plots in _TABS.items()
@@ -68,7 +68,7 @@ def _own(gauge: Gauge, colours: dict[str, str]) -> Iterator[Plot]:
     for name, curve in gauge.columns.items():
         if curve.live:
             rows, _ = curve.columns[name]
-            robots = [gauge.said.robots[row] for row in rows]
+            robots = [gauge.group.robots[row] for row in rows]
             lines = tuple(Line(topic(robot), own_name(name), robot, colours[robot]) for robot in robots)
             yield Plot(curve.title + (f", {curve.unit}" if curve.unit else ""), lines)
 

@@ -59,7 +59,7 @@ def blueprint(recording: Recording) -> Any:
 def _components(recording: Recording) -> dict[str, str]:
     """Return how rerun names the messages of each robot's topic, which it knows by their schema alone."""
     gauges = recording.gauges
-    names = [(robot, message_name(gauges, gauge.said.name)) for gauge in gauges for robot in gauge.said.robots]
+    names = [(robot, message_name(gauges, gauge.group.name)) for gauge in gauges for robot in gauge.group.robots]
     return {topic(robot): f"{PACKAGE}.{name}:message" for robot, name in names}
 
 

@@ -42,7 +42,6 @@ class ArduinoBridgeFirmware:
         return b"".join(self._read(character, now_ns) for character in data)
 
     def loop(self, now_ns: int) -> bytes:
-        """Run one frame of the speed loop."""
         if now_ns - self._moved_ns > _AUTO_STOP_S * 1e9:
             self._moving, self._hardware.command = False, STOP
         if self._moving:

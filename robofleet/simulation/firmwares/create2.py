@@ -139,7 +139,6 @@ class Create2Firmware:
         return idle and now_ns - (self._idle_ns or 0) > _SLEEP_NS
 
     def _sensors(self) -> dict[int, Callable[[], bytes]]:
-        """Return what each packet says."""
         hardware = self._hardware
 
         def byte(value: Callable[[], int]) -> Callable[[], bytes]:

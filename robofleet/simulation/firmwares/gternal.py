@@ -69,7 +69,6 @@ class GTernalFirmware:
         return b""
 
     def loop(self, now_ns: int) -> bytes:
-        """Look at the time, and at the wheels."""
         answer = b""
         if self._byte_ns is not None and now_ns - self._byte_ns >= _BYTE_PATIENCE_NS:
             answer = self._obey({}, now_ns)
@@ -79,7 +78,6 @@ class GTernalFirmware:
         return answer
 
     def _follow(self) -> None:
-        """Aim at the wheels that v and omega make."""
         drive = self._hardware.drive
         stands = abs(self._v) < _LEAST_V and abs(self._w) < _LEAST_W
         wheels = wheels_from_body(self._v, self._w, drive.wheel_radius, drive.wheel_base)
@@ -136,7 +134,6 @@ class _Reader:
         self._byte = ""  # that is looked at; "": it has not come yet
 
     def read(self) -> _Reading:
-        """Read an object."""
         return (yield from self._object(_DEEPEST_NESTING))
 
     def _object(self, depth: int) -> _Reading:

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,11 @@ from robofleet.behaviours.go_to import GoTo
 from robofleet.config import groups
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.core.arrays import Array
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.clock import S
 from robofleet.safety.latches import Latch
 from robofleet.studies.storm.gates import intervals
-from robofleet.studies.storm.ledger import GateDecision, Outage
-from robofleet.studies.storm.verdict import Violation
+from robofleet.studies.storm.ledger import GateDecision, Span, Violation
 from robofleet.vehicles.interface import STOP
 
 _GRID_STEP_NS = 10_000_000  # a robot goes 2 mm in it
@@ -37,7 +36,7 @@ def rest_within_s(robot: Robot) -> float:
 
 
 def rolling_on(
-    robot: Robot, decisions: Array, sent_ns: Array, truth: NDArray[Any], runaways: Sequence[Outage]
+    robot: Robot, decisions: Array, sent_ns: Array, truth: NDArray[Any], runaways: Sequence[Span]
 ) -> list[Violation]:
     """Find robots that move although their output has been zero for long enough.
 
@@ -64,7 +63,7 @@ def rolling_on(
 
 
 def unnamed(
-    robot: str, decisions: Sequence[GateDecision], runaways: Sequence[Outage], outages: Sequence[Outage]
+    robot: str, decisions: Sequence[GateDecision], runaways: Sequence[Span], outages: Sequence[Span]
 ) -> list[Violation]:
     """Find wheels that turned by themselves for a second, with an output of zero, and whose gates were not latched.
 
@@ -73,23 +72,20 @@ def unnamed(
     at_ns = np.array([decision.true_ns for decision in decisions], dtype=np.float64)
     standing = np.array([decision.state.output == STOP for decision in decisions], dtype=np.bool_)
     found = []
-    for first, last in intervals(standing):
-        until_ns = at_ns[last + 1] if last + 1 < len(at_ns) else math.inf
-        for runs in runaways:
-            start_ns, end_ns = max(at_ns[first], runs.start_ns), min(until_ns, runs.end_ns)
-            named_ns = start_ns + _NAMED_WITHIN_NS
-            watched = all(out.end_ns + S < start_ns or out.start_ns > named_ns for out in outages)
-            if named_ns >= end_ns or not watched:
-                continue
-            newest = decisions[int(np.searchsorted(at_ns, named_ns, side="right")) - 1]
-            if newest.state.latch != Latch.RUNAWAY:
-                numbers = f"{Latch(newest.state.latch).name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after its output was zero"
-                found.append(Violation("a wheel turns by itself and is not named", named_ns / S, robot, numbers))
+    for start_ns, end_ns in _together(at_ns, standing, runaways, math.inf):
+        named_ns = start_ns + _NAMED_WITHIN_NS
+        watched = all(out.end_ns + S < start_ns or out.start_ns > named_ns for out in outages)
+        if named_ns >= end_ns or not watched:
+            continue
+        newest = decisions[int(np.searchsorted(at_ns, named_ns, side="right")) - 1]
+        if newest.state.latch != Latch.RUNAWAY:
+            numbers = f"{Latch(newest.state.latch).name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after its output was zero"
+            found.append(Violation("a wheel turns by itself and is not named", named_ns / S, robot, numbers))
     return found
 
 
 def unheld(
-    robot: str, decisions: Sequence[GateDecision], stuck: Sequence[Outage], outages: Sequence[Outage]
+    robot: str, decisions: Sequence[GateDecision], stuck: Sequence[Span], outages: Sequence[Span]
 ) -> list[Violation]:
     """Find wheels that stood though their output was to turn, for so long that the run should have been held.
 
@@ -99,15 +95,20 @@ def unheld(
     at_ns = np.array([decision.true_ns for decision in decisions], dtype=np.float64)
     outputs = np.array([decision.state.output for decision in decisions], dtype=np.float64)
     found = []
-    for first, last in (span for wheel in outputs.T for span in intervals(abs(wheel) >= _COMMANDED_RAD_S)):
-        until_ns = at_ns[last + 1] if last + 1 < len(at_ns) else at_ns[last]
-        for stands in stuck:
-            start_ns, end_ns = max(at_ns[first], stands.start_ns), min(until_ns, stands.end_ns)
+    for wheel in outputs.T:
+        for start_ns, end_ns in _together(at_ns, abs(wheel) >= _COMMANDED_RAD_S, stuck, at_ns[-1]):
             unbroken = all(out.end_ns < start_ns or out.start_ns > end_ns for out in outages)
             if end_ns - start_ns > _HELD_WITHIN_NS and unbroken:
                 numbers = f"its output was to turn for {(end_ns - start_ns) / 1e6:.0f} ms"
                 found.append(Violation("a wheel stands and the run goes on", end_ns / S, robot, numbers))
     return found
+
+
+def _together(at_ns: Array, flags: Flags, spans: Sequence[Span], end_ns: float) -> Iterator[Span]:
+    """Yield when a flag of decisions and a span hold at once; ``end_ns``: of the last decision."""
+    until_ns = np.append(at_ns[1:], end_ns)
+    for first, last in intervals(flags):
+        yield from (Span(max(at_ns[first], span.start_ns), min(until_ns[last], span.end_ns)) for span in spans)
 
 
 def at_goals(config: Config, poses: Mapping[str, tuple[float, float, float]]) -> set[str]:

@@ -26,11 +26,10 @@ from robofleet.studies.storm.bodies import apart, at_goals, rolling_on, unheld, 
 from robofleet.studies.storm.fleet import States, moved_unasked, unanswered, without_cause
 from robofleet.studies.storm.forger import Forger
 from robofleet.studies.storm.gates import GateAudit
-from robofleet.studies.storm.ledger import Ledger, Outage
+from robofleet.studies.storm.ledger import Ledger, Span, Violation
 from robofleet.studies.storm.schedule import Plan, plan, shared
 from robofleet.studies.storm.setpoints import Senders
 from robofleet.studies.storm.stops import going_on, out_of_reach, stops, unlatched
-from robofleet.studies.storm.verdict import Violation
 from robofleet.vehicles.solids import distances
 
 _ARMED_WITHIN_S = 60.0  # without faults it takes far less
@@ -207,7 +206,6 @@ class _Player:
         self._answer_text, self._answer = b"", self._lockstep.request(request)
 
     def _stop(self) -> None:
-        """Stop them all, as whoever stops a run does."""
         clock = self._lockstep.clock
         self._stops_ns.append(clock.now_ns())
         stop = EmergencyStop(self._lockstep.bus, self._config.units, clock.now_ns())
@@ -237,7 +235,7 @@ class _Player:
         ]  # fmt: skip
         truths, sent_ns = [], []
         requested_stops = stops(self._stops_ns, resets)
-        unheard: list[Outage] = []
+        unheard: list[Span] = []
         for row, robot in enumerate(config.bodies):
             truths.append(recording.of_robot(TRUTH, robot.id))
             unit_sent_ns = np.array(ledger.sent_ns[key(arena, TRUTH, config.unit_of[robot.id])], dtype=np.float64)
@@ -274,10 +272,8 @@ class _Player:
             effects[injection.fault.kind] += injection.effects
         return effects
 
-    def _outages(self, process: str) -> list[Outage]:
-        """Return when a process did not run, or had another time than the rest."""
+    def _outages(self, process: str) -> list[Span]:
         return self._acting("killed", "stopped", "clock_step", process=process)
 
-    def _acting(self, *kinds: str, **keys: str) -> list[Outage]:
-        """Return when faults of some kinds acted."""
-        return [Outage(fault.start_ns, fault.end_ns) for fault in self._faults.of(*kinds, **keys)]
+    def _acting(self, *kinds: str, **keys: str) -> list[Span]:
+        return [Span(fault.start_ns, fault.end_ns) for fault in self._faults.of(*kinds, **keys)]

@@ -13,7 +13,7 @@ from robofleet.core.arrays import Array, Flags
 from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import CAUSES, Event, Phase
 from robofleet.studies.storm.gates import intervals
-from robofleet.studies.storm.verdict import Violation
+from robofleet.studies.storm.ledger import Violation
 
 # After how long such a fault has to have stopped a robot, or all of them.
 _STOPS_WITHIN_S = {
@@ -31,13 +31,11 @@ class States(NamedTuple):
 
     @classmethod
     def of(cls, sent_ns: list[int], payloads: list[bytes], robots: int) -> "States":
-        """Read them all at once."""
         dtype = RUN_STATE.dtype(robots)
         assert all(len(p) == dtype.itemsize and p[0] == VERSION for p in payloads), "a state that nobody can read"
         return cls(np.array(sent_ns, dtype=np.float64), np.frombuffer(b"".join(payloads), dtype=dtype))
 
     def running(self) -> Flags:
-        """Return in which the fleet runs."""
         return np.asarray(self.heads["phase"] == Phase.RUNNING)
 
     def free(self, row: int) -> Flags:
@@ -47,7 +45,6 @@ class States(NamedTuple):
         return np.asarray(tried | (self.running() & (items["permitted"][:, row] == 1)))
 
     def events(self) -> set[Event]:
-        """Return every cause that was given, for the run or for a robot alone."""
         causes = {*self.heads["cause"].tolist(), *self.heads["items"]["cause"].ravel().tolist()}
         return {Event(cause) for cause in causes if cause in CAUSES}
 

@@ -16,8 +16,7 @@ from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, S
 from robofleet.safety.gate import NEVER, GateState, LeaseAction
 from robofleet.safety.latches import Latch
-from robofleet.studies.storm.ledger import GateDecision, Outage
-from robofleet.studies.storm.verdict import Violation
+from robofleet.studies.storm.ledger import GateDecision, Span, Violation
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import STOP
 
@@ -43,7 +42,7 @@ class GateAudit:
     """One robot's gate through a storm."""
 
     def __init__(
-        self, robot: str, drive: DifferentialDrive, authorised: Callable[[int], bool], outages: Sequence[Outage]
+        self, robot: str, drive: DifferentialDrive, authorised: Callable[[int], bool], outages: Sequence[Span]
     ) -> None:
         self._robot, self._drive = robot, drive
         self._authorised = authorised  # whether a reset was asked for before an instant of lockstep's clock
@@ -54,7 +53,6 @@ class GateAudit:
         self.moving: Array = np.empty((0, 2))  # instant [ns], whether the target is not zero
 
     def violations(self, decisions: Sequence[GateDecision]) -> list[Violation]:
-        """Return what did not hold, oldest first."""
         rows, until_ns, start = [], 0, 0
         before, previous = GateState(boot_id=0), None
         for row, decision in enumerate(decisions):

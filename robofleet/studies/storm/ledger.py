@@ -38,7 +38,6 @@ class Ledger:
         bus.tap(self._take)
 
     def turning(self) -> set[str]:
-        """Return the robots whose wheels are let turn now."""
         return {robot for robot, rows in self.decisions.items() if rows[-1].state.target != STOP}
 
     def obeying(self) -> set[str]:
@@ -46,12 +45,10 @@ class Ledger:
         return {robot for robot, rows in self.decisions.items() if rows[-1].state.status == GateStatus.OPEN}
 
     def forget(self) -> None:
-        """Let go of everything."""
         self.decisions.clear()
         self.sent_ns.clear()
 
     def probe(self, robot: str, now_ns: int, inputs: Inputs, state: GateState) -> None:
-        """Keep what a gate decided."""
         self.decisions[robot].append(GateDecision(self._now_ns(), now_ns, inputs, state))
 
     def _take(self, message: tuple[str, bytes]) -> None:
@@ -59,8 +56,21 @@ class Ledger:
         self.sent_ns[message[0]].append(self._now_ns())
 
 
-class Outage(NamedTuple):
-    """When a process did not run, or had its clock changed [lockstep's clock, ns]."""
+class Span(NamedTuple):
+    """From when until when something was so [lockstep's clock, ns]."""
 
     start_ns: float
     end_ns: float
+
+
+class Violation(NamedTuple):
+    """One invariant that did not hold."""
+
+    invariant: str
+    at_s: float  # simulated time since the lockstep began
+    robot: str  # "" where it is not about one
+    numbers: str
+
+    def __str__(self) -> str:
+        who = f"{self.robot}: " if self.robot else ""
+        return f"{self.at_s:.4f} s: {who}{self.invariant}: {self.numbers}"

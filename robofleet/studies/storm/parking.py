@@ -35,7 +35,6 @@ class Parking:
         self._faults: list[InjectedFault] = []
 
     def draw(self) -> tuple[tuple[Robot, ...], tuple[InjectedFault, ...]]:
-        """Return the bystanders of a seed, in most seeds none, and what befalls them."""
         if self._rng.random() < _SEED_SHARE:
             self._lines = _lines(self._config)
             for number in range(1 + int(self._rng.integers(_MOST))):

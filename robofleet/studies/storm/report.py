@@ -1,39 +1,21 @@
-"""What the operator sees of a storm: its progress, what broke, and the command that shows it again."""
+"""What the operator sees of a storm: what broke, and the command that shows it again."""
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from robofleet.safety.supervisor import Event
 from robofleet.studies.storm.episode import Episode
 from robofleet.studies.storm.schedule import KINDS
 from robofleet.studies.storm.tally import REACTIONS, Tally
-from robofleet.studies.storm.workers import Watch
 
 _SHOWN_VIOLATIONS = 5  # of one seed
 
 
-@contextmanager
-def progress(seeds: int, replay: str) -> Iterator[Watch]:
-    """Show how far the storm is; a seed that failed is printed at once. ``replay``: the command, but for its seed."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("storm", total=seeds)
-
-        def watch(tally: Tally, episode: Episode) -> None:
-            bar.update(task, completed=tally.seeds, description=f"storm, {len(tally.failed)} failed")
-            for line in lines(episode, replay):
-                bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-        yield watch
-
-
 def lines(episode: Episode, replay: str) -> Iterator[str]:
-    """Yield what there is to say of a seed that failed."""
+    """``replay``: the command, but for its seed."""
     if not episode.violations:
         return
     yield f"seed {episode.seed}: {replay} --seeds 1 --first {episode.seed}"
@@ -50,7 +32,6 @@ def lines(episode: Episode, replay: str) -> Iterator[str]:
 
 
 def summarise(tally: Tally, elapsed_s: float) -> bool:
-    """Print the tally; returns whether all held."""
     table = Table("fault", "times", "effects", "reaction", "seeds", title="what came, and what was done about it")
     events = sorted(event for event in Event if event and (tally.events[event] or event in REACTIONS))
     for row in range(max(len(KINDS), len(events))):

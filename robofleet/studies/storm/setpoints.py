@@ -76,7 +76,6 @@ class _Sender:
         self._kind, self._goals = WishKind.STAND, np.zeros((len(group.robots), 2))
 
     def answer(self, tick: int, robots: Any) -> None:
-        """Send a setpoint by a tick."""
         if self.left_ticks <= 0:
             self._change()
         self.left_ticks -= 1

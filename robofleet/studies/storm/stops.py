@@ -6,7 +6,6 @@ supervisor that is awake lets nobody go on.
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +15,7 @@ from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.faults import Schedule
 from robofleet.studies.storm.fleet import States
-from robofleet.studies.storm.ledger import GateDecision, Outage
-from robofleet.studies.storm.verdict import Violation
+from robofleet.studies.storm.ledger import GateDecision, Span, Violation
 
 _WITHIN_NS = 100 * MS
 _STANDS_WITHIN_NS = 300 * MS  # of a supervisor that is awake
@@ -26,19 +24,12 @@ _ON_THE_WAY = ("lost", "late", "duplicated", "reordered", "not_a_number", "malfo
 _TOPICS = {"enable", "status"}
 
 
-class Stop(NamedTuple):
-    """When it was asked for, and until when it must hold: the next request for a reset [lockstep's clock, ns]."""
-
-    at_ns: int
-    until_ns: float
+def stops(requested_ns: Sequence[int], resets_ns: Sequence[int]) -> list[Span]:
+    """Return from when until when each emergency stop must hold: until the next request for a reset."""
+    return [Span(ns, min((reset for reset in resets_ns if reset > ns), default=np.inf)) for ns in requested_ns]
 
 
-def stops(requested_ns: Sequence[int], resets_ns: Sequence[int]) -> list[Stop]:
-    """Return the emergency stops that were asked for."""
-    return [Stop(ns, min((reset for reset in resets_ns if reset > ns), default=np.inf)) for ns in requested_ns]
-
-
-def out_of_reach(faults: Schedule, robot: str) -> list[Outage]:
+def out_of_reach(faults: Schedule, robot: str) -> list[Span]:
     """Return when a robot's gate may not hear, or not be heard of."""
     unit, mates = next((unit, robots) for unit, robots in faults.units.items() if robot in robots)
     driver = driver_role(unit)  # one message is for all of the unit: what strikes a robot's strikes its mates'
@@ -49,26 +40,26 @@ def out_of_reach(faults: Schedule, robot: str) -> list[Outage]:
         cut = fault.kind == "network_cut" and bool({driver, "supervisor"} & set(fault.processes))
         lossy = fault.kind in _ON_THE_WAY and bool(_TOPICS & set(fault.topics)) and fault.robot in (None, *mates)
         if own or cut or lossy:
-            found.append(Outage(injection.start_ns, injection.end_ns + _AFTER_NS))
+            found.append(Span(injection.start_ns, injection.end_ns + _AFTER_NS))
     return found
 
 
 def unlatched(
-    robot: str, decisions: Sequence[GateDecision], requests: Sequence[Stop], outages: Sequence[Outage]
+    robot: str, decisions: Sequence[GateDecision], requests: Sequence[Span], outages: Sequence[Span]
 ) -> list[Violation]:
     """Find stops that did not latch a gate in time, and latches that went before a reset was asked for."""
     found = []
     at_ns = [decision.true_ns for decision in decisions]
     for stop in requests:
-        due_ns = stop.at_ns + _WITHIN_NS
-        if _meets(outages, stop.at_ns, due_ns):
+        due_ns = stop.start_ns + _WITHIN_NS
+        if _meets(outages, stop.start_ns, due_ns):
             continue
-        first, due = bisect_right(at_ns, stop.at_ns), bisect_right(at_ns, due_ns)
+        first, due = bisect_right(at_ns, stop.start_ns), bisect_right(at_ns, due_ns)
         shut = [row for row in range(max(0, first - 1), due) if decisions[row].state.latch > Latch.DRILL]
         if not shut:
             found.append(Violation("an emergency stop has not latched the gate", due_ns / S, robot, f"{stop}"))
             continue
-        until_ns = min([stop.until_ns, *(outage.start_ns for outage in outages if outage.start_ns > due_ns)])
+        until_ns = min([stop.end_ns, *(outage.start_ns for outage in outages if outage.start_ns > due_ns)])
         for row in range(shut[0], bisect_right(at_ns, until_ns)):
             if decisions[row].state.latch <= Latch.DRILL:
                 found.append(Violation("the latch went before a reset was asked for", at_ns[row] / S, robot, f"{stop}"))
@@ -77,7 +68,7 @@ def unlatched(
 
 
 def going_on(
-    states: States, requests: Sequence[Stop], asleep: Sequence[Outage], outages: Sequence[Outage]
+    states: States, requests: Sequence[Span], asleep: Sequence[Span], outages: Sequence[Span]
 ) -> list[Violation]:
     """Find states that let the fleet go on after a stop.
 
@@ -87,13 +78,13 @@ def going_on(
     found = []
     phases = states.heads["phase"]
     for stop in requests:
-        due_ns = float(stop.at_ns + _STANDS_WITHIN_NS)
+        due_ns = float(stop.start_ns + _STANDS_WITHIN_NS)
         for outage in sorted(asleep):
             if outage.start_ns <= due_ns:
                 due_ns = max(due_ns, outage.end_ns + _STANDS_WITHIN_NS)
-        if _meets(outages, stop.at_ns, due_ns):
+        if _meets(outages, stop.start_ns, due_ns):
             continue
-        first, last = np.searchsorted(states.sent_ns, [due_ns, stop.until_ns]).tolist()
+        first, last = np.searchsorted(states.sent_ns, [due_ns, stop.end_ns]).tolist()
         wrong = np.flatnonzero(np.isin(phases[first:last], (Phase.RUNNING, Phase.HOLD)))
         if len(wrong):
             at_ns = states.sent_ns[first + int(wrong[0])]
@@ -101,5 +92,5 @@ def going_on(
     return found
 
 
-def _meets(outages: Sequence[Outage], start_ns: float, end_ns: float) -> bool:
+def _meets(outages: Sequence[Span], start_ns: float, end_ns: float) -> bool:
     return any(outage.start_ns <= end_ns and outage.end_ns >= start_ns for outage in outages)

@@ -1,12 +1,20 @@
-"""The totals of a storm: effects of each kind of fault, and each event of the supervisor."""
+"""Plays many seeds in parallel, and counts effects of each kind of fault and events of the supervisor."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, redirect_stderr
+from functools import partial
+from io import StringIO
 
+from robofleet.config.tree import Config
+from robofleet.nodes.controller import compile_kernels
 from robofleet.safety.supervisor import Event
-from robofleet.studies.storm.episode import Episode
+from robofleet.studies.engine import Engine
+from robofleet.studies.storm.episode import Episode, play
+from robofleet.studies.storm.ledger import Violation
 from robofleet.studies.storm.schedule import KINDS
 
+_REPEAT_EVERY = 25  # seeds: one is played twice
 MANY = 200  # seeds after which every kind of fault must have come, and every reaction been seen
 SOME = 5  # faults of a kind after which one must have had an effect: one alone may come while the fleet stands
 REACTIONS = (
@@ -33,7 +41,6 @@ class Tally:
         self.unplayed: list[str] = []  # seeds of which nothing is known, and why
 
     def add(self, episode: Episode) -> None:
-        """Count a seed."""
         self.seeds += 1
         self.simulated_s += episode.simulated_s
         self.longest_queue = max(self.longest_queue, episode.longest_queue)
@@ -54,3 +61,28 @@ class Tally:
         for event in REACTIONS if self.seeds >= MANY else ():
             if not self.events[event]:
                 yield f"{event.name} was never the cause of anything"
+
+
+def storm(config: Config, seeds: Sequence[int], engine: Engine, watch: Callable[[Tally, Episode], None]) -> Tally:
+    """Play all the seeds; ``watch`` is called after each."""
+    compile_kernels(config)  # once, on disk, before every worker wants the same
+    tally = Tally()
+    with closing(engine.each(partial(examine, config), seeds)) as results:
+        for index, episode, failure in results:
+            if episode is None:
+                tally.unplayed.append(f"seed {seeds[index]} could not be played: {failure}")
+            else:
+                tally.add(episode)
+                watch(tally, episode)
+    return tally
+
+
+def examine(config: Config, seed: int) -> Episode:
+    """Play a seed, and one in some twice: the same seed must leave the same messages."""
+    with redirect_stderr(StringIO()):  # processes complain as they should: thousands of lines
+        episode = play(config, seed)
+        again = play(config, seed).trace_hash if seed % _REPEAT_EVERY == 0 else episode.trace_hash
+    if again != episode.trace_hash:
+        different = Violation("the same seed left other messages", 0.0, "", f"{episode.trace_hash} and {again}")
+        return episode._replace(violations=(*episode.violations, different))
+    return episode

@@ -29,7 +29,6 @@ class Factor:
     run_levels: NDArray[np.int64]  # (R,) each run's level
 
     def __len__(self) -> int:
-        """Return how many levels there are."""
         return len(self.levels)
 
 
@@ -45,12 +44,10 @@ class Measure:
 
     @property
     def title(self) -> str:
-        """Its label and unit in words."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
     @property
     def varies(self) -> bool:
-        """Whether it differs between runs."""
         known = self.values[np.isfinite(self.values)]
         return len(known) > 1 and bool(known.max() > known.min())
 

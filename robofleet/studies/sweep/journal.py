@@ -23,7 +23,6 @@ class Journal:
         self.played = played  # by the runs' numbers
 
     def add(self, number: int, played: Played) -> None:
-        """Keep a run; OSError where there is no room."""
         line = dumps({"run": number, **played._asdict()}, compact=True)
         self._stream.write(line.encode() + b"\n")
         self._stream.flush()

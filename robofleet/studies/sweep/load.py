@@ -2,6 +2,7 @@
 
 import os
 import shlex
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -59,7 +60,8 @@ def load(file: Path, progress: Progress) -> Study:
     shared = CheckedStudy({}, {})
     changes = [Change(key, _written(root, ("set", key), value)) for key, value in sweep.set.items()]
     plans: list[Planned] = []
-    broken = _Broken()
+    first: dict[tuple[str, ...], tuple[str, str]] = {}  # what is wrong with runs, by its place: a line and a run
+    times: Counter[tuple[str, ...]] = Counter()
     count = sweep.total // len(sweep.every_seed)
     for done, setting in enumerate(_each(sweep, progress(count))):
         own = [Change(key, _written(root, path, setting.values[key])) for key, path in setting.places.items()]
@@ -68,15 +70,19 @@ def load(file: Path, progress: Progress) -> Study:
         try:
             tree = load_checked(config, [*changes, *own], faults, lockstep=True, study=shared)
         except ConfigError as error:
-            broken.add(error, 1 + done * len(sweep.every_seed), setting)
+            values = ", ".join(f"{key}={spelled(value)}" for key, value in setting.values.items())
+            for line in error.faults:
+                position = tuple(line.split(": ")[:2])
+                first.setdefault(position, (line, f"run {1 + done * len(sweep.every_seed)}: {values}"))
+                times[position] += 1
             continue
         words = _words(config, {**sweep.set, **setting.values}, faults)
         for seed in sweep.every_seed:
             seeded = tree if seed is None else _seeded(tree, seed)
             replay = f"{words} --seed {seeded.run.seed}"
             plans.append(Planned(len(plans) + 1, setting.values, name, seeded.run.seed, seeded, replay))
-    if broken.lines:
-        raise ConfigError(broken.all_lines(count))
+    if first:
+        raise ConfigError(_lines(first, times, count))
     random = sweep.random.keys.items() if sweep.random else ()
     spans = {key: distribution.log_uniform is not None for key, distribution in random if distribution.span is not None}
     return Study(file.stem, file, config, sweep.keys, spans, tuple(plans), _digest(plans))
@@ -118,29 +124,11 @@ def _each(sweep: Sweep, shown: AbstractContextManager[Bar]) -> Iterator[Setting]
             bar.add()
 
 
-class _Broken:
-    """What is wrong with runs: one line for each place and its first run, however many others have the like."""
-
-    def __init__(self) -> None:
-        self.lines: dict[tuple[str, ...], tuple[str, str]] = {}
-        self._times: dict[tuple[str, ...], int] = {}
-
-    def add(self, error: ConfigError, number: int, setting: Setting) -> None:
-        """Take what is wrong with a setting."""
-        values = ", ".join(f"{key}={spelled(value)}" for key, value in setting.values.items())
-        for line in error.faults:
-            position = tuple(line.split(": ")[:2])
-            self.lines.setdefault(position, (line, f"run {number}: {values}"))
-            self._times[position] = self._times.get(position, 0) + 1
-
-    def all_lines(self, count: int) -> Iterator[str]:
-        """Yield the lines; what is wrong with every setting needs no example."""
-        for position, (line, example) in self.lines.items():
-            times = self._times[position]
-            if times == count:
-                yield line
-            else:
-                yield printable(f"{line} ({example}; so in {counted(times, 'setting')} of {count})")
+def _lines(first: dict[tuple[str, ...], tuple[str, str]], times: Counter[tuple[str, ...]], count: int) -> Iterator[str]:
+    """Yield one line for each place; what is wrong with every setting needs no example."""
+    for position, (line, example) in first.items():
+        share = f" ({example}; so in {counted(times[position], 'setting')} of {count})"
+        yield line if times[position] == count else printable(line + share)
 
 
 def _beside(file: Path, name: str) -> Path:
@@ -174,7 +162,6 @@ def _seeded(config: Config, seed: int) -> Config:
 
 
 def _words(config: Path, values: dict[str, Any], faults: Path | None) -> str:
-    """Return the command of a run, but for its seed."""
     words = ["robofleet", "run", str(config), "--lockstep"]
     words += [word for key, value in values.items() for word in ("--set", f"{key}={spelled(value)}")]
     return shlex.join([*words, *(("--faults", str(faults)) if faults is not None else ())])

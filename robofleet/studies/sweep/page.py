@@ -22,7 +22,6 @@ _LISTED_RUNS = 50
 
 
 def write(study: Study, runs: Sequence[Ran], folder: Path, files: Sequence[Path]) -> Path:
-    """Write the page; returns its file. OSError if it cannot be."""
     endings = np.array([ran.ending for ran in runs])
     page = Page(study.name, _subtitle(study, runs))
     _verdict(page, runs, endings)
@@ -46,9 +45,7 @@ def _subtitle(study: Study, runs: Sequence[Ran]) -> str:
 
 def _verdict(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
     met, not_judged, missed, fault = (int((endings == ending).sum()) for ending in Ending)
-    sentence = (
-        f"{len(runs) - fault:,} of {len(runs):,} runs completed" if fault else f"All {len(runs):,} runs completed"
-    )
+    completed = f"{len(runs) - fault:,} of {len(runs):,}" if fault else f"All {len(runs):,}"
     lines = [f"{fault:,} did not: the commands that replay them are below."] if fault else []
     if missed:
         lines.append(f"{missed:,} completed and missed a bound.")
@@ -56,15 +53,16 @@ def _verdict(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
         lines.append(f"{not_judged:,} completed and missed no bound, but not every bound was judged: see below.")
     if met and not missed and not not_judged and any(ran.played and ran.played.summary["bounds"] for ran in runs):
         lines.append("Every run that completed met its bounds.")
-    page.verdict(sentence, good=not fault and not missed and not not_judged, detail="\n".join(lines))
+    page.verdict(
+        f"{completed} runs completed", good=not fault and not missed and not not_judged, detail="\n".join(lines)
+    )
 
 
 def _tile(measure: Measure, runs: Sequence[Ran]) -> Tile:
     lacking = int(np.isnan(measure.values).sum())
     if lacking == len(runs):
-        return Tile(
-            measure.label, "–", "", Marked(f"not measured in any run, not judged; bound {measure.limit:g}", None)
-        )
+        lacks = f"not measured in any run, not judged; bound {measure.limit:g}"
+        return Tile(measure.label, "–", "", Marked(lacks, None))
     worst = measure.values[measure.worst]
     good = None
     if measure.limit is not None:
@@ -74,9 +72,8 @@ def _tile(measure: Measure, runs: Sequence[Ran]) -> Tile:
     if measure.limit is not None:
         note = f"{'✓' if good else '✗'} {note}; bound {measure.limit:g}"
         note += f"; not measured in {lacking:,} of {len(runs):,} runs" if lacking else ""
-    return Tile(
-        f"{measure.label}, median", _short(float(np.nanmedian(measure.values))), measure.unit, Marked(note, good)
-    )
+    median = _short(float(np.nanmedian(measure.values)))
+    return Tile(f"{measure.label}, median", median, measure.unit, Marked(note, good))
 
 
 def _short(value: float) -> str:
@@ -104,13 +101,10 @@ def _plots(page: Page, varied: Sequence[Factor], shown: Sequence[Measure], endin
             figure = plots.together(across, up, shown, endings)
             page.figure(figure, f"{up.key} over {across.key}.", title=f"{across.name} and {up.name}")
     page.section("One setting at a time", "A box holds half of the runs, its line is the median; a point is a run.")
-    legend = [
-        shown for ending, shown in zip(Ending, plots.ENDINGS, strict=True) if ending and (endings == ending).any()
-    ]
+    legend = [plots.ENDINGS[ending] for ending in Ending if ending and (endings == ending).any()]
     for factor in varied:
-        page.figure(
-            plots.alone(factor, shown, endings), f"Every figure over {factor.key}.", title=factor.name, legend=legend
-        )
+        figure = plots.alone(factor, shown, endings)
+        page.figure(figure, f"Every figure over {factor.key}.", title=factor.name, legend=legend)
 
 
 def _broken(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
@@ -151,6 +145,5 @@ def _origin(page: Page, study: Study, runs: Sequence[Ran], files: Sequence[Path]
         page.listing(study.file.read_text(), folded=f"The sweep, {study.file}")
     except OSError:  # it is gone: the table has what matters
         page.note(f"The sweep's file, {study.file}, cannot be read any more.")
-    page.listing(
-        "\n".join(f"{run.plan.replay}  # run {run.plan.number}" for run in runs), folded="The command of every run"
-    )
+    commands = (f"{run.plan.replay}  # run {run.plan.number}" for run in runs)
+    page.listing("\n".join(commands), folded="The command of every run")

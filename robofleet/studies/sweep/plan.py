@@ -41,7 +41,6 @@ class Distribution(Model):
         return self.uniform or self.log_uniform or self.integers
 
     def complaint(self) -> str | None:
-        """Return what is wrong with it, if anything."""
         given = [name for name in type(self).model_fields if getattr(self, name) is not None]
         if len(given) != 1:
             return "say one of uniform, log_uniform, integers, choice, as {uniform: [0.2, 0.4]}"
@@ -108,17 +107,14 @@ class Sweep(Parameters):
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The keys that vary."""
         return (*self.grid, *(self.random.keys if self.random else ()))
 
     @property
     def every_seed(self) -> Sequence[int | None]:
-        """The seeds; None: the configuration's."""
         return (None,) if self.seeds is None else range(self.seeds.first, self.seeds.first + self.seeds.count)
 
     @property
     def factors(self) -> dict[str, int]:
-        """How many there are of whatever makes the number of runs."""
         return {
             "combinations of the grid": math.prod(len(values) for values in self.grid.values()),
             "draws": self.random.count if self.random else 1,
@@ -128,7 +124,6 @@ class Sweep(Parameters):
 
     @property
     def total(self) -> int:
-        """How many runs it makes."""
         return math.prod(self.factors.values())
 
 
@@ -151,10 +146,9 @@ def settings(sweep: Sweep) -> Iterator[Setting]:
             draws[key] = distribution.draw(sweep.random.seed, key, count)
             drawn_at[key] = ("random", "keys", key)
     for chosen in itertools.product(*(range(len(values)) for values in sweep.grid.values())):
-        grid = {key: sweep.grid[key][i] for key, i in zip(sweep.grid, chosen, strict=True)}
-        grid_at: dict[str, tuple[str | int, ...]] = {
-            key: ("grid", key, i) for key, i in zip(sweep.grid, chosen, strict=True)
-        }
+        rows = dict(zip(sweep.grid, chosen, strict=True))
+        grid = {key: sweep.grid[key][i] for key, i in rows.items()}
+        grid_at: dict[str, tuple[str | int, ...]] = {key: ("grid", key, i) for key, i in rows.items()}
         for draw in range(count):
             drawn = {key: values[draw] for key, values in draws.items()}
             for faults in range(len(sweep.faults)):

@@ -46,9 +46,8 @@ def breaking(factors: Sequence[Factor], endings: Endings) -> Figure:
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     panels = figure.subplots(len(factors), 1, squeeze=False, height_ratios=[len(factor) + 0.6 for factor in factors])
     for axes, factor in zip(panels.flat, factors, strict=True):
-        counts = np.array(
-            [[np.sum((factor.run_levels == k) & (endings == ending)) for ending in Ending] for k in range(len(factor))]
-        )
+        counts = np.zeros((len(factor), len(Ending)), int)
+        np.add.at(counts, (factor.run_levels, endings), 1)
         share = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
         left = np.zeros(len(factor))
         for ending, (_, colour) in enumerate(ENDINGS):

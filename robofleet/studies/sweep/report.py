@@ -29,7 +29,6 @@ def lines(ran: Ran, before: int) -> Iterator[str]:
 
 
 def summarise(study: Study, runs: Sequence[Ran], files: Sequence[Path]) -> None:
-    """Print how the runs ended and their figures, and where the rest is."""
     console = Console()
     table = Table(title=Text(_ended(study, runs), "bold"), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for column in ("figure", "median", "worst", "in run"):
@@ -53,7 +52,6 @@ def summarise(study: Study, runs: Sequence[Ran], files: Sequence[Path]) -> None:
 
 
 def as_json(study: Study, runs: Sequence[Ran], folder: Path) -> dict[str, Any]:
-    """Return the end of a sweep as one object."""
     found = measures(runs)
     return {
         "sweep": study.name,

@@ -48,34 +48,28 @@ class Ran(NamedTuple):
 
     @property
     def outcome(self) -> str:
-        """How it ended."""
         return "failed" if self.played is None else str(self.played.summary["outcome"])
 
     @property
     def cause(self) -> str | None:
-        """Why it ended, if not by itself."""
         return self.failure if self.played is None else self.played.summary["cause"]
 
     @property
     def missed(self) -> list[str]:
-        """The bounds that it did not meet, a line each."""
         return [] if self.played is None else missed(self.played.summary)
 
     @property
     def not_judged(self) -> list[str]:
-        """The bounds whose figures were not measured, a line each."""
         return [] if self.played is None else unmeasured(self.played.summary)
 
     @property
     def ending(self) -> Ending:
-        """How it ended."""
         if self.outcome != "completed":
             return Ending.BROKEN
         return Ending.MISSED if self.missed else Ending.NOT_JUDGED if self.not_judged else Ending.MET
 
 
 def row(study: Study, ran: Ran) -> Row:
-    """Return a run's row."""
     plan = ran.plan
     settings = {key: _cell(plan.values[key]) for key in study.keys}
     faults = {"faults": plan.faults} if any(run.faults for run in study.runs) else {}
@@ -102,7 +96,6 @@ def row(study: Study, ran: Ran) -> Row:
 
 
 def write(study: Study, runs: Sequence[Ran], folder: Path) -> list[Path]:
-    """Write the tables; returns their files. OSError if they cannot be."""
     rows = [row(study, ran) for ran in runs]
     columns = _columns(rows)
     write_text(folder / CSV, _csv(columns, rows))
@@ -145,7 +138,6 @@ def _columns(rows: Sequence[Row]) -> list[str]:
 
 
 def _cell(value: Any) -> Cell:
-    """Return a setting as a table has it: a number, or text."""
     return value if isinstance(value, str | int | float) else spelled(value)
 
 

@@ -16,13 +16,6 @@ _COLLECT_EVERY = 20  # runs: what a run leaves is small, and to look for it take
 _runs = 0  # of this worker
 
 
-class Job(NamedTuple):
-    """What a run is made of."""
-
-    name: str  # of the configuration
-    config: Config
-
-
 class Played(NamedTuple):
     """What a run left."""
 
@@ -31,15 +24,15 @@ class Played(NamedTuple):
     lockstep_s: float  # of these: lockstep's steps
 
 
-def play(job: Job) -> Played:
-    """Run in lockstep."""
+def play(name: str, config: Config) -> Played:
+    """Run a configuration of that name in lockstep."""
     began_ns = cpu_ns()
     with redirect_stderr(StringIO()):  # processes complain as they should: the summary says what matters
-        run = Lockstep(job.config)
+        run = Lockstep(config)
         built_ns = cpu_ns()
         outcome, cause = driven(run, lambda _recording, _phase: None)
         ended_ns = cpu_ns()
-    figures = summary(run.recording, name=job.name, mode="lockstep", outcome=outcome, cause=cause)
+    figures = summary(run.recording, name=name, mode="lockstep", outcome=outcome, cause=cause)
     run.recording.messages.clear()  # most of the memory, which the collector need not come for
     _collect()
     return Played(figures, (cpu_ns() - began_ns) / S, (ended_ns - built_ns) / S)

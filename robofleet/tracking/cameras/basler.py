@@ -28,18 +28,17 @@ from robofleet.tracking.sources import (
 
 _NO_PYPYLON = "pypylon is not installed: pip install 'robofleet[basler]'"
 _TIMES, _GAINS = ("ExposureTime", "ExposureTimeAbs"), ("Gain", "GainRaw")  # of new and of old models
-_GAIN_DB = 24.0  # that the range of GainRaw is taken for
-_TIMEOUT_MS = 500  # of one wait for an image: then it is asked whether the camera is still there
+_GAIN_RAW_DB = 24.0  # its range is taken for this
+_IMAGE_WAIT_MS = 500  # then it is asked whether the camera is still there
 _WINDOW_IMAGES = 64  # the least delayed one of them counts
 _POLL_NS = 1 * MS
-_TOO_LATE_NS = 2 * MS  # after a trigger's instant it is left out
+_LATEST_TRIGGER_NS = 2 * MS  # after its instant; later it is left out
 
 
 class BaslerCamera:
     """Reads the camera of ``camera.basler``; CameraError with the setting that it does not take over."""
 
     def __init__(self, context: CameraContext) -> None:
-        """Open the camera, set it up and start it."""
         if not _installed():
             raise CameraError(_NO_PYPYLON)
         genicam, pylon = _loaded()
@@ -47,7 +46,7 @@ class BaslerCamera:
         camera = context.config.camera
         device = _found(pylon, camera.basler.serial)
         self.identity = _name(device)
-        self._settings, self._genicam = camera, genicam
+        self._settings = camera
         self._exposing = ExposureChange(Exposure(camera.exposure_s, camera.basler.gain))
         try:
             self._camera = pylon.InstantCamera(pylon.TlFactory.GetInstance().CreateDevice(device))
@@ -55,7 +54,8 @@ class BaslerCamera:
         except genicam.GenericException as error:
             raise CameraError(f"{self.identity} cannot be opened: does another program have it? {error}") from error
         try:
-            _Settings(self._camera, genicam, self.identity).apply(camera)
+            self._nodes = _Nodes(self._camera, genicam, self.identity)
+            self._nodes.apply(camera)
             ticks_hz = self._camera.GetNodeMap().GetNode("GevTimestampTickFrequency")
             self._stamps = DeviceClock(S / ticks_hz.Value if genicam.IsReadable(ticks_hz) else 1.0)
             self._camera.StartGrabbing(pylon.GrabStrategy_LatestImageOnly)
@@ -68,7 +68,6 @@ class BaslerCamera:
 
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:
-        """Return what cannot work with this configuration on this machine."""
         if not _installed():
             yield "camera.source", _NO_PYPYLON
         if config.camera.triggered_by_line and config.camera.adjusts_exposure:
@@ -82,7 +81,7 @@ class BaslerCamera:
             self._take_over()
             if self._trigger is not None and self._trigger.wait(self._camera.IsGrabbing):
                 self._camera.TriggerSoftware.Execute()
-            with self._camera.RetrieveResult(_TIMEOUT_MS, self._pylon.TimeoutHandling_Return) as result:
+            with self._camera.RetrieveResult(_IMAGE_WAIT_MS, self._pylon.TimeoutHandling_Return) as result:
                 arrival_ns = self._clock.now_ns()
                 if result.IsValid() and result.GrabSucceeded():
                     return self._frame(result, arrival_ns)
@@ -91,8 +90,8 @@ class BaslerCamera:
 
     def exposure_limits(self) -> ExposureLimits:
         """Return what the camera can be set to; GainRaw's decibels are assumed."""
-        times, gains = self._node(*_TIMES), self._node(*_GAINS)
-        gain_db = 1.0 if gains.Node.Name == _GAINS[0] else _GAIN_DB / max(gains.Max - gains.Min, 1)
+        times, gains = self._nodes.find(*_TIMES), self._nodes.find(*_GAINS)
+        gain_db = 1.0 if gains.Node.Name == _GAINS[0] else _GAIN_RAW_DB / max(gains.Max - gains.Min, 1)
         return ExposureLimits(
             Exposure(times.Min * 1e-6, gains.Min), Exposure(times.Max * 1e-6, gains.Max),
             Exposure(_step(times) * 1e-6, _step(gains)), gain_db,
@@ -107,7 +106,7 @@ class BaslerCamera:
         change = self._exposing.take()
         if change is None:
             return
-        times, gains = self._node(*_TIMES), self._node(*_GAINS)
+        times, gains = self._nodes.find(*_TIMES), self._nodes.find(*_GAINS)
         times.Value = type(times.Value)(change.time_s * 1e6)
         gains.Value = type(gains.Value)(change.gain)
         has = Exposure(times.Value * 1e-6, float(gains.Value))
@@ -116,11 +115,6 @@ class BaslerCamera:
         else:  # the next image is triggered after this
             self._exposing.done(has, 0)
             self._trigger.exposure_s = has.time_s
-
-    def _node(self, *names: str) -> Any:
-        """Return the first of these nodes that the camera has."""
-        nodes = (self._camera.GetNodeMap().GetNode(name) for name in names)
-        return next(node for node in nodes if self._genicam.IsWritable(node))
 
     def _frame(self, result: Any, arrival_ns: int) -> Frame:
         """Return an image. A camera stamps when its exposure begins, so the clock must not see how long that takes."""
@@ -132,7 +126,6 @@ class BaslerCamera:
         return Frame(result.Array, began_ns + start_to_middle_ns(self._settings, exposure.time_s), exposure)
 
     def close(self) -> None:
-        """Stop the camera and close it."""
         self._camera.Close()
 
 
@@ -210,15 +203,15 @@ class SoftwareTrigger:
             if tick != self._triggered:
                 self._triggered = tick
                 at_ns = self._ticks.instant(tick) + self._before_ns - start_to_middle_ns(self._camera, self.exposure_s)
-                if self._clock.now_ns() <= at_ns + _TOO_LATE_NS:
+                if self._clock.now_ns() <= at_ns + _LATEST_TRIGGER_NS:
                     self._clock.sleep_until(at_ns)
                     return True
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
         return False
 
 
-class _Settings:
-    """Writes a camera's settings, under the names that old and new models give them."""
+class _Nodes:
+    """A camera's settings, under the names that old and new models give them."""
 
     def __init__(self, camera: Any, genicam: Any, identity: str) -> None:
         self._camera, self._genicam, self._identity = camera, genicam, identity
@@ -242,15 +235,18 @@ class _Settings:
             self._put_if_there(True, "AcquisitionFrameRateEnable")
             self._put("camera.rate_hz", camera.rate_hz, "AcquisitionFrameRate", "AcquisitionFrameRateAbs")
 
+    def find(self, *names: str) -> Any:
+        """Return the first of these nodes that the camera has; None where it has none of them."""
+        nodes = (self._camera.GetNodeMap().GetNode(name) for name in names)
+        return next((node for node in nodes if self._genicam.IsWritable(node)), None)
+
     def _put_if_there(self, value: Any, name: str) -> None:
-        node = self._camera.GetNodeMap().GetNode(name)
-        if self._genicam.IsWritable(node):
+        if (node := self.find(name)) is not None:
             node.Value = value
 
     def _put(self, setting: str, value: Any, *names: str) -> None:
         """Write the first of these nodes that the camera has, and read it back."""
-        nodes = (self._camera.GetNodeMap().GetNode(name) for name in names)
-        node = next((node for node in nodes if self._genicam.IsWritable(node)), None)
+        node = self.find(*names)
         if node is None:
             raise CameraError(f"{self._identity} has no {' or '.join(names)} to set: {setting} cannot be kept")
         try:

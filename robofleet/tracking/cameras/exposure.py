@@ -45,6 +45,7 @@ class ExposureController:
         self._correcting = 0  # 1: raising, -1: lowering
         self._trouble: TrackerEvent | None = None
         self._news = News()
+        self.news = self._news.take
 
     def look(self, light: Light, exposure: Exposure) -> Exposure | None:
         """Take how bright an image is, and how it was exposed; return a new exposure, None: leave it."""
@@ -72,40 +73,34 @@ class ExposureController:
         self._images = 0
         return new
 
-    def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
-        return self._news.take()
-
     def _within(self, exposure: Exposure) -> Exposure:
         """Return the limits' nearest exposure to one that is not within them, as the first one may be."""
         low, high = self._limits.shortest, self._limits.longest
         time_s, gain = (min(max(x, a), b) for x, a, b in zip(exposure, low, high, strict=True))
-        near = abs(time_s - exposure.time_s) <= _ROUNDING_SHARE * time_s and abs(
-            gain - exposure.gain
-        ) <= _ROUNDING_SHARE * abs(gain)
-        return exposure if near else Exposure(time_s, gain)
+        near_time = abs(time_s - exposure.time_s) <= _ROUNDING_SHARE * time_s
+        near_gain = abs(gain - exposure.gain) <= _ROUNDING_SHARE * abs(gain)
+        return exposure if near_time and near_gain else Exposure(time_s, gain)
 
     def _wanted_db(self, light: Light) -> float:
         """Return the change of brightness that is wanted [dB]; 0 while white is inside its band."""
         share = light.white / self._aim
-        low, high = _WHITE_BAND[0], _WHITE_BAND[1]
+        low, high = _WHITE_BAND
         if self._correcting > 0:
             low = _WHITE_AIM[0]
         elif self._correcting < 0:
             high = _WHITE_AIM[1]
         raising, lowering = share < low, share > high and light.faintest >= _LEAST_CONTRAST
         self._correcting = 1 if raising else -1 if lowering else 0
-        return _db(1.0 / max(share, 1e-3)) if raising or lowering else 0.0
+        return 20.0 * math.log10(1.0 / max(share, 1e-3)) if raising or lowering else 0.0
 
     def _changed(self, exposure: Exposure, wanted_db: float) -> Exposure:
         """Return the exposure after one step; the same one where a limit or the camera's own steps allow no other."""
         least, most, step, gain_db = self._limits
         if wanted_db > 0.0:
             db = min(wanted_db, _RAISE_DB)
-            longer = _next(
-                exposure.time_s, exposure.time_s * _ratio(db), exposure.time_s * _ratio(wanted_db), step.time_s
-            )
-            if (time_s := min(longer, most.time_s)) > exposure.time_s * (1.0 + _EPS):
+            now_s = exposure.time_s
+            longer_s = _next(now_s, now_s * _ratio(db), now_s * _ratio(wanted_db), step.time_s)
+            if (time_s := min(longer_s, most.time_s)) > now_s * (1.0 + _EPS):
                 return exposure._replace(time_s=time_s)
             more = _next(exposure.gain, exposure.gain + db / gain_db, exposure.gain + wanted_db / gain_db, step.gain)
             return exposure._replace(gain=max(exposure.gain, min(more, most.gain)))
@@ -171,32 +166,21 @@ def nothing_left(config: Config, camera: ExposureLimits) -> Iterator[Complaint]:
         yield "camera.exposure.gain", f"the camera has {can}: choose from these"
     bound = longest_exposure(config)
     if bound.time_s < camera.shortest.time_s:
-        yield (
-            "camera.exposure_control",
-            (
-                f"the camera exposes for {camera.shortest.time_s:g} s at least, and {bound.time_s:.2g} s is the "
-                f"longest by {bound.why}: allow more, or set it to fixed"
-            ),
-        )
+        why = f"the camera exposes for {camera.shortest.time_s:g} s at least, and {bound.time_s:.2g} s is the longest"
+        yield "camera.exposure_control", f"{why} by {bound.why}: allow more, or set it to fixed"
 
 
 def bounded(config: Config, camera: ExposureLimits) -> ExposureLimits:
-    """Return the limits of a camera within those of a configuration."""
     bound, (low, high) = longest_exposure(config), _gains(config, camera)
     longest_s = _floor(min(bound.time_s, camera.longest.time_s), camera.step.time_s)
     return camera._replace(
-        shortest=Exposure(camera.shortest.time_s, low),
-        longest=Exposure(max(longest_s, camera.shortest.time_s), high),
+        shortest=Exposure(camera.shortest.time_s, low), longest=Exposure(max(longest_s, camera.shortest.time_s), high)
     )
 
 
 def _gains(config: Config, camera: ExposureLimits) -> tuple[float, float]:
     low, high = config.camera.exposure.gain or (camera.shortest.gain, camera.longest.gain)
     return max(low, camera.shortest.gain), min(high, camera.longest.gain)
-
-
-def _db(ratio: float) -> float:
-    return 20.0 * math.log10(ratio)
 
 
 def _ratio(db: float) -> float:

@@ -8,34 +8,22 @@ import itertools
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.config.camera import FilesSettings
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Image
 from robofleet.core.clock import S
 from robofleet.tracking.cameras.stamps import Stamp, read_stamps
 from robofleet.tracking.sources import CameraContext, CameraError, Frame
-
-Image = NDArray[np.uint8]  # gray (H, W)
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}
 _AS_TAKEN = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # pixels as the sensor has them
 
 
-class ImageFileError(CameraError):
-    """Raised where a file is no image and no video, or images do not belong together. The message says which."""
-
-
-class _Entry(NamedTuple):
-    """An image that was not decoded yet."""
-
-    name: str
-    load: Callable[[], Image]
+_Entry = tuple[str, Callable[[], Image]]  # an image that was not decoded yet: its name, and what decodes it
 
 
 def images(path: Path) -> Iterator[tuple[str, Image]]:
@@ -44,7 +32,7 @@ def images(path: Path) -> Iterator[tuple[str, Image]]:
     Names are those of the files; of a video ``name.avi:frame 12``, counted from 0.
 
     Raises:
-        ImageFileError: when it comes to something that cannot be read, to the end of a truncated video or to an image
+        CameraError: when it comes to something that cannot be read, to the end of a truncated video or to an image
             of another size than the first one.
     """
     first: Image | None = None
@@ -56,7 +44,7 @@ def images(path: Path) -> Iterator[tuple[str, Image]]:
         image = load()
         first = image if first is None else first
         if image.shape != first.shape:
-            raise ImageFileError(f"{_within(path, name)}: {_size(image)}, but the first image has {_size(first)}")
+            raise CameraError(f"{_within(path, name)}: {_size(image)}, but the first image has {_size(first)}")
         yield name, image
 
 
@@ -67,7 +55,7 @@ class FileCamera:
         """Read the stamps; CameraError if there is anything wrong with them."""
         camera = context.config.camera
         if camera.files is None:
-            raise ImageFileError("camera.files: no file is named")
+            raise CameraError("camera.files: no file is named")
         self._path = Path(camera.files.path)
         self.identity = self._path.name
         self._stamps = _stamps(camera.files)
@@ -119,11 +107,10 @@ class FileCamera:
                 late = self._next < len(self._stamps) and self.ready_ns() <= self._clock.now_ns()
                 if not late:
                     return Frame(load(), self._exposure_ns(k))
-        except (ImageFileError, StopIteration) as error:
+        except (CameraError, StopIteration) as error:
             raise EOFError(str(error) or f"{self._path} ends before its stamps do") from error
 
     def close(self) -> None:
-        """Close the file."""
         self._entries = iter(())
 
     def _exposure_ns(self, k: int) -> int:
@@ -131,16 +118,16 @@ class FileCamera:
 
 
 def _is_folder(path: Path) -> bool:
-    """Return whether this is a folder; ImageFileError unless it is there and may be read."""
+    """Return whether this is a folder; CameraError unless it is there and may be read."""
     try:
         path.stat()
         folder = path.is_dir()
         for entry in (path, *(path.iterdir() if folder else ())):
             str(entry).encode()  # OpenCV crashes on a name that has bytes of another encoding
     except UnicodeEncodeError as error:
-        raise ImageFileError(f"{str(entry)!a}: this name is not in UTF-8: rename it") from error
+        raise CameraError(f"{str(entry)!a}: this name is not in UTF-8: rename it") from error
     except (OSError, ValueError) as error:
-        raise ImageFileError(f"{path}: {getattr(error, 'strerror', error)}") from error
+        raise CameraError(f"{path}: {getattr(error, 'strerror', error)}") from error
     return folder
 
 
@@ -153,7 +140,7 @@ def _names(path: Path) -> list[str]:
     """Return the names of the images in a folder, numbers in them in their order: 9 before 10."""
     names = [f.name for f in path.iterdir() if f.suffix.lower() in _SUFFIXES and not f.name.startswith(".")]
     if not names:
-        raise ImageFileError(f"{path}: there is no image in this folder ({', '.join(sorted(_SUFFIXES))})")
+        raise CameraError(f"{path}: there is no image in this folder ({', '.join(sorted(_SUFFIXES))})")
     return sorted(names, key=lambda name: [int(p) if p.isdecimal() else p for p in re.split(r"(\d+)", name)])
 
 
@@ -164,10 +151,10 @@ def _file(file: Path) -> _Entry:
         except cv2.error:  # of a size that cannot be
             image = None
         if image is None:
-            raise ImageFileError(f"{file}: cannot be read as an image")
+            raise CameraError(f"{file}: cannot be read as an image")
         return image  # type: ignore[return-value]
 
-    return _Entry(file.name, load)
+    return file.name, load
 
 
 def _video(path: Path) -> Iterator[_Entry]:
@@ -179,13 +166,13 @@ def _video(path: Path) -> Iterator[_Entry]:
             def load(name: str = f"{path.name}:frame {k}") -> Image:
                 decoded, image = capture.retrieve()
                 if not decoded:
-                    raise ImageFileError(f"{_within(path, name)} cannot be decoded")
+                    raise CameraError(f"{_within(path, name)} cannot be decoded")
                 return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image  # type: ignore[return-value]
 
-            yield _Entry(f"{path.name}:frame {k}", load)
+            yield f"{path.name}:frame {k}", load
             k += 1
         if k < max(frames, 1):
-            raise ImageFileError(f"{path}:frame {k}: cannot be read: the video is truncated, it should have {frames}")
+            raise CameraError(f"{path}:frame {k}: cannot be read: the video is truncated, it should have {frames}")
     finally:
         capture.release()
 
@@ -195,12 +182,12 @@ def _opened(path: Path) -> tuple[cv2.VideoCapture, int]:
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     if not capture.isOpened():
-        raise ImageFileError(f"{path}: cannot be read as a video: it is none, or it was not written to its end")
+        raise CameraError(f"{path}: cannot be read as a video: it is none, or it was not written to its end")
     return capture, round(capture.get(cv2.CAP_PROP_FRAME_COUNT))
 
 
 def _stamps(settings: FilesSettings) -> list[Stamp]:
-    """Return the stamps of all images in their order; ImageFileError unless they match the images one to one."""
+    """Return the stamps of all images in their order; CameraError unless they match the images one to one."""
     path = Path(settings.path)
     if _is_folder(path):
         stamps = _own_names(path) if settings.stamps is None else read_stamps(Path(settings.stamps), named=True)
@@ -209,15 +196,15 @@ def _stamps(settings: FilesSettings) -> list[Stamp]:
         capture, frames = _opened(path)
         capture.release()
         if settings.stamps is None:
-            raise ImageFileError(f"{path}: its frames have no times: name a CSV of them in camera.files.stamps")
+            raise CameraError(f"{path}: its frames have no times: name a CSV of them in camera.files.stamps")
         stamps = read_stamps(Path(settings.stamps), named=False)
         if len(stamps) > frames > 0:
-            raise ImageFileError(f"{stamps[frames].where}: is for frame {frames}, but {path} has {frames} frames")
+            raise CameraError(f"{stamps[frames].where}: is for frame {frames}, but {path} has {frames} frames")
         if len(stamps) < frames:
-            raise ImageFileError(f"{settings.stamps}:{len(stamps) + 2}: no line for {path}:frame {len(stamps)}")
+            raise CameraError(f"{settings.stamps}:{len(stamps) + 2}: no line for {path}:frame {len(stamps)}")
     for before, stamp in itertools.pairwise(stamps):
         if stamp.exposure_ns <= before.exposure_ns:
-            raise ImageFileError(f"{stamp.where}: is not later than the one before: sort the lines by time")
+            raise CameraError(f"{stamp.where}: is not later than the one before: sort the lines by time")
     return stamps
 
 
@@ -225,7 +212,7 @@ def _own_names(path: Path) -> list[Stamp]:
     stamps = []
     for name in _names(path):
         if not Path(name).stem.isdecimal():
-            raise ImageFileError(f"{path / name}: this name is not a time in ns: name a CSV in camera.files.stamps")
+            raise CameraError(f"{path / name}: this name is not a time in ns: name a CSV in camera.files.stamps")
         stamps.append(Stamp(name, int(Path(name).stem), str(path / name)))
     return stamps
 
@@ -234,13 +221,13 @@ def _match_names(path: Path, stamps: list[Stamp]) -> None:
     present, stamped = set(_names(path)), set()
     for stamp in stamps:
         if stamp.file not in present:
-            raise ImageFileError(f"{stamp.where}: there is no image {path / stamp.file}")
+            raise CameraError(f"{stamp.where}: there is no image {path / stamp.file}")
         if stamp.file in stamped:
-            raise ImageFileError(f"{stamp.where}: {stamp.file} has a line already")
+            raise CameraError(f"{stamp.where}: {stamp.file} has a line already")
         stamped.add(stamp.file)
     for name in _names(path):
         if name not in stamped:
-            raise ImageFileError(f"{path / name}: has no line in the CSV of stamps")
+            raise CameraError(f"{path / name}: has no line in the CSV of stamps")
 
 
 def _within(path: Path, name: str) -> Path:

@@ -16,10 +16,6 @@ _UNITS = {"exposure_ns": 1, "exposure_s": S}
 _LAST_NS = 2**63
 
 
-class StampError(CameraError):
-    """Raised where a list of stamps cannot be used. The message begins with the file and the line."""
-
-
 class Stamp(NamedTuple):
     """When an image was exposed."""
 
@@ -29,19 +25,19 @@ class Stamp(NamedTuple):
 
 
 def read_stamps(file: Path, *, named: bool) -> list[Stamp]:
-    """Return the lines of a CSV, at least one, ``named`` with the images' files; StampError."""
+    """Return the lines of a CSV, at least one, ``named`` with the images' files; CameraError."""
     lines = _lines(file)
     headers = {f"file,{name}" if named else name: unit for name, unit in _UNITS.items()}
     header = ",".join(cell.strip() for cell in lines[0]) if lines else ""
     if header not in headers:
-        raise StampError(f"{file}:1: is {header!r}, must be {' or '.join(map(repr, headers))}")
+        raise CameraError(f"{file}:1: is {header!r}, must be {' or '.join(map(repr, headers))}")
     if len(lines) == 1:
-        raise StampError(f"{file}:2: there is no line with a stamp")
+        raise CameraError(f"{file}:2: there is no line with a stamp")
     stamps = []
     for number, cells in enumerate(lines[1:], 2):
         where = f"{file}:{number}"
         if len(cells) != 1 + named:
-            raise StampError(f"{where}: {len(cells)} columns, must be {1 + named}")
+            raise CameraError(f"{where}: {len(cells)} columns, must be {1 + named}")
         name = cells[0].strip() if named else ""
         stamps.append(Stamp(name, _nanoseconds(cells[-1], headers[header], where), where))
     return stamps
@@ -51,9 +47,9 @@ def _lines(file: Path) -> list[list[str]]:
     try:
         return list(csv.reader(file.read_text(encoding="utf-8-sig").splitlines(), strict=True))
     except OSError as error:
-        raise StampError(f"{file}: {error.strerror}") from error
+        raise CameraError(f"{file}: {error.strerror}") from error
     except (ValueError, csv.Error) as error:
-        raise StampError(f"{file}: is not a CSV file: {error}") from error
+        raise CameraError(f"{file}: is not a CSV file: {error}") from error
 
 
 def _nanoseconds(text: str, unit: int, where: str) -> int:
@@ -64,4 +60,4 @@ def _nanoseconds(text: str, unit: int, where: str) -> int:
             return round(exposure_ns)
     except ArithmeticError:  # Decimal's errors are
         pass
-    raise StampError(f"{where}: {text!r} is not a time")
+    raise CameraError(f"{where}: {text!r} is not a time")

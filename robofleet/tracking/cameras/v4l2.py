@@ -80,7 +80,6 @@ class V4L2Camera:
         open_capture: Callable[[str, int], Any] = cv2.VideoCapture,
         ask_range: Callable[[str, int], Range | None] = control_range,
     ) -> None:
-        """Open the device as OpenCV does, and set it up."""
         camera = context.config.camera
         self._device, self._gray = camera.v4l2.device, camera.v4l2.format == "GREY"
         self._clock, self._camera, self._ask = context.clock, camera, ask_range
@@ -97,7 +96,6 @@ class V4L2Camera:
 
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:
-        """Return what cannot work with this configuration on this machine."""
         settings = config.camera.v4l2
         device = Path(settings.device)
         if not device.is_char_device():

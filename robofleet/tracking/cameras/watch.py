@@ -17,9 +17,9 @@ from robofleet.tracking.events import News, Notice, TrackerEvent
 
 _STALLED_PERIODS = 5
 _STALLED_NS = 250 * MS  # at least: a robot is lost without poses for half a second
-_FIRST_NS = 3 * S  # within which a camera that was just opened gives its first image
+_FIRST_IMAGE_NS = 3 * S  # within which a camera that was just opened gives it
 _FROZEN_REPEATS = 3  # one may be a driver that hands a buffer out twice
-_STAMP_AHEAD_NS = 100 * MS  # of now, at most
+_MOST_AHEAD_NS = 100 * MS  # a stamp, of now
 _JUMPED_IMAGES = 3  # in a row, that agree on a jump of the clock
 _DELAY_IMAGES = 64  # the least delay of them is what one needs to come
 _SAMPLED_ROWS = 64  # one of so many is compared: a few microseconds
@@ -42,16 +42,13 @@ class CameraWatch:
         self._repeats = 0
         self._images = 0
         self._good_ns = now_ns  # when the newest good image came
-        self._stalled_ns: int | None = now_ns + _FIRST_NS
+        # When ``wait`` will have something to say [ns]; None: not before an image comes.
+        self.deadline_ns: int | None = now_ns + _FIRST_IMAGE_NS
         self._waiting_since_ns = now_ns
         self._lost = False
         self._reported: set[TrackerEvent] = set()  # since all was well
         self._news = News()
-
-    @property
-    def deadline_ns(self) -> int | None:
-        """When ``wait`` will have something to say [ns]; None: not before an image comes."""
-        return self._stalled_ns
+        self.news = self._news.take
 
     def look(self, image: NDArray[np.uint8], exposure_ns: int, now_ns: int) -> bool:
         """Return whether an image that came just now can be believed; ``exposed_ns`` tells then when it was exposed.
@@ -59,7 +56,7 @@ class CameraWatch:
         exposure_ns: mid-exposure, as the camera's driver stamped it [this host's clock, as long as it does not jump].
         """
         self._images += 1
-        self._waiting_since_ns, self._stalled_ns = now_ns, now_ns + self._patience_ns
+        self._waiting_since_ns, self.deadline_ns = now_ns, now_ns + self._patience_ns
         self._lost = False
         if np.shape(image) != self._shape or image.dtype != np.uint8:
             self._say(TrackerEvent.CAMERA_RESIZED, float(np.shape(image)[1]) if np.ndim(image) > 1 else 0.0)
@@ -82,27 +79,23 @@ class CameraWatch:
         if self._lost:
             return
         if not expected:
-            self._waiting_since_ns, self._stalled_ns = now_ns, None
-        elif self._stalled_ns is None:
-            self._stalled_ns = self._waiting_since_ns + self._patience_ns
-        if self._stalled_ns is not None and now_ns >= self._stalled_ns:
-            self._stalled_ns = None
+            self._waiting_since_ns, self.deadline_ns = now_ns, None
+        elif self.deadline_ns is None:
+            self.deadline_ns = self._waiting_since_ns + self._patience_ns
+        if self.deadline_ns is not None and now_ns >= self.deadline_ns:
+            self.deadline_ns = None
             self._say(TrackerEvent.CAMERA_STALLED, (now_ns - self._waiting_since_ns) / S)
 
     def lose(self, event: TrackerEvent) -> None:
         """Note that the camera ended, is unplugged or is another one."""
-        self._lost, self._stalled_ns = True, None
+        self._lost, self.deadline_ns = True, None
         self._say(event, self._images if event is TrackerEvent.CAMERA_ENDED else 0.0)
-
-    def news(self) -> tuple[Notice, ...]:
-        """Return what happened since the last call."""
-        return self._news.take()
 
     def _timed(self, exposure_ns: int, now_ns: int) -> bool:
         """Return whether a stamp can be right, as it is or because the camera's clock jumped, and take it."""
         stamp_ns = exposure_ns - self._ahead_ns
         early = self.exposed_ns is not None and stamp_ns <= self.exposed_ns
-        if early or stamp_ns > now_ns + _STAMP_AHEAD_NS:
+        if early or stamp_ns > now_ns + _MOST_AHEAD_NS:
             if not self._jumped(now_ns - exposure_ns):
                 return False
             stamp_ns = exposure_ns - self._ahead_ns

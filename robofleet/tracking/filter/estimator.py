@@ -7,12 +7,12 @@ is the same motion continued with the commands that are under way.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.config.controller import FilterSettings
 from robofleet.core.arrays import Array, Instants
 from robofleet.core.kernels import kernel
 from robofleet.tracking.filter import reckoning
@@ -42,42 +42,28 @@ _VELOCITY_TIME_S = 0.1  # time constant of a bystander's velocity: noise of 0.4 
 _CARRIED_AFTER = 5  # outliers in a row that agree with each other
 
 
-@dataclass(frozen=True)
-class FilterNoise:
-    """Standard deviations: of a measurement that does not tell its own, and of the prediction after one second.
-
-    ``efficiency``: of a wheel's true travel over the believed one, in the long run; 0 takes every wheel as believed.
-    It is forgotten with the time constant ``efficiency_time`` [s].
-    """
-
-    position: float  # [m]
-    heading: float  # [rad]
-    position_drift: float  # [m/sqrt(s)]
-    heading_drift: float  # [rad/sqrt(s)]
-    gate_sigma: float  # Mahalanobis distance of an outlier
-    efficiency: float = 0.0
-    efficiency_time: float = 1.0
-
-
 class FleetFilter:
     """Poses (N, 3): x, y [m], psi [rad] of the robots' centres in the world frame, and their wheels' efficiencies.
 
-    ``delays_ns`` (N,): from a tick to the moment when each robot's command of that tick acts.
+    ``delays_ns`` (N,): from a tick to the moment when each robot's command of that tick acts. ``noise``: of a
+    measurement that does not tell its own; with ``efficiency_sigma`` 0 every wheel travels as believed.
     """
 
-    def __init__(self, drives: tuple[DifferentialDrive, ...], delays_ns: tuple[int, ...], noise: FilterNoise) -> None:
+    def __init__(
+        self, drives: tuple[DifferentialDrive, ...], delays_ns: tuple[int, ...], noise: FilterSettings
+    ) -> None:
         n = len(drives)
         self._motion = np.array([(d.wheel_radius, d.wheel_base, d.motor_lag) for d in drives])
         self._delays_ns = np.array(delays_ns, dtype=np.int64)
-        self._variance = np.array([noise.position, noise.position, noise.heading]) ** 2
-        self._drift = np.array([noise.position_drift, noise.position_drift, noise.heading_drift]) ** 2
-        self._wander = np.array([noise.efficiency**2, noise.efficiency_time])
+        self._variance = np.array([noise.position_noise_m, noise.position_noise_m, noise.heading_noise_rad]) ** 2
+        self._drift = np.array([noise.position_drift_m, noise.position_drift_m, noise.heading_drift_rad]) ** 2
+        self._wander = np.array([noise.efficiency_sigma**2, noise.efficiency_time_s])
         self._gate = noise.gate_sigma**2
         self._state = np.zeros((n, 5))  # x, y, psi, efficiency of the left and of the right wheel
         self._state[:, 3:] = 1.0
         self._covariance = np.zeros((n, 5, 5))
         self._wheels = np.zeros((n, 2))  # as modelled, at the state's instant [rad/s]
-        self._instants_ns = np.zeros(n, dtype=np.int64)  # of each robot's state; 0: never seen
+        self.instants_ns = np.zeros(n, dtype=np.int64)  # of each robot's state; 0: never seen
         self._twice_ticks_ns = np.zeros(2 * _COMMANDS, dtype=np.int64)  # each is written twice, _HISTORY apart:
         self._twice_commands = np.zeros((2 * _COMMANDS, n, 2))  # so the newest ones always lie side by side
         self._command_count = 0  # commands so far
@@ -110,7 +96,7 @@ class FleetFilter:
         if poses.shape[1] == 3:
             poses = np.pad(poses, ((0, 0), (0, 6)))
         _observe(
-            self._state, self._covariance, self._wheels, self._instants_ns, instants_ns, self._ticks_ns,
+            self._state, self._covariance, self._wheels, self.instants_ns, instants_ns, self._ticks_ns,
             self._delays_ns, self._commands, self._motion, self._drift, self._wander, self._variance, self._gate,
             poses, self._moved, self._outliers, self._outlier_pose, self.measured_ns, used,
         )  # fmt: skip
@@ -120,7 +106,7 @@ class FleetFilter:
         """Return the poses (N, 3) at a tick; and at the moment when each robot's command of that tick acts, with the
         wheels' speeds (N, 2) then, as modelled [rad/s]."""
         return reckoning.predict(
-            self._state, self._wheels, self._instants_ns, tick_ns, self._ticks_ns, self._delays_ns, self._commands,
+            self._state, self._wheels, self.instants_ns, tick_ns, self._ticks_ns, self._delays_ns, self._commands,
             self._motion,
         )  # fmt: skip
 
@@ -140,11 +126,6 @@ class FleetFilter:
         known = (instants_ns > since_ns) & (ages(measured_ns, last_ns) < _KNOWN_S)
         return np.where(known[:, None], begin + share[:, None] * (then - begin), np.nan)
 
-    @property
-    def instants_ns(self) -> Instants:
-        """The instants (N,) of the robots' states; 0: never seen."""
-        return self._instants_ns
-
     def memory(self) -> FilterState:
         """Return all that images change, for ``go_back``."""
         return tuple(each.copy() for each in self._changed())
@@ -156,13 +137,23 @@ class FleetFilter:
 
     def _changed(self) -> FilterState:
         return (
-            self._state, self._covariance, self._wheels, self._instants_ns, self._moved, self._outliers,
+            self._state, self._covariance, self._wheels, self.instants_ns, self._moved, self._outliers,
             self._outlier_pose, self.measured_ns,
         )  # fmt: skip
 
     def disturbance(self, poses: Array, point_ahead: float) -> Array:
         """Return w (N, 2): the velocity of the points p that the newest commands do not explain [m/s; world]."""
         return reckoning.disturbance(self._state, self._commands[-1], self._motion, poses, point_ahead)
+
+
+@kernel
+def _correct(x: Array, p: Array, moved: Array, innovation: Array, w: Array, gate: float, room: Array) -> bool:
+    """As ``correct``; a robot whose measurement is an outlier may be held up."""
+    for trial in range(2):  # one call: a second one would be compiled once more
+        prior = p if trial == 0 else held_up(p, moved, room[8:])
+        if correct(x, p, prior, innovation, w, gate, room[:8]):
+            return True
+    return False
 
 
 @kernel
@@ -200,10 +191,7 @@ def _observe(
         covariance_of(measured[i], variance, r)
         whitening(r, w)
         known = measured_ns[i] > 0
-        if known and (
-            correct(x, p, p, innovation, w, gate, room[:8])
-            or correct(x, p, held_up(p, moved[i], room[8:]), innovation, w, gate, room[:8])
-        ):
+        if known and _correct(x, p, moved[i], innovation, w, gate, room):
             outliers[i] = 0
             used[i] = USED
         else:

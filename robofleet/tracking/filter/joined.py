@@ -46,14 +46,10 @@ class Seen(NamedTuple):
 Judge = Callable[[Seen, Array], bool]
 
 
-def _believe(_seen: Seen, _expected: Array) -> bool:
-    return True
-
-
 class Joined:
     """Hands images to a filter; ``observe`` takes those that came since its last call, and that ``judge`` believes."""
 
-    def __init__(self, fleet_filter: FleetFilter, judge: Judge = _believe) -> None:
+    def __init__(self, fleet_filter: FleetFilter, judge: Judge) -> None:
         self._filter, self._judge = fleet_filter, judge
         # The images that were taken last, those of one instant together, and the filter as it was before each.
         self._batches: deque[tuple[FilterState, list[Seen]]] = deque()

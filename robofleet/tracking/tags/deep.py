@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array, Complex, Image
 from robofleet.core.settings import FAMILIES
-from robofleet.tracking.tags.detection import CORNERS, Findings, Region
+from robofleet.tracking.tags.detection import CORNERS, Findings, Region, TagSearch
 from robofleet.tracking.tags.families import Squares, dark_squares, patterns, same
 from robofleet.tracking.tags.photometric import ALIKE, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
@@ -43,8 +43,8 @@ _HIDES = 0.6  # of the rim, or of the paper, that a cover hides and that does no
 _APART_BITS = 2  # bits by which another tag must be worse
 
 
-class DeepSearch:
-    """Finds targets, as ``TagDetector`` does."""
+class DeepSearch(TagSearch):
+    """Finds what ``TagDetector`` misses."""
 
     def __init__(self, fit: PhotometricFit, targets: Sequence[Target]) -> None:
         self._fit, self._lot = fit, np.random.default_rng(0)
@@ -62,15 +62,7 @@ class DeepSearch:
         self._seen = (~self._covers[:, 1:-1, 1:-1]).reshape(len(self._covers), -1).astype(np.float32)
         self._hidden = int((self._covers[:, 1:-1, 1:-1] & self._free).sum((1, 2)).max())  # bits of a code, at most
 
-    def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
-        """Return the targets in an image (H, W), or in a region of it; not those that stand where they are ``known``.
-
-        known (N,): of all targets, NaN where it is not known [m].
-        """
-        return self.place(image, self.squares(image, region), known)
-
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
-        """Return what may be a target in an image (H, W), or in a region of it."""
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
         part = _smooth(image[top:bottom, left:right])
         begins, ends = self._edges(dark_squares(part, self._family))
@@ -323,7 +315,6 @@ def _grid(count: int, square: int) -> Complex:
 
 
 def _smooth(image: Image) -> Image:
-    """Return an image with less noise."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
 
 

@@ -7,7 +7,7 @@ good to half a pixel; the photometric fit places them, and says whether they loo
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -46,7 +46,26 @@ class Findings(NamedTuple):
     squares: Squares | None = None  # the same squares in the order in which to look at them again, if it matters
 
 
-class TagDetector:
+class TagSearch:
+    """A way to find targets."""
+
+    def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
+        """Return what may be a target in an image (H, W), or in a region of it; ``bright``: its brightest part."""
+        raise NotImplementedError
+
+    def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
+        """Return what squares of an image are; see ``detect``."""
+        raise NotImplementedError
+
+    def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
+        """Return the targets in an image (H, W), or in a region of it; not those that stand where they are ``known``.
+
+        known (N,): of all targets, NaN where it is not known [m].
+        """
+        return self.place(image, self.squares(image, region), known)
+
+
+class TagDetector(TagSearch):
     """Finds targets; other ids of the family are not in its dictionary."""
 
     def __init__(self, fit: PhotometricFit, targets: Sequence[Target]) -> None:
@@ -57,15 +76,7 @@ class TagDetector:
         self._parameters = _parameters()
         self._finder = finder(fit.family, [target.tag for target in targets], self._parameters)
 
-    def detect(self, image: Image, region: Region | None = None, known: Complex | None = None) -> Findings:
-        """Return the targets in an image (H, W), or in a region of it; not those that stand where they are ``known``.
-
-        known (N,): of all targets, NaN where it is not known [m].
-        """
-        return self.place(image, self.squares(image, region), known)
-
     def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
-        """Return what squares of an image are; see ``detect``."""
         corners, found = squares
         if not len(found):
             return Findings((), 0)
@@ -82,7 +93,6 @@ class TagDetector:
         return Findings(tuple(tags), len(found) - len(good))
 
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
-        """Return what reads as a target in an image (H, W), or in a region of it; ``bright``: its brightest part."""
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
         part = image[top:bottom, left:right]
         corners, found = self._squares(part, float(thumbnail(part).max()) if bright is None else bright)
@@ -121,16 +131,6 @@ class _Searched(NamedTuple):
     visits: int  # since it changed
 
 
-class Search(Protocol):
-    """A way to find targets."""
-
-    def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
-        """Return what may be a target in an image (H, W), or in a region of it; ``bright``: its brightest part."""
-
-    def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
-        """Return what squares of an image are; not those that stand where they are ``known``."""
-
-
 class Sweep:
     """Searches an image tile by tile, another one each time. A tile that shows what it showed is not searched again.
 
@@ -139,12 +139,11 @@ class Sweep:
     followed by some searches more, and now and then there is one without any: noise may have hidden what is there.
     """
 
-    def __init__(self, detector: Search, tiles: Sequence[Region]) -> None:
+    def __init__(self, detector: TagSearch, tiles: Sequence[Region]) -> None:
         self._detector, self._tiles = detector, tuple(tiles)
         self._searched: list[_Searched | None] = [None] * len(self._tiles)
 
     def __len__(self) -> int:
-        """Return how many tiles there are."""
         return len(self._tiles)
 
     def search(self, image: Image, turn: int, known: Complex) -> Findings:
@@ -193,7 +192,6 @@ def wrapped(psi: float) -> float:
 
 
 def _parameters() -> cv2.aruco.DetectorParameters:
-    """Return the settings of OpenCV's detector: one threshold."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = 13
     parameters.adaptiveThreshConstant = 15.0

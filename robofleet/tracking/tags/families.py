@@ -8,7 +8,7 @@ the images that AprilRobotics publishes.
 import functools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -28,15 +28,8 @@ class Squares(NamedTuple):
     which: NDArray[np.int64]  # (M,) of the tags that are looked for
 
 
-class Finder(Protocol):
-    """Finds tags of a family."""
-
-    def find(self, image: Image) -> Squares:
-        """Return what reads as tags in an image (H, W)."""
-
-
-def finder(family: str, ids: Sequence[int], parameters: cv2.aruco.DetectorParameters) -> Finder:
-    """Return what finds these tags; its caller may change the parameters later."""
+def finder(family: str, ids: Sequence[int], parameters: cv2.aruco.DetectorParameters) -> "_BitsInside | _BitsAround":
+    """Return what finds squares that read as these tags; its caller may change the parameters later."""
     inside = FAMILIES[family].square == FAMILIES[family].cells
     return (_BitsInside if inside else _BitsAround)(family, ids, parameters)
 

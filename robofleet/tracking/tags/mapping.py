@@ -36,9 +36,9 @@ def map_pixels(  # type: ignore[no-untyped-def]
         a, b = (n % 3 - 1) * _NODE, (n // 3 - 1) * _NODE
         arm = turned * complex(a * cos_a - b * sin_a * sin_b, b * cos_b)
         point, z_point = centre + arm, height + side * (a * sin_a + b * cos_a * sin_b)
-        u[n], v[n] = project(camera, point.real, point.imag, z_point)
-        if line_time > 0.0:
-            point += (velocity + 1j * omega * arm) * ((v[n] - row) * line_time)
+        for late in range(2 if line_time > 0.0 else 1):
+            if late:
+                point += (velocity + 1j * omega * arm) * ((v[n] - row) * line_time)
             u[n], v[n] = project(camera, point.real, point.imag, z_point)
     scale = 0.5 / _NODE
     ua, va, ub, vb = (u[5] - u[3]) * scale, (v[5] - v[3]) * scale, (u[7] - u[1]) * scale, (v[7] - v[1]) * scale
@@ -46,8 +46,11 @@ def map_pixels(  # type: ignore[no-untyped-def]
     if not (16.0 < abs(area) < 1e8 and abs(u[4]) < 1e6 and abs(v[4]) < 1e6):
         return row, 0.0
     window[0], window[1] = round(u[4]), round(v[4])
-    window[2], window[3] = math.ceil(u.min() - window[0]), math.floor(u.max() - window[0])
-    window[4], window[5] = math.ceil(v.min() - window[1]), math.floor(v.max() - window[1])
+    left, right, top, bottom = u[0], u[0], v[0], v[0]  # u.min() and its like take half a second to compile
+    for n in range(1, 9):
+        left, right, top, bottom = min(left, u[n]), max(right, u[n]), min(top, v[n]), max(bottom, v[n])
+    window[2], window[3] = math.ceil(left - window[0]), math.floor(right - window[0])
+    window[4], window[5] = math.ceil(top - window[1]), math.floor(bottom - window[1])
     # The linear map from pixels; what it misses at the nodes, as a quadratic of what it gives; and once more.
     m, n, o, p = vb / area, -ub / area, -va / area, ua / area
     for k in range(9):

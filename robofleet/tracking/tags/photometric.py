@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from robofleet.core.arrays import Array, Complex, Indices
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.tags.covariance import Covariance, covariance
+from robofleet.tracking.offset import Covariance
 from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.fit import fit_tags
 from robofleet.tracking.tags.mapping import quadratic
@@ -51,12 +51,10 @@ class Fit(NamedTuple):
     covariance: Array  # (M, 6), each a ``Covariance``
 
     def of(self, which: Indices) -> "Fit":
-        """Return some of them."""
         return Fit(self.centre[which], self.psi[which], self.alike[which], self.row[which], self.covariance[which])
 
     def found(self, row: int, target: int) -> Found:
-        """Return one of them, of the target with this index."""
-        return Found(target, complex(self.centre[row]), float(self.psi[row]), covariance(self.covariance[row]))
+        return Found(target, complex(self.centre[row]), float(self.psi[row]), tuple(self.covariance[row].tolist()))
 
 
 class PhotometricFit:

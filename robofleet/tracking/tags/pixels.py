@@ -56,27 +56,23 @@ def accumulate(  # type: ignore[no-untyped-def]
     if many_rows > CHUNK:
         return False
     _bound(rows, many_rows, int(window[4]), stride, shape, window)
-    full = 0
-    for n in range(many_rows):
-        first, last = int(rows[0, n]), int(rows[1, n])
-        if first > last:
-            continue
+    full = np.int64(0)  # with a literal, what is called below would be compiled twice; so it would with a second call
+    for n in range(many_rows + 1):
+        first, last = (int(rows[0, n]), int(rows[1, n])) if n < many_rows else (1, 0)
         y = int(window[4]) + n * stride
         v, begin, end = top + y, left + first, left + last
-        many = (last - first) // stride + 1
-        if v < 0 or v >= height or begin < 0 or end >= width or many > CHUNK:
+        many = (last - first) // stride + 1 if first <= last else 0
+        if many > 0 and (v < 0 or v >= height or begin < 0 or end >= width or many > CHUNK):
             return False
-        if full + many > CHUNK:
+        if full + many > CHUNK or n == many_rows:
             _add_up(
                 flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope,
                 tilted,
             )  # fmt: skip
-            full = 0
-        _read(flat[full:], many, first, stride, y, image[v, begin : end + 1])
-        full += many
-    _add_up(
-        flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope, tilted
-    )  # fmt: skip
+            full = 0  # type: ignore[assignment]
+        if many > 0:
+            _read(flat[full:], many, first, stride, y, image[v, begin : end + 1])
+            full += many
     return True
 
 

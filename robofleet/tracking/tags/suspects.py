@@ -45,7 +45,6 @@ class Suspects:
         return self._near[target] if target in self._displaced else self._range(target, elapsed_ns)
 
     def same(self, tag: Found, centre: complex) -> bool:
-        """Return whether a tag found is the print at ``centre``."""
         return bool(abs(tag.centre - centre) < self._same[tag.target])
 
     def cleared(self, target: int) -> None:

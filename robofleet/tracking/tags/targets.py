@@ -64,5 +64,4 @@ def floor_tags_in_view(config: Config) -> list[FloorTag]:
 
 
 def floor_targets(config: Config, tags: Sequence[FloorTag]) -> list[Target]:
-    """Return tags that lie on the floor as targets."""
     return [Target(floor.tag, floor.side_m, floor.height_m, 0.0, config.tracker.family) for floor in tags]

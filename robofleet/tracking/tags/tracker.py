@@ -22,7 +22,7 @@ from robofleet.core.clock import S
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import News, Notice, TrackerEvent
-from robofleet.tracking.tags.covariance import UNKNOWN, Covariance, covariances
+from robofleet.tracking.offset import UNKNOWN, Covariance
 from robofleet.tracking.tags.deep import DeepSearch
 from robofleet.tracking.tags.detection import Findings, Region, Sweep, TagDetector, tiles, wrapped
 from robofleet.tracking.tags.motion import measure, predict
@@ -67,11 +67,7 @@ class TagTracker:
     """Acquires tags, follows them, predicts those that are hidden."""
 
     def __init__(
-        self,
-        geometry: CameraGeometry,
-        image_size: tuple[int, int],
-        targets: Sequence[Target],
-        line_time: float = 0.0,
+        self, geometry: CameraGeometry, image_size: tuple[int, int], targets: Sequence[Target], line_time: float = 0.0
     ) -> None:
         """Take the image's (width, height) and a rolling shutter's time from row to row [s]."""
         n = len(targets)
@@ -246,7 +242,6 @@ class TagTracker:
         return found
 
     def _region(self, i: int, exposure_ns: int) -> Region:
-        """Return the pixels where a hidden tag may be."""
         (u, v) = self._fit.pixels(np.array([i]), self._centre[[i]])[0]
         half = (
             self._reach(i, exposure_ns) + _REGION_MARGIN * self._targets[i].whole * math.sqrt(2.0)
@@ -258,7 +253,6 @@ class TagTracker:
         )
 
     def _take(self, tag: Found, exposure_ns: int) -> None:
-        """Believe what was found."""
         i = tag.target
         if 0 < self._measured_ns[i] < exposure_ns - _GAP_NS:
             self._regained_ns[i] = exposure_ns
@@ -380,7 +374,7 @@ class TagTracker:
         """Return what was measured in this image."""
         centre, psi = self._centre[index].tolist(), self._psi[index].tolist()
         after_ns = (self._measured_ns[index] - exposure_ns).tolist()
-        spread = covariances(self._covariance[index])
+        spread = map(tuple, self._covariance[index].tolist())
         return [
             TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(angle), after, 0, six)
             for i, z, angle, after, six in zip(index, centre, psi, after_ns, spread, strict=True)

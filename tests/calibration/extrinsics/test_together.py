@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from robofleet import cli
@@ -20,8 +19,6 @@ from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
 from tests.calibration.extrinsics.test_arena import CAMERA, DOWN, LENS, PIXEL, SIZE, SURVEY_M
 from tests.calibration.extrinsics.test_arena_files import SIDE, rendered, surveyed
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[3]
 BESIDE = 1.4  # of each camera from the middle [m]
@@ -53,9 +50,8 @@ def views(cameras: list[CameraGeometry], rng: np.random.Generator, open_: tuple[
 def at_the_seam(cameras: list[CameraGeometry], found: list[Lens | CameraGeometry]) -> float:
     """How far apart two cameras that were placed see robots in the middle [m], rms."""
     robots = np.array([(x, y, 0.08) for x in (-0.1, 0.1) for y in np.linspace(-0.8, 0.8, 9)])
-    first, other = (
-        placed_view.to_plane(camera.project(robots), 0.08) for camera, placed_view in zip(cameras, found, strict=True)
-    )
+    pairs = zip(cameras, found, strict=True)
+    first, other = (placed.to_plane(camera.project(robots), 0.08) for camera, placed in pairs)
     return float(np.sqrt(((first - other) ** 2).sum(axis=1).mean()))
 
 

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics import verify
 from robofleet.calibration.extrinsics.consensus import agree, chance
@@ -13,17 +12,15 @@ from robofleet.calibration.extrinsics.placing import Lens, moved
 from robofleet.calibration.extrinsics.verify import Calibrated, Verdict, judge
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import SeenMark
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
+from tests.calibration.extrinsics.test_arena import CAMERA, DOWN, SIZE, SURVEY_M
 
-Array = NDArray[np.float64]
-
-DOWN = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 2.5], [0, 0, 0, 1]])
-CAMERA = CameraGeometry([[830, 0, 646], [0, 830, 359], [0, 0, 1]], [-0.1, 0.015, 0.0004, -0.0003, 0.0], DOWN)
 LENS_SIGMA = np.array([1.5, 1.5, 3.0, 3.0, 4e-3, 6e-3, 4e-4, 4e-4, 3e-3])  # of the lens's file
-LENS = Lens(CAMERA, (1280, 720), np.diag(LENS_SIGMA**2))
+LENS = Lens(CAMERA, SIZE, np.diag(LENS_SIGMA**2))
 EIGHT = np.array([(-1.5, -0.9), (-1.5, 0.9), (1.5, -0.9), (1.5, 0.9), (0, 0.9), (0, -0.9), (-0.7, 0.1), (0.8, 0.0)])
 FLOOR = np.array([(x, y, 0.0) for x in (-1.5, 0.0, 1.5) for y in (-0.9, 0.0, 0.9)])
-SURVEY_M, PIXEL = 5e-4, 0.01
+PIXEL = 0.01
 
 
 class Lab:
@@ -72,26 +69,17 @@ KNOCKS = {  # how far [m], by which angle [rad]
 }
 
 
-def noticed(knock: str, seed: int) -> bool:
-    """Whether a camera that is knocked in a random direction is said to be."""
-    lab = Lab(seed)
-    ways = [way / np.linalg.norm(way) for way in lab.rng.normal(size=(2, 3))]
-    shift, turn = KNOCKS[knock]
-    lab.knock(*(turn * ways[0]), *(shift * ways[1]))
-    verdict = lab.judged()
-    return not verdict.good and "the camera was knocked" in verdict.sentences[0]
-
-
 @pytest.mark.slow_after_first
 @pytest.mark.parametrize("knock", KNOCKS)
-def test_a_small_knock_is_noticed_through_an_uncertain_lens(knock: str) -> None:
-    assert all(noticed(knock, seed) for seed in range(4))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("knock", KNOCKS)
-def test_every_small_knock_is_noticed(knock: str) -> None:
-    assert all(noticed(knock, seed) for seed in range(20))
+def test_a_small_knock_in_any_direction_is_noticed_through_an_uncertain_lens(knock: str) -> None:
+    shift, turn = KNOCKS[knock]
+    for seed in range(6):
+        lab = Lab(seed)
+        ways = [way / np.linalg.norm(way) for way in lab.rng.normal(size=(2, 3))]
+        lab.knock(*(turn * ways[0]), *(shift * ways[1]))
+        verdict = lab.judged()
+        assert not verdict.good
+        assert "the camera was knocked" in verdict.sentences[0]
 
 
 @pytest.mark.long

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from robofleet.calibration.lens.board import Board, BoardView
+from robofleet.core.arrays import Array
 
-Array = NDArray[np.float64]
 BOARD = Board()
 TEXELS_M = 4000.0  # of the board's texture, a metre
 SAMPLES = 2  # of a pixel, along each side
@@ -120,9 +120,8 @@ class TrueCamera:
         self, u: float, v: float, distance: float, left_deg: float, upper_deg: float, spin_deg: float = 0
     ) -> Array:
         """Return the pose of a board whose middle is seen at (u, v), left and upper edge away by these angles."""
-        y, x, z = (
-            cv2.Rodrigues(np.radians(a) * np.eye(3)[k])[0] for a, k in ((left_deg, 1), (-upper_deg, 0), (spin_deg, 2))
-        )
+        turns = (left_deg, 1), (-upper_deg, 0), (spin_deg, 2)
+        y, x, z = (cv2.Rodrigues(np.radians(angle) * np.eye(3)[axis])[0] for angle, axis in turns)
         R = y @ x @ z
         ray = np.append(self.slopes(np.array([[u, v]]))[0], 1.0)
         return np.concatenate([cv2.Rodrigues(R)[0].ravel(), distance * ray - R @ BOARD.corners.mean(axis=0)])
@@ -132,16 +131,11 @@ class TrueCamera:
         (w, h), near = self.size, 0.44 * self.focal[0] / (0.6 * self.size[0])
         places = [(x, y) for x in (0.14, 0.86, 0.5) for y in (0.16, 0.84, 0.5)]
         tilts = [(30, 0), (-30, 0), (0, 30), (0, -30), (20, 20), (-20, 20), (0, 0)]
-        return [
-            self.pose(
-                places[k % 9][0] * w,
-                places[k % 9][1] * h,
-                near * rng.uniform(0.9, 1.4),
-                *tilts[k % 7],
-                rng.uniform(-10, 10),
-            )
-            for k in range(count)
-        ]
+        poses = []
+        for k in range(count):
+            (x, y), distance = places[k % 9], near * rng.uniform(0.9, 1.4)
+            poses.append(self.pose(x * w, y * h, distance, *tilts[k % 7], rng.uniform(-10, 10)))
+        return poses
 
     def flat_poses(self, count: int, rng: np.random.Generator) -> list[Array]:
         """Return poses in the middle, hardly tilted: what determines nothing, and reprojects well."""

@@ -8,11 +8,11 @@ from robofleet.calibration.lens.gathering import Gathering
 from robofleet.calibration.lens.views import Collector, Offer
 from robofleet.calibration.store import CalibrationError
 
-BOARD = Board()
+from .conftest import BOARD, TrueCamera
 
 
 @pytest.mark.slow
-def test_corners_are_found_to_a_twentieth_of_a_pixel(true_camera) -> None:  # type: ignore[no-untyped-def]
+def test_corners_are_found_to_a_twentieth_of_a_pixel(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(1)
     detector, errors = BoardDetector(BOARD), []
     for pose in true_camera.good_poses(9, rng):
@@ -37,7 +37,7 @@ def test_corners_are_found_to_a_twentieth_of_a_pixel(true_camera) -> None:  # ty
         (Board(marker_m=0.02), "of a square, not 0.50: check --square-mm and --marker-mm"),
     ],
 )
-def test_a_board_that_is_not_the_one_named(named: Board, words: str, true_camera) -> None:  # type: ignore[no-untyped-def]
+def test_a_board_that_is_not_the_one_named(named: Board, words: str, true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(2)
     gathering = Gathering(named, film=False)
     for k, left in enumerate((-20, 0, 20, 10)):
@@ -63,7 +63,7 @@ def test_a_board_that_cannot_be_printed(arguments: dict[str, object], words: str
         Board(**arguments)  # type: ignore[arg-type]
 
 
-def test_a_film_gives_what_is_new_and_still(true_camera) -> None:  # type: ignore[no-untyped-def]
+def test_a_film_gives_what_is_new_and_still(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(3)
     first, moved, elsewhere, tilted = (
         true_camera.view("", true_camera.pose(u, 300, 0.9, left, 0), 0.05, rng)
@@ -77,7 +77,7 @@ def test_a_film_gives_what_is_new_and_still(true_camera) -> None:  # type: ignor
     assert len(film.views) == len(folder.views) == 3
 
 
-def test_views_outlive_the_cameras_buffer(true_camera) -> None:  # type: ignore[no-untyped-def]
+def test_views_outlive_the_cameras_buffer(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(4)
     gathering, buffer = Gathering(BOARD, film=False), true_camera.photo(true_camera.pose(400, 300, 0.8, 0, 0), rng)
     assert gathering.take("a", buffer) is Offer.NEW

@@ -4,12 +4,12 @@ import io
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+from click.testing import Result
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -24,17 +24,14 @@ from robofleet.calibration.store import load, save
 from robofleet.config.calibrated import CameraModel, PoseSettings
 from robofleet.config.load import load_config
 
+from .conftest import TrueCamera
+
 ROOT = Path(__file__).parents[3]
-
-
-class Said(NamedTuple):
-    code: int
-    out: str
-    err: str
+Calibrate = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
-def photos(true_camera, tmp_path_factory: pytest.TempPathFactory) -> Path:  # type: ignore[no-untyped-def]
+def photos(true_camera: TrueCamera, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder of 22 good views, one of them moved while a shutter rolled, and a view of no board."""
     folder, rng = tmp_path_factory.mktemp("photos"), np.random.default_rng(1)
     for k, pose in enumerate(true_camera.good_poses(22, rng)):
@@ -45,18 +42,19 @@ def photos(true_camera, tmp_path_factory: pytest.TempPathFactory) -> Path:  # ty
 
 
 @pytest.fixture
-def calibrate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Said]:
+def calibrate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Calibrate:
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments: object) -> Said:
-        done = CliRunner().invoke(cli.app, ["calibrate", "intrinsics", *map(str, arguments)])
-        return Said(done.exit_code, done.stdout, done.stderr)
+    def run(*arguments: object) -> Result:
+        return CliRunner().invoke(cli.app, ["calibrate", "intrinsics", *map(str, arguments)])
 
     return run
 
 
 @pytest.mark.slow
-def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_path: Path, true_camera) -> None:  # type: ignore[no-untyped-def]
+def test_a_folder_gives_a_calibration_and_a_report(
+    calibrate: Calibrate, photos: Path, tmp_path: Path, true_camera: TrueCamera
+) -> None:
     file = tmp_path / "configs" / "cameras" / "ceiling.yaml"
     earlier = CameraModel(
         width=800, height=600, focal_px=(1.0, 1.0), centre_px=(0.0, 0.0), distortion=(), line_time_s=2e-5,
@@ -64,15 +62,15 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
     )  # fmt: skip
     save(file, earlier)
     result = calibrate("ceiling", photos, "--device", "serial 7", "--report", "page.html")
-    assert result.code == 0 and result.err == ""
+    assert result.exit_code == 0 and result.stderr == ""
     model = load(file, CameraModel)
     assert (model.camera, model.width, model.height, model.lens) == ("serial 7", 800, 600, "pinhole")
     # Its place belonged to the earlier lens; the shutter is the same.
     assert model.T_world_camera is None and model.arena is None and model.line_time_s == 2e-5
-    assert "run robofleet calibrate arena again" in result.out
+    assert "run robofleet calibrate arena again" in result.stdout
     (kept,) = (file.parent / "earlier").iterdir()
     assert load(kept, CameraModel) == earlier
-    assert str(kept.relative_to(tmp_path)) in result.out and "report: page.html" in result.out
+    assert str(kept.relative_to(tmp_path)) in result.stdout and "report: page.html" in result.stdout
     source = model.intrinsics
     assert source is not None
     assert source.parameters[:4] == ("f_x_px", "f_y_px", "c_x_px", "c_y_px")
@@ -84,7 +82,7 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
         and "99.png" not in source.inputs
         and len(source.inputs) == source.figures["views"]
     )
-    assert "left out, as they do not fit: 08.png" in result.out
+    assert "left out, as they do not fit: 08.png" in result.stdout
     page = (tmp_path / "page.html").read_text()
     assert (
         page.count("<svg") == 4
@@ -102,35 +100,35 @@ def test_a_folder_gives_a_calibration_and_a_report(calibrate, photos: Path, tmp_
 
 
 @pytest.mark.slow
-def test_centred_views_are_refused_with_a_report(calibrate, tmp_path: Path, true_camera) -> None:  # type: ignore[no-untyped-def]
+def test_centred_views_are_refused_with_a_report(calibrate: Calibrate, tmp_path: Path, true_camera: TrueCamera) -> None:
     folder, rng = tmp_path / "flat", np.random.default_rng(2)
     folder.mkdir()
     for k, pose in enumerate(true_camera.flat_poses(15, rng)):
         cv2.imwrite(str(folder / f"{k:02d}.png"), true_camera.photo(pose, rng, noise=6.0))
     result = calibrate("ceiling", folder, "--report", "page.html")
-    assert result.code == 2 and result.out == ""
-    assert "focal length is uncertain" in result.err
-    assert "next view: show the board" in result.err
-    assert result.err.splitlines()[-1] == "nothing was written; report: page.html"
+    assert result.exit_code == 2 and result.stdout == ""
+    assert "focal length is uncertain" in result.stderr
+    assert "next view: show the board" in result.stderr
+    assert result.stderr.splitlines()[-1] == "nothing was written; report: page.html"
     assert not (tmp_path / "configs").exists()
     assert "next view: show the board" in (tmp_path / "page.html").read_text()
 
 
 @pytest.mark.slow
-def test_views_that_contradict_one_another_are_told_with_a_refusal(  # type: ignore[no-untyped-def]
-    calibrate, photos: Path, tmp_path: Path
+def test_views_that_contradict_one_another_are_told_with_a_refusal(
+    calibrate: Calibrate, photos: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "few"
     folder.mkdir()
     for file in sorted(photos.glob("*.png"))[:9]:  # too few, and the last is skewed
         (folder / file.name).write_bytes(file.read_bytes())
     result = calibrate("ceiling", folder, "--report", "page.html")
-    assert result.code == 2 and "8 views can be used: 12 or more are needed" in result.err
-    assert "left out, as they do not fit: 08.png" in result.err
-    assert result.err.splitlines()[-1] == "nothing was written; report: page.html"
+    assert result.exit_code == 2 and "8 views can be used: 12 or more are needed" in result.stderr
+    assert "left out, as they do not fit: 08.png" in result.stderr
+    assert result.stderr.splitlines()[-1] == "nothing was written; report: page.html"
 
 
-def test_mirrored_images_are_named_as_such(calibrate, photos: Path, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_mirrored_images_are_named_as_such(calibrate: Calibrate, photos: Path, tmp_path: Path) -> None:
     folder = tmp_path / "mirrored"
     folder.mkdir()
     for file in sorted(photos.glob("0[0-3].png")):
@@ -138,7 +136,7 @@ def test_mirrored_images_are_named_as_such(calibrate, photos: Path, tmp_path: Pa
         assert image is not None
         cv2.imwrite(str(folder / file.name), image[:, ::-1])
     result = calibrate("ceiling", folder)
-    assert result.code == 2 and result.err.startswith("the images are mirrored")
+    assert result.exit_code == 2 and result.stderr.startswith("the images are mirrored")
 
 
 def test_a_video_is_read(photos: Path, tmp_path: Path) -> None:
@@ -201,21 +199,21 @@ def no_video(folder: Path) -> Path:
         (mixed, ("--lens", "mirror"), "mirror"),
     ],
 )
-def test_bad_input_ends_at_the_edge(  # type: ignore[no-untyped-def]
-    make: Callable[[Path], Path], options: tuple[str, ...], words: str, calibrate, tmp_path: Path
+def test_bad_input_ends_at_the_edge(
+    make: Callable[[Path], Path], options: tuple[str, ...], words: str, calibrate: Calibrate, tmp_path: Path
 ) -> None:
     source = make(tmp_path / "input")
     before = set(tmp_path.rglob("*"))
     result = calibrate("ceiling", source, *options)
-    assert result.code == 2
-    assert words in result.err and "Traceback" not in result.err
+    assert result.exit_code == 2
+    assert words in result.stderr and "Traceback" not in result.stderr
     assert set(tmp_path.rglob("*")) == before
 
 
-def test_a_name_that_is_none_and_no_source(calibrate) -> None:  # type: ignore[no-untyped-def]
-    assert "'../x' is not a camera" in calibrate("../x", "folder").err
-    assert "--set: it changes a configuration: name one with --live" in calibrate("x", "f", "--set", "run.seed=1").err
-    assert "name a folder or a video" in calibrate("ceiling").err
+def test_a_name_that_is_none_and_no_source(calibrate: Calibrate) -> None:
+    assert "'../x' is not a camera" in calibrate("../x", "folder").stderr
+    assert "--set: it changes a configuration: name one" in calibrate("x", "f", "--set", "run.seed=1").stderr
+    assert "name a folder or a video" in calibrate("ceiling").stderr
 
 
 CAMERA = """
@@ -265,14 +263,16 @@ def scripted(photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
 
 
 @pytest.mark.long
-def test_a_live_camera_is_read_until_its_lens_is_determined(calibrate, scripted, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_live_camera_is_read_until_its_lens_is_determined(
+    calibrate: Calibrate, scripted: Callable[..., Path], tmp_path: Path
+) -> None:
     config = scripted()
     result = calibrate("ceiling", "--live", config, "--report", "out/page.html")
-    assert result.code == 0
+    assert result.exit_code == 0
     model = load(tmp_path / "cameras" / "ceiling.yaml", CameraModel)  # beside the configuration, which looks there
     assert model.camera == "scripted"
     assert model.intrinsics is not None and 12 <= model.intrinsics.figures["views"] < 18  # type: ignore[operator]
-    assert "next: show the board" in result.err and result.err.rstrip().endswith("done")
+    assert "next: show the board" in result.stderr and result.stderr.rstrip().endswith("done")
     assert sys.modules[yaml.safe_load(config.read_text())["camera"]["source"].split(":")[0]].Camera.closed
     # What the camera showed was kept: the same lens comes out of it again.
     again = gather(tmp_path / "out" / "views", Board())
@@ -280,31 +280,35 @@ def test_a_live_camera_is_read_until_its_lens_is_determined(calibrate, scripted,
     assert model.focal_px == pytest.approx(lens.values[:2], rel=1e-6)
 
 
-def test_a_capture_that_is_broken_off_is_judged_by_what_it_has(calibrate, scripted, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_capture_that_is_broken_off_is_judged_by_what_it_has(
+    calibrate: Calibrate, scripted: Callable[..., Path], tmp_path: Path
+) -> None:
     result = calibrate("ceiling", "--live", scripted("KeyboardInterrupt", only="0[0-4].png"))
-    assert result.code == 2
-    assert "5 views can be used: 12 or more are needed" in result.err
-    assert "nothing was written" in result.err and not (tmp_path / "cameras").exists()
+    assert result.exit_code == 2
+    assert "5 views can be used: 12 or more are needed" in result.stderr
+    assert "nothing was written" in result.stderr and not (tmp_path / "cameras").exists()
     (views,) = (tmp_path / "runs").rglob("views")
     assert len(list(views.iterdir())) == 5
 
 
-def test_the_live_configuration_needs_no_calibration_but_all_the_rest(calibrate, scripted) -> None:  # type: ignore[no-untyped-def]
+def test_the_live_configuration_needs_no_calibration_but_all_the_rest(
+    calibrate: Calibrate, scripted: Callable[..., Path]
+) -> None:
     config = scripted()
     text = config.read_text()
     config.write_text(text.replace("tag: 2", "tag: 1"))
-    assert "robots.0's already" in calibrate("ceiling", "--live", config).err
+    assert "robots.0's already" in calibrate("ceiling", "--live", config).stderr
     config.write_text(text.replace("scripted_", "nowhere_"))
-    assert "camera.source: 'nowhere_" in calibrate("ceiling", "--live", config).err
-    assert "there is no such file" in calibrate("ceiling", "--live", "none.yaml").err
+    assert "camera.source: 'nowhere_" in calibrate("ceiling", "--live", config).stderr
+    assert "there is no such file" in calibrate("ceiling", "--live", "none.yaml").stderr
     changed = calibrate("ceiling", "--live", config, "--set", "camera.width=1.5")
-    assert "camera.width" in changed.err
+    assert "camera.width" in changed.stderr
     config.write_text(text.replace("width: 800", "width: 640"))
     again = calibrate("ceiling", "--live", config, "--set", "camera.width=800", "--set", "camera.rate_hz=-1")
-    assert len(again.err.splitlines()) == 1  # the size is right now
-    assert "camera.rate_hz" in again.err
+    assert len(again.stderr.splitlines()) == 1  # the size is right now
+    assert "camera.rate_hz" in again.stderr
     config.write_text("camera: [")
-    assert "lab.yaml" in calibrate("ceiling", "--live", config).err
+    assert "lab.yaml" in calibrate("ceiling", "--live", config).stderr
 
 
 def test_the_screen_shows_what_was_seen_and_what_is_missing(photos: Path) -> None:

@@ -42,19 +42,12 @@ def drive(
     rng = np.random.default_rng(seed)
     excitation = Excited(1, seed)
     now_ns = 0
-    simulation = Simulation(
-        drive=GTERNAL,
-        imperfections=imperfections,
-        start=(0.2, -0.1, 0.5),
-        trouble=None,
-        rng=np.random.default_rng(seed),
-    )
+    start, own_rng = (0.2, -0.1, 0.5), np.random.default_rng(seed)
+    simulation = Simulation(drive=GTERNAL, imperfections=imperfections, start=start, trouble=None, rng=own_rng)
     robot = SimulatedRobot(DriverContext(robot="r1", drive=GTERNAL, simulation=simulation, now_ns=lambda: now_ns))
     ticks = int(excitation.ends[0] * S) // TICK
     lateness = rng.integers(late, size=ticks) if late else np.zeros(ticks, int)
-    events = [(k * TICK + int(lateness[k]), 2) for k in range(1, ticks)] + [
-        (k * TICK - LEAD, 0) for k in range(1, ticks)
-    ]
+    events = [event for k in range(1, ticks) for event in ((k * TICK + int(lateness[k]), 2), (k * TICK - LEAD, 0))]
     events += [(k * ENCODER, 1) for k in range(ticks * TICK // ENCODER)]
     commands, poses, encoders, measured = [], [], [], []
     wheels, turned, since_ns = np.zeros(2), np.zeros(2), 0
@@ -73,19 +66,8 @@ def drive(
             robot.write(WheelSpeeds(*wheels.tolist()))
             commands.append((at_s, *wheels))
     setpoints, seen_poses, counted, meant = (np.array(rows) for rows in (commands, poses, encoders, measured))
-    return RobotDrive(
-        "r1",
-        setpoints[:, 0],
-        setpoints[:, 1:],
-        seen_poses[:, 0],
-        seen_poses[:, 1:],
-        meant[:, 0],
-        meant[:, 1:],
-        counted[:, 0],
-        counted[:, 1:],
-        0.0,
-        NO_GATE,
-    )
+    columns = [part for rows in (setpoints, seen_poses, meant, counted) for part in (rows[:, 0], rows[:, 1:])]
+    return RobotDrive("r1", *columns, 0.0, NO_GATE)
 
 
 @pytest.fixture(scope="session")

@@ -1,11 +1,11 @@
 """``robofleet calibrate offsets`` and ``latency``: files written whole, kept, and used; bad input refused."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import Result
 from typer.testing import CliRunner
 
 from robofleet import cli
@@ -22,21 +22,19 @@ pytestmark = pytest.mark.usefixtures("unplotted")
 
 ROOT = Path(__file__).parents[3]
 
-Calibrate = Callable[..., int]
+Calibrate = Callable[..., Result]
 
 
 @pytest.fixture
 def calibrate(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Calibrate:
-    """Return what runs the tool in this process and gives its exit code."""
+    """Return what runs the tool in this process."""
     monkeypatch.chdir(tmp_path)
+    return lambda *arguments: CliRunner().invoke(cli.app, ["calibrate", *map(str, arguments)])
 
-    def run(*arguments: object) -> int:
-        done = CliRunner().invoke(cli.app, ["calibrate", *map(str, arguments)])
-        print(done.stdout, end="")
-        print(done.stderr, end="", file=sys.stderr)
-        return done.exit_code
 
-    return run
+def refused(done: Result) -> str:
+    assert done.exit_code == 2
+    return done.stderr
 
 
 @pytest.fixture
@@ -56,22 +54,21 @@ def recorded(worn: RobotDrive, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_both_parts_stand_in_one_file_the_one_before_is_kept_and_they_are_what_was_measured(
-    calibrate: Calibrate, lab: Path, recorded: Path, capsys: pytest.CaptureFixture[str]
+    calibrate: Calibrate, lab: Path, recorded: Path
 ) -> None:
     file = lab.parent / "robots" / "r1.yaml"
-    assert calibrate("offsets", lab, "--recording", recorded, "--out", lab.parent / "a") == 0
+    assert calibrate("offsets", lab, "--recording", recorded, "--out", lab.parent / "a").exit_code == 0
     first = load(file, RobotCalibration)
     assert (first.delay_s, first.latency) == (None, None)
-    assert calibrate("latency", lab, "--recording", recorded, "--out", lab.parent / "b") == 0
+    assert calibrate("latency", lab, "--recording", recorded, "--out", lab.parent / "b").exit_code == 0
     both = load(file, RobotCalibration)
     assert both.model_copy(update={"delay_s": None, "motor_lag_s": None, "latency": None}) == first
-    assert calibrate("offsets", lab, "--recording", recorded, "--out", lab.parent / "c") == 0
+    assert "calibration: r1" in calibrate("offsets", lab, "--recording", recorded, "--out", lab.parent / "c").stdout
     again = load(file, RobotCalibration)
     assert (again.delay_s, again.motor_lag_s, again.latency) == (both.delay_s, both.motor_lag_s, both.latency)
     assert len(list((file.parent / "earlier").glob("r1-*.yaml"))) == 2
     for page in "abc":
         assert (lab.parent / page / "report.html").read_text().count("<svg") == 1
-    assert "calibration: r1" in capsys.readouterr().out
 
     config = load_config(lab, ["robots.0.calibration=r1"])
     found = config.robots[0].calibration
@@ -91,39 +88,34 @@ def test_both_parts_stand_in_one_file_the_one_before_is_kept_and_they_are_what_w
 
 
 @pytest.mark.slow
-def test_a_drive_in_lockstep_is_kept_and_calibrates(
-    calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_drive_in_lockstep_is_kept_and_calibrates(calibrate: Calibrate, lab: Path) -> None:
     out = lab.parent / "out"
-    assert calibrate("offsets", lab, "--lockstep", "--robots", "r2", "--out", out) == 0
-    assert "r2 drives" in capsys.readouterr().err
+    drive = calibrate("offsets", lab, "--lockstep", "--robots", "r2", "--out", out)
+    assert drive.exit_code == 0
+    assert "r2 drives" in drive.stderr
     assert sorted(file.name for file in out.iterdir()) == ["drive.npz", "report.html"]
     assert [file.name for file in (lab.parent / "robots").iterdir()] == ["r2.yaml"]
-    assert calibrate("latency", lab, "--recording", out / "drive.npz") == 0
+    assert calibrate("latency", lab, "--recording", out / "drive.npz").exit_code == 0
     assert load(lab.parent / "robots" / "r2.yaml", RobotCalibration).delay_s == pytest.approx(0.001, abs=0.001)
-    assert calibrate("offsets", lab, "--lockstep", "--out", out) == 2
-    assert "not empty" in capsys.readouterr().err
+    assert "not empty" in refused(calibrate("offsets", lab, "--lockstep", "--out", out))
 
 
 @pytest.mark.parametrize("command", ["offsets", "latency"])
 def test_a_drives_configuration_is_changed_by_set(
-    calibrate: Calibrate, lab: Path, recorded: Path, command: str, capsys: pytest.CaptureFixture[str]
+    calibrate: Calibrate, lab: Path, recorded: Path, command: str
 ) -> None:
-    assert calibrate(command, lab, "--recording", recorded, "--set", "robots.0.id=x1") == 2
-    assert "groups.0.robots" in capsys.readouterr().err
-    assert calibrate(command, lab, "--lockstep", "--set", "robots.1.start.x_m=9") == 2
-    assert "robots.1.start" in capsys.readouterr().err
+    assert "groups.0.robots" in refused(calibrate(command, lab, "--recording", recorded, "--set", "robots.0.id=x1"))
+    assert "robots.1.start" in refused(calibrate(command, lab, "--lockstep", "--set", "robots.1.start.x_m=9"))
     assert not (lab.parent / "robots").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["offsets", "latency"])
 def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
-    calibrate: Calibrate, lab: Path, recorded: Path, worn: RobotDrive, command: str, capsys: pytest.CaptureFixture[str]
+    calibrate: Calibrate, lab: Path, recorded: Path, worn: RobotDrive, command: str
 ) -> None:
     def refusal(*arguments: object) -> str:
-        assert calibrate(command, lab, *arguments) == 2
-        (line,) = capsys.readouterr().err.splitlines()
+        (line,) = refused(calibrate(command, lab, *arguments)).splitlines()
         assert not (lab.parent / "robots").exists()
         assert not (lab.parent / "runs").exists()
         return str(line)
@@ -144,13 +136,10 @@ def test_what_cannot_be_used_ends_with_2_one_line_and_nothing_written(
 
 
 @pytest.mark.slow
-def test_another_file_of_that_name_is_not_written_over(
-    calibrate: Calibrate, lab: Path, recorded: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_file_of_that_name_is_not_written_over(calibrate: Calibrate, lab: Path, recorded: Path) -> None:
     file = lab.parent / "robots" / "r1.yaml"
     file.parent.mkdir()
     vehicle = (ROOT / "configs" / "robots" / "gternal.yaml").read_bytes()
     file.write_bytes(vehicle)
-    assert calibrate("latency", lab, "--recording", recorded) == 2
-    assert str(file) in capsys.readouterr().err
+    assert str(file) in refused(calibrate("latency", lab, "--recording", recorded))
     assert file.read_bytes() == vehicle

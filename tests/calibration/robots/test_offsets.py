@@ -10,7 +10,6 @@ from robofleet.calibration.robots import offsets
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
-from robofleet.tracking.offset import centre_from_tag
 from tests.robots import GTERNAL
 
 from .conftest import LATE, OFFSET, Make
@@ -145,12 +144,3 @@ def test_a_robot_that_was_lost_or_never_moved_is_refused(worn: RobotDrive) -> No
     assert "seen in 0 %" in refusal(replace(worn, poses_s=worn.poses_s[:0], poses=worn.poses[:0]))
     still = np.tile(worn.poses[0], (len(worn.poses), 1))
     assert "did not" in refusal(replace(worn, poses=still))
-
-
-def test_with_what_was_found_the_spin_stands_still(worn: RobotDrive) -> None:
-    """While it spins, the tag goes round and the robot's centre stays, but for what its wheels differ by."""
-    spin = part(worn, 1.0, 4.0).poses.tolist()
-    found = offsets.find(worn, GTERNAL)
-    centres = np.array([centre_from_tag(*pose, found.tag_offset) for pose in spin])
-    assert np.ptp(np.array(spin)[:, :2], axis=0).min() > 0.02
-    assert np.ptp(centres[:, :2], axis=0).max() < 0.004

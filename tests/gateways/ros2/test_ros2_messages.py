@@ -6,7 +6,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import cv2
@@ -128,52 +128,67 @@ def matrix(message: Any) -> np.ndarray:
     )
 
 
-@pytest.fixture
-def graph(monkeypatch: pytest.MonkeyPatch) -> Paper:
+class Drive(NamedTuple):
+    """What is said of a run in which r1 drives in an arc, and its truth."""
+
+    config: Config
+    graph: Paper
+    at_ns: np.ndarray
+    known: np.ndarray  # x, y (N, 2) [m]
+
+    def true(self, message: Any) -> list[float]:
+        """Return where r1 was at a message's stamp."""
+        return [np.interp(stamp_ns(message), self.at_ns, column) for column in self.known.T]
+
+    def said(self, topic: str) -> list[Any]:
+        """Return a topic's messages."""
+        return self.graph.topics[topic].messages
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    """Return a drive on a graph in a namespace, where there is tf2_msgs."""
+    config, graph = load_config(SHIPPED / "ros2.yaml", [*TRUTH, "robots.0.sensors=true"]), Paper("/lab")
     package, messages = ModuleType("tf2_msgs"), ModuleType("tf2_msgs.msg")
     messages.TFMessage = Frames  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "tf2_msgs", package)
-    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", messages)
-    monkeypatch.setattr(ros_graph, "has_transforms", lambda: True)
-    return Paper()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "tf2_msgs", package)
+        patch.setitem(sys.modules, "tf2_msgs.msg", messages)
+        patch.setattr(ros_graph, "has_transforms", lambda: True)
+        truths = driven(config, graph, 4.0)
+    at_ns, known = np.array([at for at, _ in truths]), np.array([(body.x_m, body.y_m) for _, body in truths])
+    return Drive(config, graph, at_ns, known)
 
 
-def test_frames_compose_to_where_the_robot_is(graph: Paper) -> None:
+def test_frames_compose_to_where_the_robot_is(drive: Drive) -> None:
     """map -> odom -> base_link is the true pose, although the wheels slip: the tracker corrects odom's place."""
-    config = load_config(SHIPPED / "ros2.yaml", TRUTH)
-    truths = driven(config, graph, 4.0)
-    at_ns = np.array([at for at, _ in truths])
-    known = np.array([(transform.x_m, transform.y_m) for _, transform in truths])
     checked = 0
-    for message in graph.topics["/tf"].messages:
+    for message in drive.said("/tf"):
         frames = {(transform.header.frame_id, transform.child_frame_id): transform for transform in message.transforms}
-        if (outer := frames.get(("map", "r1/odom"))) is None:
+        if (outer := frames.get(("lab/map", "lab/r1/odom"))) is None:
             continue
-        inner = frames["r1/odom", "r1/base_link"]
+        inner = frames["lab/r1/odom", "lab/r1/base_link"]
         assert stamp_ns(outer) == stamp_ns(inner)
-        if at_ns[0] <= stamp_ns(inner) <= at_ns[-1]:
+        if drive.at_ns[0] <= stamp_ns(inner) <= drive.at_ns[-1]:
             composed = (matrix(outer.transform) @ matrix(inner.transform))[:2, 2]
-            true = [np.interp(stamp_ns(inner), at_ns, column) for column in known.T]
-            assert composed == pytest.approx(true, abs=0.004)
+            assert composed == pytest.approx(drive.true(inner), abs=0.004)
             checked += 1
     assert checked > 100
-    assert np.ptp(known, axis=0).max() > 0.1, "it drove"
+    assert np.ptp(drive.known, axis=0).max() > 0.1, "it drove"
 
 
-def test_a_robot_is_described_with_the_frames_and_joints_that_are_told(graph: Paper) -> None:
+def test_a_robot_is_described_with_the_frames_and_joints_that_are_told(drive: Drive) -> None:
     """Its wheels' frames are where the URDF has them, turned as the joints are."""
-    config = load_config(SHIPPED / "ros2.yaml", TRUTH)
-    driven(config, graph, 1.0)
-    whole = ElementTree.fromstring(urdf(config.robot("r1")))
+    whole = ElementTree.fromstring(urdf(drive.config.robot("r1")))
     joints = {joint.attrib["name"]: joint for joint in whole.iter("joint")}
-    turned = graph.topics["r1/joint_states"].messages[-1]
+    turned = drive.said("r1/joint_states")[-1]
     assert list(turned.name) == list(joints)
-    frames = {joint.child_frame_id: joint for joint in graph.topics["/tf"].messages[-1].transforms}
-    assert {f"r1/{joint.attrib['name']}" for joint in whole.iter("link")} <= frames.keys()
+    frames = {joint.child_frame_id: joint for joint in drive.said("/tf")[-1].transforms}
+    assert {f"lab/r1/{joint.attrib['name']}" for joint in whole.iter("link")} <= frames.keys()
     for name, angle in zip(turned.name, turned.position, strict=True):
         joint = joints[name]
-        frame = frames[f"r1/{joint.find('child').attrib['link']}"]
-        assert frame.header.frame_id == f"r1/{joint.find('parent').attrib['link']}"
+        frame = frames[f"lab/r1/{joint.find('child').attrib['link']}"]
+        assert frame.header.frame_id == f"lab/r1/{joint.find('parent').attrib['link']}"
         at = frame.transform.translation
         assert f"{at.x:g} {at.y:g} {at.z:g}" == joint.find("origin").attrib["xyz"]
         turn = frame.transform.rotation
@@ -209,42 +224,38 @@ def test_the_map_is_occupied_where_obstacles_are_and_beside_the_floor() -> None:
     assert 0 < np.count_nonzero(cells) < cells.size / 2
 
 
-def test_a_pose_is_said_at_the_instant_when_it_was_true(graph: Paper) -> None:
-    truths = driven(load_config(SHIPPED / "ros2.yaml", TRUTH), graph, 3.0)
-    at_ns = np.array([at for at, _ in truths])
-    known = np.array([(message.x_m, message.y_m) for _, message in truths])
-    poses = [message for message in graph.topics["r1/pose"].messages if at_ns[0] <= stamp_ns(message) <= at_ns[-1]]
+def test_a_pose_is_said_at_the_instant_when_it_was_true(drive: Drive) -> None:
+    first_ns, last_ns = drive.at_ns[0], drive.at_ns[-1]
+    poses = [message for message in drive.said("r1/pose") if first_ns <= stamp_ns(message) <= last_ns]
     assert len(poses) > 50
     for message in poses:
-        true = [np.interp(stamp_ns(message), at_ns, column) for column in known.T]
-        assert matrix(message.pose.pose)[:2, 2] == pytest.approx(true, abs=0.001)
+        assert matrix(message.pose.pose)[:2, 2] == pytest.approx(drive.true(message), abs=0.001)
         whole = np.array(message.pose.covariance).reshape(6, 6)
         assert (whole == whole.T).all()
-    odom, joints = graph.topics["r1/odom"].messages, graph.topics["r1/joint_states"].messages
+    odom, joints = drive.said("r1/odom"), drive.said("r1/joint_states")
     assert odom[-1].twist.twist.linear.x == pytest.approx(0.1, abs=0.02)
     assert odom[-1].twist.twist.angular.z == pytest.approx(0.5, abs=0.1)
     assert len(joints) == len(odom) and joints[-1].position[1] > joints[-1].position[0] > 0.0
-    assert 0.5 < graph.topics["r1/battery_state"].messages[-1].percentage <= 1.0
+    assert 0.5 < drive.said("r1/battery_state")[-1].percentage <= 1.0
 
 
-def test_sensors_are_said_in_their_frames(graph: Paper) -> None:
-    config = load_config(SHIPPED / "ros2.yaml", [*TRUTH, "robots.0.sensors=true"])
-    driven(config, graph, 2.0)
+def test_sensors_are_said_in_their_frames(drive: Drive) -> None:
+    config, frames = drive.config, drive.graph.frames
     kind = config.robot("r1").vehicle.sensors
     assert kind is not None and kind.distances is not None
-    turning = [message.angular_velocity.z for message in graph.topics["r1/imu/data_raw"].messages]
-    assert turning[-1] == pytest.approx(0.5, abs=0.15)
-    assert graph.topics["r1/imu/data_raw"].messages[-1].linear_acceleration.z == pytest.approx(9.8, abs=0.5)
-    fixed = {message.child_frame_id for message in sensing.places(config.robot("r1"), "r1", graph.frames, stamped(0))}
+    imu = drive.said("r1/imu/data_raw")[-1]
+    assert imu.angular_velocity.z == pytest.approx(0.5, abs=0.15)
+    assert imu.linear_acceleration.z == pytest.approx(9.8, abs=0.5)
+    fixed = {message.child_frame_id for message in sensing.places(config.robot("r1"), "r1", frames, stamped(0))}
     assert len(fixed) == len(kind.distances.places)
     for frame in fixed:
-        ranges = graph.topics[frame].messages
+        ranges = drive.said(frame.removeprefix("lab/"))
         assert {message.header.frame_id for message in ranges} == {frame}, (
             "a topic for each sensor, called as its frame"
         )
         assert len(ranges) > 10
         assert all(0.0 < message.range <= message.max_range or math.isinf(message.range) for message in ranges)
-    assert not sensing.places(config.robot("r2"), "r2", graph.frames, stamped(0))
+    assert not sensing.places(config.robot("r2"), "r2", frames, stamped(0))
 
 
 def told(readings: Sequence[SensorReading]) -> Paper:
@@ -263,27 +274,22 @@ def told(readings: Sequence[SensorReading]) -> Paper:
 
 def test_an_imu_says_what_its_reading_has_and_nothing_of_an_older_one() -> None:
     """A GTernal's firmware tells heading and distances alone."""
-    turning, force = (0.1, 0.2, 0.3), (0.0, 0.0, 9.8)
+    turning, gravity = (0.1, 0.2, 0.3), (0.0, 0.0, 9.8)
     silent = SensorReading(heading=0.5, distances=(0.2,) * 7)
-    graph = told([SensorReading(gyro=turning, accelerometer=force), silent, SensorReading(gyro=turning),
-                  SensorReading(accelerometer=force)])  # fmt: skip
+    graph = told([SensorReading(gyro=turning, accelerometer=gravity), silent, SensorReading(gyro=turning),
+                  SensorReading(accelerometer=gravity)])  # fmt: skip
     readings = graph.topics["r1/imu/data_raw"].messages
-    gyros = [
-        (reading.angular_velocity.x, reading.angular_velocity.y, reading.angular_velocity.z) for reading in readings
-    ]
-    forces = [
-        (reading.linear_acceleration.x, reading.linear_acceleration.y, reading.linear_acceleration.z)
-        for reading in readings
-    ]
+    gyros = [(gyro.x, gyro.y, gyro.z) for gyro in (reading.angular_velocity for reading in readings)]
+    forces = [(force.x, force.y, force.z) for force in (reading.linear_acceleration for reading in readings)]
     nothing = (0.0, 0.0, 0.0)
-    assert gyros == [turning, turning, nothing] and forces == [force, nothing, force]
+    assert gyros == [turning, turning, nothing] and forces == [gravity, nothing, gravity]
     assert [reading.angular_velocity_covariance[0] == -1.0 for reading in readings] == [False, False, True]
     assert [reading.linear_acceleration_covariance[0] == -1.0 for reading in readings] == [False, True, False]
     assert all(reading.orientation_covariance[0] == -1.0 for reading in readings)
     assert not told([silent]).topics["r1/imu/data_raw"].messages
 
 
-def test_what_no_message_can_have_is_said_as_the_end_of_its_field(graph: Paper) -> None:
+def test_what_no_message_can_have_is_said_as_the_end_of_its_field() -> None:
     """Older releases of ROS 2 raise at what is beyond; and a picture of no bytes is none."""
     for far_ns, end_s in ((2**62, 2**31 - 1), (-(2**62), -(2**31))):
         assert stamped(far_ns).sec == end_s
@@ -350,11 +356,9 @@ def test_markers_are_in_frames_that_are_said() -> None:
     assert len({(marker.ns, marker.id) for marker in drawn}) == len(drawn)
 
 
-def test_a_namespace_is_in_front_of_every_frame(graph: Paper) -> None:
+def test_a_namespace_is_in_front_of_every_frame(drive: Drive) -> None:
     """So several arenas share one tree of frames."""
-    graph.frames = topics.Frames("/lab")
-    config = load_config(SHIPPED / "ros2.yaml", [*TRUTH, "robots.0.sensors=true"])
-    driven(config, graph, 1.0)
+    config, graph = drive.config, drive.graph
     names = topics.ros_names(robot.id for robot in config.robots)
     every_message = [message for topic in graph.topics.values() for message in topic.messages]
     every_message += [

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from robofleet.core.clock import MS
-from robofleet.gateways.ros2.odometry import Odometry, compose, inverse
+from robofleet.gateways.ros2.odometry import Odometry
 from robofleet.vehicles.differential_drive import DifferentialDrive, arc, wheels_from_body
 
-Array = NDArray[np.float64]
 DRIVE = DifferentialDrive(0.016, 0.11, 12.5, 0.2, 0.06, 100.0)
 NUMBERS = st.floats(-3.0, 3.0)
 POSES = st.tuples(NUMBERS, NUMBERS, NUMBERS)
@@ -45,15 +43,6 @@ def test_a_driver_that_was_started_again_moves_no_robot() -> None:
     assert (odometry.poses == before).all()
     driven(odometry, 0.1, 0.0, 10, first=61, boot=3)
     assert np.linalg.norm(odometry.poses[0, :2] - before[0, :2]) == pytest.approx(0.02)
-
-
-@given(POSES, POSES)
-def test_a_pose_and_its_inverse_are_nothing(first: tuple[float, ...], then: tuple[float, ...]) -> None:
-    earlier, other = np.array([first]), np.array([then])
-    assert compose(inverse(earlier), earlier)[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    back = compose(inverse(earlier), compose(earlier, other))[0]
-    assert back[:2] == pytest.approx(other[0, :2], abs=1e-9)
-    assert np.exp(1j * back[2]) == pytest.approx(np.exp(1j * other[0, 2]), abs=1e-9)
 
 
 @given(POSES, st.integers(5, 40))

@@ -33,6 +33,7 @@ from robofleet.gateways.ros2.topics import MAP, load
 SIDE_M, V_M_S, OMEGA_RAD_S = 0.1, 0.12, 1.2
 WITHIN_S = 30.0
 CLOCK = WallClock()
+_EVERY_NODES = "/rosout", "/parameter_events"
 _LATCHED = QoSProfile(
     depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
 )
@@ -48,26 +49,20 @@ def until(node: Node, true: Callable[[], Any], within_s: float = WITHIN_S) -> No
 
 def listen(node: Node, seconds: float) -> dict[str, Any]:
     """Return the graph's topics with type, frames and quality, and how many messages of each came."""
-    own = {name for name, _ in node.get_topic_names_and_types()}
-    gateway = "robofleet"  # whose node's name is known later than its topics
-    until(
-        node, lambda: any(publisher.node_name == gateway for publisher in node.get_publishers_info_by_topic("/r1/odom"))
-    )
+
+    def of_gateway(ends: list[Any]) -> list[Any]:
+        return [end for end in ends if end.node_name == "robofleet"]
+
+    until(node, lambda: of_gateway(node.get_publishers_info_by_topic("/r1/odom")))  # known later than its topics
     found: dict[str, Any] = {}
     messages: dict[str, list[Any]] = {}
     kept = []
     end_ns = CLOCK.now_ns() + round(seconds * S)
     while CLOCK.now_ns() < end_ns:
         for name, (kind, *_) in node.get_topic_names_and_types():
-            publishers = [
-                publisher for publisher in node.get_publishers_info_by_topic(name) if publisher.node_name == "robofleet"
-            ]
-            subscribers = [
-                publisher
-                for publisher in node.get_subscriptions_info_by_topic(name)
-                if publisher.node_name == "robofleet"
-            ]
-            if name in own or name in found or not (publishers or subscribers) or name == "/parameter_events":
+            publishers = of_gateway(node.get_publishers_info_by_topic(name))
+            subscribers = of_gateway(node.get_subscriptions_info_by_topic(name))
+            if name in _EVERY_NODES or name in found or not (publishers or subscribers):
                 continue
             (end,) = publishers or subscribers
             found[name] = {"type": kind, "quality": said(end.qos_profile), "flow": "out" if publishers else "in"}
@@ -78,10 +73,7 @@ def listen(node: Node, seconds: float) -> dict[str, Any]:
                 kept.append(node.create_subscription(load(kind), name, came.append, quality))
         rclpy.spin_once(node, timeout_sec=0.05)
     for name, came in messages.items():
-        found[name] |= {
-            "messages": len(came),
-            "frames": sorted({frame for publisher in came for frame in frames(publisher)}),
-        }
+        found[name] |= {"messages": len(came), "frames": sorted({frame for one in came for frame in frames(one)})}
     services = {name: kinds[0] for name, kinds in node.get_service_names_and_types()}
     return {"topics": found, "services": services}
 

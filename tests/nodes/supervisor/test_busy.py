@@ -26,10 +26,12 @@ def told(stand: Stand) -> BusyMachine | None:
 
 
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
+@pytest.mark.parametrize("counted", [False, True])
 def test_a_simulated_run_goes_on_when_who_was_late_is_heard_again(
-    stand_of: MakeStand, who: str, event: Event, robot: int
+    stand_of: MakeStand, who: str, event: Event, robot: int, counted: bool
 ) -> None:
-    stand = stand_of(contended=0.9)
+    """Whether its turns are counted, and show that it waited for a core, or not."""
+    stand = stand_of(contended=0.9, counted=counted)
     stand.running()
     stand.silent.add(who)
     stand.run(700 * MS)
@@ -72,51 +74,27 @@ def test_who_was_stopped_or_hangs_on_a_busy_machine_is_not_late_by_load(
 
 
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
-def test_who_waited_for_a_core_is_late_by_load(stand_of: MakeStand, who: str, event: Event, robot: int) -> None:
-    stand = stand_of(contended=0.9, counted=True)
-    stand.running()
-    stand.silent.add(who)
-    stand.run(700 * MS)
-    assert stand.cause == (Phase.HOLD, event, robot)
-    stand.silent.clear()
-    stand.run(S)
-    assert stand.cause == (Phase.RUNNING, Event.CAUGHT_UP, NOBODY)
-
-
-@pytest.mark.parametrize(("who", "event", "robot"), SILENT)
-@pytest.mark.parametrize("contended", [None, 0.3])
-def test_without_evidence_it_stands_as_ever(
-    stand_of: MakeStand, who: str, event: Event, robot: int, contended: float | None
+@pytest.mark.parametrize(("contended", "driver"), [(None, "simulated"), (0.3, "simulated"), (0.9, "gternal")])
+def test_without_evidence_and_with_a_robot_that_exists_it_stands_as_ever(
+    stand_of: MakeStand, who: str, event: Event, robot: int, contended: float | None, driver: str
 ) -> None:
-    stand = stand_of(contended=contended)
+    """Where there is evidence the load is named."""
+    stand = stand_of(f"robots.3.driver={driver}", contended=contended)
     stand.running()
     stand.silent.add(who)
     stand.run(700 * MS)
-    assert stand.cause == (Phase.HOLD if who == "tracker" else Phase.FAULT, event, robot)
+    stopped = (Phase.HOLD if who == "tracker" else Phase.FAULT, event, robot)
+    assert stand.cause == stopped
+    if driver == "simulated":
+        assert told(stand) is None
+    else:
+        words = state_words(stand.state, told(stand), ("r1", "r2", "r3", "r4"))
+        assert "(this machine was busy: load 6.1 on 2 cores, " in words.advice
+        assert words.advice.endswith("): end other programs that keep this machine busy")
+        assert not words.goes_on
     stand.silent.clear()
     stand.run(10 * S)
-    assert stand.cause == (Phase.HOLD if who == "tracker" else Phase.FAULT, event, robot)
-    assert told(stand) is None
-
-
-@pytest.mark.slow_after_first
-@pytest.mark.parametrize(("who", "event", "robot"), SILENT)
-def test_with_a_robot_that_exists_it_stands_as_ever_and_names_the_load(
-    stand_of: MakeStand, who: str, event: Event, robot: int
-) -> None:
-    stand = stand_of("robots.3.driver=gternal", contended=0.9)
-    stand.running()
-    stand.silent.add(who)
-    stand.run(700 * MS)
-    phase = Phase.HOLD if who == "tracker" else Phase.FAULT
-    assert stand.cause == (phase, event, robot)
-    words = state_words(stand.state, told(stand), ("r1", "r2", "r3", "r4")).advice
-    assert "(this machine was busy: load 6.1 on 2 cores, " in words
-    assert words.endswith("): end other programs that keep this machine busy")
-    assert not state_words(stand.state, told(stand), ()).goes_on
-    stand.silent.clear()
-    stand.run(10 * S)
-    assert stand.cause == (phase, event, robot)
+    assert stand.cause == stopped
 
 
 def test_an_operator_who_holds_a_held_run_keeps_it_held(stand_of: MakeStand) -> None:

@@ -1,17 +1,14 @@
 """What the tracker tells the supervisor: who is seen, who is not, and what became of the camera."""
 
-from math import nan
-from struct import pack
 from typing import Any
 
 import numpy as np
 import pytest
 
-from robofleet.bus.keys import CAMERA, NEWS, POSES
-from robofleet.bus.messages import TRACKER_NEWS, FleetPoses, TagPose, TrackerNews
+from robofleet.bus.keys import CAMERA
+from robofleet.bus.messages import TagPose
 from robofleet.core.clock import MS, S
 from robofleet.safety.supervisor import NOBODY, Event, Phase
-from robofleet.tracking.events import TrackerEvent
 from tests.nodes.stand import ROBOTS, Stand
 
 
@@ -32,25 +29,13 @@ def test_a_robot_whose_tag_is_hidden_stands_alone_and_goes_on_when_it_is_seen(st
     assert stand.state.robots[2].cause == Event.NOTHING
 
 
-def test_a_robot_hidden_for_two_seconds_ends_the_run_and_keeps_its_cause(stand: Stand) -> None:
-    stand.running()
-    stand.hidden.add("r4")
-    stand.run(1900 * MS)
-    assert stand.state.phase == Phase.RUNNING
-    stand.run(200 * MS)
-    assert stand.cause == (Phase.FAULT, Event.TAG_LOST, 3)
-    assert stand.state.robots[3].cause == Event.TAG_LOST
-
-
 def test_a_tag_that_the_tracker_predicts_is_not_seen(stand: Stand) -> None:
     """By the images' own stamps: messages that are late or lost do not make it older."""
     stand.running()
     stand.silent.add("tracker")
 
     def see(seq: int, coasted_ns: int, age_ns: int) -> list[int]:
-        poses = tuple(TagPose(stand.tags[r], 0, coasted_ns * (r == "r2"), *stand.places[r]) for r in ROBOTS)
-        at_ns = stand.bench.now_ns - age_ns
-        stand.bench.say(POSES, FleetPoses(4, seq, stand.build, at_ns, 0, 0, 0, 0, 0, poses), CAMERA)
+        stand.tell_image(coasted_ns=coasted_ns, seq=seq, exposure_ns=stand.bench.now_ns - age_ns)
         stand.run(40 * MS)
         return [robot.permitted for robot in stand.state.robots]
 
@@ -64,10 +49,10 @@ def test_a_tag_is_late_when_three_images_that_came_lack_it(stand: Stand) -> None
     """Images that the network lost say nothing of a tag."""
     stand.running()
     stand.silent.add("tracker")
+    stand.hidden.add("r2")
 
     def see(seq: int) -> int:
-        poses = tuple(TagPose(stand.tags[r], 0, 0, *stand.places[r]) for r in ROBOTS if r != "r2")
-        stand.bench.say(POSES, FleetPoses(4, seq, stand.build, stand.bench.now_ns, 0, 0, 0, 0, 0, poses), CAMERA)
+        stand.tell_image(seq=seq)
         stand.run(40 * MS)
         return int(stand.state.robots[1].permitted)
 
@@ -80,50 +65,11 @@ def test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost
     stand.hidden.add("r2")
     stand.run(200 * MS)
     stand.silent.add("tracker")
-    poses = tuple(TagPose(stand.tags[r], 0, 0, *stand.places[r]) for r in ROBOTS if r != "r2")
     for seq in (1, 2):
-        stand.bench.say(POSES, FleetPoses(9, seq, stand.build, 33 * MS * seq, 0, 0, 0, 0, 0, poses), CAMERA)
+        stand.tell_image(epoch=9, seq=seq, exposure_ns=33 * MS * seq)
     stand.run(40 * MS)
     assert stand.cause == (Phase.HOLD, Event.TRACKER_RESTARTED, NOBODY)
     assert [robot.cause for robot in stand.state.robots] == [0, Event.TAG_LATE, 0, 0]
-
-
-@pytest.mark.parametrize(
-    ("event", "robot", "to"),
-    [
-        (TrackerEvent.CAMERA_STALLED, None, (Phase.HOLD, Event.CAMERA_STALLED)),
-        (TrackerEvent.CAMERA_FROZEN, None, (Phase.HOLD, Event.CAMERA_FROZEN)),
-        (TrackerEvent.CAMERA_UNPLUGGED, None, (Phase.FAULT, Event.CAMERA_LOST)),
-        (TrackerEvent.CAMERA_RESIZED, None, (Phase.FAULT, Event.CAMERA_LOST)),
-        (TrackerEvent.CAMERA_STRANGE, None, (Phase.FAULT, Event.CAMERA_LOST)),
-        (TrackerEvent.CAMERA_ENDED, None, (Phase.FAULT, Event.CAMERA_LOST)),
-        (TrackerEvent.CAMERA_MOVED, None, (Phase.FAULT, Event.CAMERA_MOVED)),
-        (TrackerEvent.POSES_SILENT, None, (Phase.HOLD, Event.POSES_SILENT)),
-        (TrackerEvent.BODY_LOST, "r2", (Phase.RUNNING, Event.PROVED)),
-        (TrackerEvent.TAG_TWICE, "r2", (Phase.HOLD, Event.TAG_TWICE)),
-        (TrackerEvent.TAG_JUMPED, "r2", (Phase.FAULT, Event.POSE_JUMPED)),
-        (TrackerEvent.TAG_CARRIED, "r2", (Phase.FAULT, Event.POSE_JUMPED)),
-        (TrackerEvent.TAG_FOUND, "r2", (Phase.RUNNING, Event.PROVED)),
-        (TrackerEvent.CAMERA_CORRECTED, None, (Phase.RUNNING, Event.PROVED)),
-        (TrackerEvent.TAG_TWICE, None, (Phase.RUNNING, Event.PROVED)),  # nobody's tag
-        (250, "r2", (Phase.RUNNING, Event.PROVED)),  # of another version
-    ],
-)
-def test_the_trackers_news_in_the_runs_words(
-    stand: Stand, event: int, robot: str | None, to: tuple[Phase, Event]
-) -> None:
-    stand.running()
-    stand.tell(event, robot, 0.5)
-    stand.run(40 * MS)
-    assert stand.cause == (*to, NOBODY if robot is None or to[0] is Phase.RUNNING else ROBOTS.index(robot))
-
-
-def test_a_piece_of_news_behind_another_is_not_lost(stand: Stand) -> None:
-    stand.running()
-    stand.tell(TrackerEvent.CAMERA_MOVED)
-    stand.tell(TrackerEvent.CAMERA_CORRECTED)
-    stand.run(40 * MS)
-    assert stand.state.phase == Phase.FAULT
 
 
 @pytest.mark.slow_after_first
@@ -164,12 +110,9 @@ def test_a_tag_that_is_only_predicted_gives_no_place(stand: Stand) -> None:
     stand.running()
     outside = TagPose(stand.tags["r1"], 0, 33 * MS, 9.0, 0.0, 0.0)
     stranger = TagPose(999, 0, 0, 9.0, 0.0, 0.0)
-    seen = tuple(TagPose(stand.tags[r], 0, 0, *stand.places[r]) for r in ROBOTS[1:])
     stand.bench.run(stand.node, 10 * MS)
-    image = FleetPoses(4, 10**6, stand.build, stand.bench.now_ns, 0, 0, 0, 0, 0, (outside, stranger, *seen))
-    stand.bench.say(POSES, image, CAMERA)
-    malformed = TRACKER_NEWS.encode(TrackerNews(1, 1, 0, TrackerEvent.CAMERA_MOVED, 0, 0.0))[:-8] + pack("<d", nan)
-    stand.bench.bus.publisher(NEWS, CAMERA)(malformed)
+    stand.hidden.add("r1")
+    stand.tell_image(outside, stranger, seq=10**6)
     stand.bench.run(stand.node, 50 * MS)
     assert stand.state.phase == Phase.RUNNING
 
@@ -178,8 +121,16 @@ def test_images_from_both_ends_of_time_end_nobody(stand: Stand) -> None:
     """Each of another tracker, so that what was unseen is carried over from one clock to the other."""
     stand.running()
     for epoch, exposure_ns in enumerate((2**63 - 1, -(2**63), 2**63 - 1, -(2**63)), start=50):
-        image = FleetPoses(epoch, 1, stand.build, exposure_ns, exposure_ns, stand.tick, exposure_ns, 0, 0, ())
-        stand.bench.say(POSES, image, CAMERA)
+        stand.hidden.update(ROBOTS)
+        stand.tell_image(
+            epoch=epoch,
+            seq=1,
+            exposure_ns=exposure_ns,
+            sent_ns=exposure_ns,
+            echo_tick=stand.tick,
+            since_tick_ns=exposure_ns,
+        )
+        stand.hidden.clear()
         stand.run(40 * MS)
     assert stand.state.phase == Phase.HOLD
     assert stand.state.cause == Event.TRACKER_RESTARTED

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from robofleet.bus import bus
-from robofleet.bus.keys import COMMAND, ENABLE, LEASE, REQUEST, SAFE_REQUEST, STATUS, Topic
+from robofleet.bus.keys import COMMAND, ENABLE, LEASE, REQUEST, STATUS
 from robofleet.bus.messages import LEASE_REQUEST, LeaseRequest
 from robofleet.core.clock import MS, S
 from robofleet.safety.gate import LeaseAction
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import NOBODY, Event, Phase
-from robofleet.vehicles.interface import STOP, WIRED_STOP, RobotFault
+from robofleet.vehicles.interface import STOP
 from tests.bus.alone import Enable, WheelCommand
 from tests.nodes.stand import ROBOTS, Stand
 
@@ -39,29 +39,6 @@ def test_an_emergency_stop_reaches_every_gate_at_once_and_is_acknowledged(stand:
     assert [robot.acknowledged for robot in stand.state.robots] == [1, 1, 1, 1]
     stand.run(S)
     assert not [line for line in stand.lines if "acknowledged" in line]
-
-
-@pytest.mark.parametrize("order", [b"reset", b"resume", b"start"])
-@pytest.mark.parametrize("first", [REQUEST, SAFE_REQUEST], ids=["the order first", "the stop first"])
-def test_of_an_order_and_a_stop_that_came_together_the_stop_counts(stand: Stand, order: bytes, first: Topic) -> None:
-    """A supervisor that stood still finds both: no order of before undoes a stop."""
-    stand.running()
-    requests = {REQUEST: order, SAFE_REQUEST: b"estop"}
-    for topic in sorted(requests, key=lambda topic: topic is not first):
-        stand.bench.bus.ask(topic, "supervisor", requests[topic])
-    stand.run(S)
-    assert stand.cause[0] == Phase.ESTOP
-    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
-
-
-@pytest.mark.parametrize("order", [b"reset", b"resume", b"start"])
-def test_an_operators_order_and_stop_that_came_together_leave_the_stop(stand: Stand, order: bytes) -> None:
-    stand.running()
-    for what in (b"estop", order, b"hold"):
-        stand.bench.bus.ask(REQUEST, "supervisor", what)
-    stand.run(S)
-    assert stand.cause[0] == Phase.ESTOP
-    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
 
 
 @pytest.mark.parametrize("deaf", [("r2",), ("r1", "r4")])
@@ -94,22 +71,6 @@ def test_a_driver_that_comes_back_later_is_stopped_too(stand: Stand) -> None:
     assert stand.state.robots[2].acknowledged == 1
 
 
-@pytest.mark.parametrize("phase", ["IDLE", "RUNNING", "HOLD", "FAULT"])
-def test_a_robots_own_e_stop_stops_them_all_whatever_the_run_does(stand: Stand, phase: str) -> None:
-    if phase != "IDLE":
-        stand.running()
-    if phase == "HOLD":
-        stand.ask("hold")
-    if phase == "FAULT":
-        stand.epoch, stand.tick = 8, 0  # another controller
-    stand.run(100 * MS)
-    assert stand.state.phase == Phase[phase]
-    stand.robots["r2"].says = {"faults": WIRED_STOP}
-    stand.run(100 * MS)
-    assert stand.cause == (Phase.ESTOP, Event.WIRED_STOP, 1)
-    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
-
-
 def test_a_reset_clears_the_latches_and_moves_nothing(stand: Stand) -> None:
     emergency(stand)
     stand.run(S)
@@ -139,7 +100,6 @@ def test_a_reset_that_a_gate_does_not_follow_is_refused_by_name(stand: Stand) ->
 
 
 def test_an_emergency_stop_during_a_reset_wins(stand: Stand) -> None:
-    from robofleet.bus.keys import REQUEST
 
     emergency(stand)
     reset = stand.bench.bus.ask(REQUEST, "supervisor", b"reset")
@@ -148,89 +108,6 @@ def test_an_emergency_stop_during_a_reset_wins(stand: Stand) -> None:
     assert (reset.take() or b"").startswith(b"refused: the emergency stop is latched")
     assert stand.state.phase == Phase.ESTOP
     assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
-
-
-@pytest.mark.parametrize(
-    ("says", "why"),
-    [
-        ({"left_rad_s": 0.06}, "r3 is not at rest"),
-        ({"right_rad_s": -0.06}, "r3 is not at rest"),
-        ({"left_output_rad_s": 0.06}, "r3 is not at rest"),
-        ({"right_output_rad_s": -0.06}, "r3 is not at rest"),
-        ({"faults": WIRED_STOP}, "r3: its own e-stop is pressed"),
-        ({"faults": RobotFault.UNREACHABLE, "left_rad_s": 3.0}, "r3: its driver has lost the connection to it"),
-        ({"latch": Latch.NONE}, "r3 has not acknowledged"),
-        ({"latch": Latch.DRILL}, "r3 has not acknowledged"),
-    ],
-)
-def test_a_reset_is_refused_with_a_reason(stand: Stand, says: dict[str, Any], why: str) -> None:
-    emergency(stand)
-    stand.robots["r3"].says = says
-    stand.run(100 * MS)
-    assert stand.ask("reset").startswith(f"refused: {why}")
-    stand.run(S)
-    assert stand.state.phase == Phase.ESTOP
-    assert {robot.latch for robot in stand.robots.values()} == {Latch.EMERGENCY_STOP}
-    stand.robots["r3"].says = {}
-    stand.run(100 * MS)
-    assert stand.ask("reset", S // 5) == "ok"
-
-
-def test_a_robot_that_is_gone_does_not_keep_the_others_from_a_reset(stand: Stand) -> None:
-    stand.running()
-    stand.silent.add("r3")
-    stand.robots["r3"].deaf = True
-    stand.ask("estop")
-    stand.run(400 * MS)
-    assert stand.ask("reset").startswith("refused: r3 has not acknowledged")
-    stand.run(200 * MS)
-    assert stand.ask("reset", S // 5) == "ok"
-    assert stand.state.phase == Phase.IDLE
-
-
-def test_a_reset_of_what_is_clear_is_answered_at_once(stand: Stand) -> None:
-    stand.run(S // 5)
-    assert stand.ask("reset") == "ok"
-    assert stand.state.phase == Phase.IDLE
-
-
-@pytest.mark.parametrize("phase", ["ARMED", "RUNNING", "HOLD"])
-def test_a_run_whose_operator_went_away_is_stopped_for_good(stand_of: Callable[..., Stand], phase: str) -> None:
-    stand = stand_of(attended=True)
-    if phase == "ARMED":
-        stand.silent.add("r1")  # the checks wait for it
-        stand.run(S // 5)
-        stand.ask("start")
-        stand.run(3 * S)
-    else:
-        stand.running()
-        stand.run(3 * S)
-    if phase == "HOLD":
-        stand.ask("hold")
-    stand.silent.add("operator")
-    stand.run(S - 200 * MS)
-    assert stand.state.phase == Phase[phase]
-    stand.run(300 * MS)
-    assert stand.cause == (Phase.ESTOP, Event.OPERATOR_LOST, NOBODY)
-
-
-def test_an_operator_who_asks_for_a_start_has_a_second_to_be_there(stand_of: Callable[..., Stand]) -> None:
-    stand = stand_of(attended=True)
-    stand.silent |= {"operator", "r1"}
-    stand.run(3 * S)
-    assert stand.state.phase == Phase.IDLE
-    stand.ask("start")
-    stand.run(900 * MS)
-    assert stand.state.phase == Phase.ARMED
-    stand.run(200 * MS)
-    assert stand.cause == (Phase.ESTOP, Event.OPERATOR_LOST, NOBODY)
-
-
-def test_a_run_that_needs_no_operator_goes_on_without_one(stand: Stand) -> None:
-    stand.silent.add("operator")
-    stand.running()
-    stand.run(3 * S)
-    assert stand.state.phase == Phase.RUNNING
 
 
 def test_the_stop_is_repeated_while_the_gate_is_closed(

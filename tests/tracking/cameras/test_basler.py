@@ -23,7 +23,8 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.testing import CameraContract
 from robofleet.tracking.cameras.basler import BaslerCamera, DeviceClock, SoftwareTrigger
-from robofleet.tracking.sources import CameraContext, CameraError, Exposure
+from robofleet.tracking.sources import CameraError, Exposure
+from tests.contexts import context
 from tests.shipped import PLATOON
 
 TICK_NS = 33 * MS
@@ -46,15 +47,7 @@ class Lab:
         self._say = self.bus.publisher(TICK)
 
     def open(self, *overrides: str) -> BaslerCamera:
-        context = CameraContext(
-            config=config(*overrides),
-            clock=self.clock,
-            bus=self.bus,
-            ticks=self.ticks,
-            rng=np.random.default_rng(1),
-            extra_delay_ns=0,
-        )
-        self.cameras.append(BaslerCamera(context))
+        self.cameras.append(BaslerCamera(context(config(*overrides), self.clock, bus=self.bus, ticks=self.ticks)))
         return self.cameras[-1]
 
     def tick(self, number: int) -> None:
@@ -85,7 +78,6 @@ def test_images_come_at_their_rate_each_its_own(lab: Lab) -> None:
     for _ in range(10):
         frames.append(camera.read())
         since_ns.append(lab.clock.now_ns() - frames[-1].exposure_ns)
-    assert {(frame.image.shape, frame.image.dtype) for frame in frames} == {((240, 320), np.dtype(np.uint8))}
     assert all((before.image != other.image).any() for before, other in itertools.pairwise(frames))
     assert all(frame.image.flags.writeable for frame in frames), "kernels are compiled for such"
     # A busy machine delays whole stretches of images: ten in a row have to come at the camera's rate.
@@ -107,16 +99,8 @@ def test_the_image_that_comes_next_is_the_newest(lab: Lab) -> None:
     assert grown % 256 > 5
 
 
-def test_the_camera_has_a_name(lab: Lab) -> None:
-    assert lab.open("camera.trigger=free").identity == f"Emulation {EMULATED}"
-
-
 @pytest.mark.parametrize(
-    ("override", "says"),
-    [
-        ("camera.basler.gain=500", "camera.basler.gain"),
-        ("camera.rate_hz=10000", "camera.rate_hz"),
-    ],
+    ("override", "says"), [("camera.basler.gain=500", "camera.basler.gain"), ("camera.rate_hz=10000", "camera.rate_hz")]
 )
 def test_a_setting_that_is_not_taken_over_is_named_and_the_camera_let_go_of(lab: Lab, override: str, says: str) -> None:
     with pytest.raises(CameraError, match=says):
@@ -133,7 +117,7 @@ def test_a_size_that_the_sensor_does_not_have(lab: Lab) -> None:
 def test_the_camera_that_is_meant_is_opened(lab: Lab) -> None:
     with pytest.raises(CameraError, match=f"there is no such camera .*{EMULATED}"):
         lab.open(f"camera.basler.serial='{EMULATED}1'")
-    lab.open("camera.trigger=free", f"camera.basler.serial='{EMULATED}'").read()
+    assert lab.open("camera.trigger=free", f"camera.basler.serial='{EMULATED}'").identity == f"Emulation {EMULATED}"
 
 
 def test_of_several_cameras_one_has_to_be_named(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,7 +185,6 @@ def test_exposure_and_gain_are_adjusted_between_two_images(lab: Lab) -> None:
         camera = lab.open(*overrides)
         if overrides[0].endswith("tick"):
             trigger = camera._trigger
-            assert trigger is not None
             trigger.wait = lambda _running: True  # type: ignore[method-assign]
         assert camera.read().exposure == Exposure(0.004, 0.0)
         limits = camera.exposure_limits()

@@ -118,18 +118,6 @@ def test_saturation_is_left_faster_than_darkness() -> None:
     assert dark.run(400)[-1] >= 0.9 * AIM
 
 
-def test_gain_comes_after_the_longest_exposure_and_goes_before_a_shorter_one() -> None:
-    lab = Lab(responding(20.0))
-    lab.run(1500)
-    assert lab.exposures[-1].time_s == 0.014
-    gain = lab.exposures[-1].gain
-    assert gain == pytest.approx(20 * math.log10(AIM / (20.0 * 3.5)), abs=1.0)
-    lab.sensor = responding(25.0)
-    lab.run(300)
-    assert lab.exposures[-1].time_s == 0.014
-    assert lab.exposures[-1].gain < gain
-
-
 def test_lamps_that_flicker_do_not_move_it() -> None:
     lab = Lab(responding(210.0))
     phase = iter(range(10**6))

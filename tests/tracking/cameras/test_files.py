@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.bus.bus import MemoryBus
-from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, SimulatedClock, WallClock
 from robofleet.testing import CameraContract
-from robofleet.tracking.cameras.files import FileCamera, ImageFileError, images
-from robofleet.tracking.sources import CameraContext, CameraError, ScheduledCamera
+from robofleet.tracking.cameras.files import FileCamera, images
+from robofleet.tracking.sources import CameraError, ScheduledCamera
+from tests.contexts import context
 from tests.shipped import PLATOON
 
 SIZE = (64, 48)  # width, height
@@ -79,13 +78,7 @@ def config(path: Path, stamps: Path | None = None, *overrides: str) -> Config:
 
 
 def camera_of(tree: Config, clock: SimulatedClock | WallClock, extra_delay_ns: int = 0) -> FileCamera:
-    bus = MemoryBus("platoon", clock, 0)
-    ticks = TickFollower(bus, 33 * MS, lambda _: None)
-    return FileCamera(
-        CameraContext(
-            config=tree, clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=extra_delay_ns
-        )
-    )
+    return FileCamera(context(tree, clock, extra_delay_ns=extra_delay_ns))
 
 
 def refused(read: Callable[[], object]) -> str:
@@ -201,6 +194,7 @@ def test_a_recording_is_shown_at_its_pace_on_this_hosts_clock(recorded: Config) 
     clock.advance_to(5 * S)
     camera = camera_of(recorded, clock, 2 * MS)
     assert isinstance(camera, ScheduledCamera), "no thread is needed"
+    assert camera.identity == Path(recorded.camera.files.path).name
     after_ns = round((recorded.camera.exposure_s / 2 + recorded.camera.readout_s) * S) + 2 * MS
     for k, stamp in enumerate(STAMPS_NS):
         exposure_ns = 5 * S + stamp - STAMPS_NS[0]
@@ -212,8 +206,6 @@ def test_a_recording_is_shown_at_its_pace_on_this_hosts_clock(recorded: Config) 
     for _ in range(2):
         with pytest.raises(EOFError, match="all of its 8 images"):
             camera.read()
-    camera.close()
-    camera.close()
 
 
 class TestContract(CameraContract):
@@ -222,16 +214,6 @@ class TestContract(CameraContract):
     @pytest.fixture
     def camera(self, recorded: Config) -> FileCamera:
         return camera_of(recorded, WallClock())
-
-
-def test_reading_waits_for_the_image(recorded: Config) -> None:
-    clock = WallClock()
-    camera = camera_of(recorded, clock)
-    started_ns = clock.now_ns()
-    frames = [camera.read() for _ in range(4)]
-    assert [number(frame.image) for frame in frames] == [0, 1, 2, 3]
-    assert clock.now_ns() - started_ns >= STAMPS_NS[3] - STAMPS_NS[0]
-    assert all(frame.exposure_ns < clock.now_ns() for frame in frames)
 
 
 def test_images_that_nobody_is_in_time_for_are_dropped(recorded: Config) -> None:
@@ -255,11 +237,6 @@ def test_a_video_that_breaks_off_ends_and_says_where(tmp_path: Path) -> None:
         for _ in range(9):
             clock.advance_to(camera.ready_ns())
             camera.read()
-
-
-def test_a_camera_is_called_after_its_file(recorded: Config) -> None:
-    assert recorded.camera.files is not None
-    assert camera_of(recorded, SimulatedClock()).identity == Path(recorded.camera.files.path).name
 
 
 # Stamps
@@ -361,7 +338,3 @@ def test_a_file_that_cannot_work_is_refused_before_anything_starts(tmp_path: Pat
     ((where, why),) = FileCamera.refusals(config(tmp_path / "none"))
     assert where == "camera.files"
     assert str(tmp_path / "none") in why
-
-
-def test_its_errors_are_a_cameras() -> None:
-    assert issubclass(ImageFileError, CameraError)

@@ -1,7 +1,6 @@
 """A V4L2 camera. No machine of a test has one: the real class drives what OpenCV's capture would be."""
 
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.bus.bus import MemoryBus
-from robofleet.bus.ticks import TickFollower
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock, stopwatch_ns
 from robofleet.testing import CameraContract
 from robofleet.tracking.cameras.v4l2 import EXPOSURE_ABSOLUTE, GAIN, Range, V4L2Camera, control_range, device_identity
-from robofleet.tracking.sources import CameraContext, CameraError, Exposure, Frame
+from robofleet.tracking.sources import CameraError, Exposure, Frame
+from tests.contexts import context
 from tests.shipped import PLATOON
 
 EXPOSURE_S, READOUT_S = 0.006, 0.009
@@ -97,13 +95,8 @@ RANGES = {EXPOSURE_ABSOLUTE: Range(3, 2047, 1), GAIN: Range(0, 255, 5)}
 
 
 def camera_of(capture: Capture, *overrides: str, ranges: dict[int, Range] = RANGES) -> V4L2Camera:
-    clock, tree = WallClock(), config(*overrides)
-    bus = MemoryBus("platoon", clock, 0)
-    ticks = TickFollower(bus, 33 * MS, lambda _: None)
-    context = CameraContext(
-        config=tree, clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=0
-    )
-    return V4L2Camera(context, capture, lambda _, control: ranges.get(control))
+    made_from = context(config(*overrides), WallClock())
+    return V4L2Camera(made_from, capture, lambda _, control: ranges.get(control))
 
 
 def scene() -> NDArray[np.uint8]:
@@ -193,7 +186,6 @@ def test_images_come_gray_and_whole(name: str) -> None:
     capture.buffers = [(entry, clocks()[1] - 100) for entry in broken]
     frame, stamped_ns = read(capture, camera, data)
     assert frame.image.shape == scene().shape
-    assert frame.image.dtype == np.uint8
     assert np.abs(frame.image.astype(int) - scene()).max() <= 3
     assert abs(frame.exposure_ns - stamped_ns) < 15 * MS, "its own stamp, not that of a broken one"
 
@@ -230,7 +222,6 @@ def test_an_image_has_the_old_exposure_if_it_began_before_the_change(monkeypatch
         for age_ms, exposure_s in ((20.0, EXPOSURE_S), (-5.0, 0.0101 if stamp == "start" else EXPOSURE_S)):
             frame, stamped_ns = read(capture, camera, scene(), age_ms)
             assert (capture.has[cv2.CAP_PROP_EXPOSURE], capture.has[cv2.CAP_PROP_GAIN]) == (101, 40)
-            assert frame.exposure is not None
             assert frame.exposure.time_s == pytest.approx(exposure_s)
             after_s = exposure_s / 2 if stamp == "start" else -READOUT_S - exposure_s / 2
             assert frame.exposure_ns - stamped_ns == pytest.approx(after_s * S, abs=1 * MS)
@@ -305,15 +296,8 @@ def test_a_device_that_is_not_there_is_refused_before_anything_starts_and_when_i
     complaints = dict(V4L2Camera.refusals(config("camera.trigger=tick", MEASURED)))
     assert set(complaints) == {"camera.v4l2.device", "camera.trigger"}
     assert DEVICE in complaints["camera.v4l2.device"]
-    clock = WallClock()
-    bus = MemoryBus("platoon", clock, 0)
-    ticks = TickFollower(bus, 33 * MS, lambda _: None)
     with pytest.raises(CameraError, match=f"{DEVICE} cannot be opened"):
-        V4L2Camera(
-            CameraContext(
-                config=config(), clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(1), extra_delay_ns=0
-            )
-        )
+        V4L2Camera(context(config(), WallClock()))
 
 
 def test_a_file_is_no_device(tmp_path: Path) -> None:
@@ -329,31 +313,18 @@ def test_a_lens_that_nobody_measured_is_refused() -> None:
     assert "robofleet calibrate intrinsics" in why
 
 
-@pytest.fixture
-def sysfs(tmp_path: Path) -> Callable[..., Path]:
-    """Return what makes the kernel's tree of a USB camera."""
-
-    def make(serial: str | None) -> Path:
-        usb = tmp_path / "devices" / "usb1" / "1-2"
-        interface = usb / "1-2:1.0"
-        (interface / "video4linux" / "video3").mkdir(parents=True)
-        if serial is not None:
-            (usb / "serial").write_text(serial + "\n")
-        entry = tmp_path / "class" / "video3"
-        entry.mkdir(parents=True)
-        (entry / "name").write_text("HD Webcam: HD Webcam\n")
-        (entry / "device").symlink_to(interface)
-        return tmp_path / "class"
-
-    return make
-
-
-def test_a_camera_is_known_by_its_name_and_number_else_by_its_socket(sysfs: Callable[..., Path]) -> None:
-    assert device_identity(Path("/dev/video3"), sysfs("A1B2")) == "HD Webcam: HD Webcam A1B2"
-
-
-def test_a_camera_without_a_number_is_known_by_its_socket(sysfs: Callable[..., Path], tmp_path: Path) -> None:
-    link = tmp_path / "by-id"
+@pytest.mark.parametrize(("serial", "known_by"), [("A1B2\n", "A1B2"), (None, "at 1-2:1.0")])
+def test_a_camera_is_known_by_its_name_and_number_else_by_its_socket(
+    tmp_path: Path, serial: str | None, known_by: str
+) -> None:
+    usb, entry, link = tmp_path / "devices" / "usb1" / "1-2", tmp_path / "class" / "video3", tmp_path / "by-id"
+    (usb / "1-2:1.0" / "video4linux" / "video3").mkdir(parents=True)
+    if serial is not None:
+        (usb / "serial").write_text(serial)
+    entry.mkdir(parents=True)
+    (entry / "name").write_text("HD Webcam: HD Webcam\n")
+    (entry / "device").symlink_to(usb / "1-2:1.0")
     link.symlink_to("/dev/video3")
-    assert device_identity(link, sysfs(None)) == "HD Webcam: HD Webcam at 1-2:1.0"
+    for device in (link, Path("/dev/video3")):
+        assert device_identity(device, tmp_path / "class") == f"HD Webcam: HD Webcam {known_by}"
     assert device_identity(Path("/dev/video7"), tmp_path / "class") == "/dev/video7"

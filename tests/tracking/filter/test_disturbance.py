@@ -6,17 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.tracking.filter.estimator import FilterNoise, FleetFilter
+from robofleet.config.controller import FilterSettings
+from robofleet.tracking.filter.estimator import FleetFilter
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
 from tests.robots import GTERNAL
 
 DRIVE = replace(GTERNAL, motor_lag=0.0)
 TICK = 33_000_000
 L = 0.08
-NOISE = FilterNoise(0.0004, 0.006, 0.0015, 0.06, 5.0, efficiency=0.15, efficiency_time=20.0)
+NOISE = FilterSettings()
 
 
-def drive(noise: FilterNoise, efficiency: tuple[float, float], seconds: float) -> tuple[FleetFilter, np.ndarray]:
+def drive(noise: FilterSettings, efficiency: tuple[float, float], seconds: float) -> tuple[FleetFilter, np.ndarray]:
     """Drive a robot whose wheels travel ``efficiency`` of what is believed; return the filter and the true pose."""
     fleet, pose, rng = FleetFilter((DRIVE,), (0,), noise), (0.1, -0.2, 0.5), np.random.default_rng(3)
     instant = 10**12
@@ -51,5 +52,5 @@ def test_a_robot_at_rest_has_no_disturbance() -> None:
 
 
 def test_without_it_every_wheel_is_taken_as_believed() -> None:
-    fleet, pose = drive(replace(NOISE, efficiency=0.0), (0.9, 0.9), 5.0)
+    fleet, pose = drive(FilterSettings(efficiency_sigma=0.0), (0.9, 0.9), 5.0)
     assert np.all(fleet.disturbance(pose, L) == 0.0)

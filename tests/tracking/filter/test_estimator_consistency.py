@@ -7,19 +7,16 @@ import numpy as np
 import pytest
 
 from robofleet.core.clock import MS, S
-from robofleet.tracking.filter.estimator import UNUSED, USED, FilterNoise, FleetFilter
+from robofleet.tracking.filter.estimator import UNUSED, USED, FleetFilter
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
 from tests.robots import GTERNAL
+from tests.tracking.filter.test_estimator import NOISE
 
 DRIVE = replace(GTERNAL, motor_lag=0.0)
 ROBOTS, IMAGES, PERIOD_S = 40, 100, 0.033
 WHEELS = np.random.default_rng(5).uniform(2.0, 10.0, (ROBOTS, 2))
 R = np.diag([0.0004, 0.0004, 0.006]) ** 2
 Q = np.diag([0.0015, 0.0015, 0.06]) ** 2 * PERIOD_S
-
-
-def noise(gate_sigma: float) -> FilterNoise:
-    return FilterNoise(0.0004, 0.006, 0.0015, 0.06, gate_sigma)
 
 
 def moved(pose: np.ndarray, wheels: np.ndarray) -> np.ndarray:
@@ -67,7 +64,7 @@ def instants() -> list[int]:
 
 def test_it_is_the_textbooks_filter_and_its_innovations_are_chi_square() -> None:
     images, true = world(np.random.default_rng(11), WHEELS)
-    fleet = FleetFilter((DRIVE,) * ROBOTS, (0,) * ROBOTS, noise(gate_sigma=1e6))
+    fleet = FleetFilter((DRIVE,) * ROBOTS, (0,) * ROBOTS, NOISE.model_copy(update={"gate_sigma": 1e6}))
     fleet.command(1, WHEELS)
     books = [Textbook(wrapped(image)) for image in images[0]]
     nis, errors = [], []
@@ -90,7 +87,7 @@ def test_it_is_the_textbooks_filter_and_its_innovations_are_chi_square() -> None
 def test_the_gate_refuses_as_many_good_images_as_chi_square_says() -> None:
     """Robots at rest; the gate is the 99 % quantile of chi-square with 3 degrees of freedom."""
     images, _ = world(np.random.default_rng(12), np.zeros((ROBOTS, 2)))
-    fleet = FleetFilter((DRIVE,) * ROBOTS, (0,) * ROBOTS, noise(gate_sigma=math.sqrt(11.345)))
+    fleet = FleetFilter((DRIVE,) * ROBOTS, (0,) * ROBOTS, NOISE.model_copy(update={"gate_sigma": math.sqrt(11.345)}))
     used = [fleet.observe(np.full(ROBOTS, instant), image) for instant, image in zip(instants(), images, strict=True)]
     refused = (np.array(used[1:]) == UNUSED).mean()
     assert 0.005 < refused < 0.016

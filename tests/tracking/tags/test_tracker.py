@@ -2,14 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
-from robofleet.config.calibrated import CameraModel
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import TrackerEvent
@@ -17,11 +14,10 @@ from robofleet.tracking.tags.deep import DeepSearch
 from robofleet.tracking.tags.detection import Findings
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import Sightings, TagSighting, TagTracker
+from tests.shipped import OVERHEAD
 
-ROOT = Path(__file__).parents[3]
-MODEL = CameraModel.model_validate(yaml.safe_load((ROOT / "configs/cameras/overhead.yaml").read_text()))
-GEOMETRY = CameraGeometry.from_model(MODEL)
-SIZE = (MODEL.width, MODEL.height)
+GEOMETRY = CameraGeometry.from_model(OVERHEAD)
+SIZE = (OVERHEAD.width, OVERHEAD.height)
 SIDE_M, HEIGHT_M, MAX_SPEED = 0.07, 0.08, 0.2
 IDS = (1, 2, 3)
 PERIOD_NS = 33_000_000
@@ -128,11 +124,27 @@ def test_a_robot_behind_something_small_is_found_in_the_next_image(renderer: Sce
     assert measured(back).keys() == set(IDS)
 
 
-def test_two_tags_with_one_id_are_never_told_apart() -> None:
+def beside_where_two_tiles_meet() -> list[Pose]:
+    x, y = GEOMETRY.to_plane(np.array([[SIZE[0] / 4, SIZE[1] / 2]]), HEIGHT_M)[0]
+    return [(x, y, 0.3), (x - 0.3, y, 1.0), STANDING[2]]
+
+
+@pytest.mark.parametrize(
+    "acts",
+    [
+        [(STANDING, 3 * SWEEP)],
+        [([GONE, GONE, STANDING[2]], 3), (STANDING, 8 * SWEEP)],
+        [(beside_where_two_tiles_meet(), 8 * SWEEP)],
+        [(STANDING, 2 * SWEEP), ([GONE, *STANDING[1:]], 20 * SWEEP)],
+    ],
+    ids=["from the beginning", "newcomers", "in two tiles", "one is covered"],
+)
+def test_of_two_prints_with_one_id_neither_is_believed(acts: list[tuple[list[Pose], int]]) -> None:
     twins, watched = scene((1, 1, 2)), Watched()
-    for sightings in watched.at(twins, STANDING, 3 * SWEEP):
-        assert measured(sightings).keys() == {2}
-        assert sightings.refused <= 2
+    for poses, images in acts:
+        for sightings in watched.at(twins, poses, images):
+            assert measured(sightings).keys() == {2}
+            assert sightings.refused <= 2
     assert (TrackerEvent.TAG_TWICE, 1) in watched.news
 
 
@@ -196,7 +208,7 @@ def test_a_flash_that_hides_everything_is_survived(renderer: SceneRenderer) -> N
     watched = Watched()
     watched.at(renderer, STANDING, 3)
     for _ in range(5):
-        blind = watched.look(np.full((MODEL.height, MODEL.width), 255, np.uint8))
+        blind = watched.look(np.full((OVERHEAD.height, OVERHEAD.width), 255, np.uint8))
         assert [pose.coasted_ns > 0 for pose in blind.poses] == [True] * 3
     (after,) = watched.at(renderer, STANDING)
     assert measured(after).keys() == set(IDS)
@@ -267,22 +279,6 @@ def test_a_print_that_was_a_second_one_is_not_taken_for_the_robot_that_is_hidden
     assert error(measured(back)[1], STANDING[0]) < 3e-4
 
 
-def test_two_newcomers_with_one_id_are_not_believed() -> None:
-    twins, watched = scene((1, 1, 2)), Watched()
-    watched.at(twins, [GONE, GONE, STANDING[2]], 3)
-    for sightings in watched.at(twins, STANDING, 8 * SWEEP):
-        assert measured(sightings).keys() == {2}
-    assert (TrackerEvent.TAG_TWICE, 1) in watched.news
-
-
-def test_a_print_in_two_tiles_is_not_believed_while_a_second_one_shows_in_one_of_them() -> None:
-    twins, watched = scene((1, 1, 2)), Watched()
-    (u, v) = (SIZE[0] / 4, SIZE[1] / 2)  # where two tiles meet
-    x, y = GEOMETRY.to_plane(np.array([[u, v]]), HEIGHT_M)[0]
-    for sightings in watched.at(twins, [(x, y, 0.3), (x - 0.3, y, 1.0), STANDING[2]], 8 * SWEEP):
-        assert measured(sightings).keys() == {2}
-
-
 def test_a_stamp_from_the_future_is_survived(renderer: SceneRenderer) -> None:
     watched = Watched()
     watched.at(renderer, STANDING, 3)
@@ -303,10 +299,3 @@ def test_a_print_that_is_taken_for_a_hidden_robot_is_given_up_when_the_robot_is_
     assert (TrackerEvent.TAG_TWICE, 1) in watched.news
     alone = watched.at(twins, [robot, GONE, STANDING[2]], 32 * SWEEP)
     assert error(measured(alone[-1])[1], robot) < 3e-4
-
-
-def test_one_of_two_prints_is_not_believed_because_the_other_is_covered() -> None:
-    twins, watched = scene((1, 1, 2)), Watched()
-    watched.at(twins, STANDING, 2 * SWEEP)
-    for sightings in watched.at(twins, [GONE, STANDING[1], STANDING[2]], 20 * SWEEP):
-        assert measured(sightings).keys() == {2}

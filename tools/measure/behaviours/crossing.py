@@ -6,10 +6,10 @@ Everything but the law is what a run has: the shipped robots with their imperfec
 fleet filter, and the barrier with the parameters of the shipped platoon. A robot that stalls tells nobody.
 """
 
-import argparse
 import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,14 +20,14 @@ from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S, WallClock
 from robofleet.nodes import fleet
 from robofleet.safety.barrier import NO_ANSWER
 from robofleet.vehicles.differential_drive import body_from_point, feasible_ratio, point_from_pose, wheels_from_body
 from robofleet.vehicles.interface import WheelSpeeds
 from robofleet.vehicles.plant import Plant
-
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 DELAY_TICKS = 3  # 99 ms
@@ -61,8 +61,6 @@ SCENARIOS = {
 
 @dataclass(frozen=True)
 class Crossing:
-    """What came of one."""
-
     gap: float  # smallest distance between two bodies [m]
     edge: float  # smallest distance of a body from the arena's edge [m]
     arrived: int  # robots at their goals at the end
@@ -73,12 +71,13 @@ class Crossing:
     seconds: float  # until all were there to stay; infinite where they were not
 
 
-def configuration(robots: int = 8) -> Config:
-    """Return the shipped platoon's configuration with so many robots."""
+@cache
+def configuration(robots: int = 8, file: Path = PLATOON, changes: tuple[str, ...] = ()) -> Config:
+    """Return a configuration with so many GTernals in its group, and changes of it."""
     names = [f"r{k}" for k in range(1, robots + 1)]
     start = "start: {x_m: 0, y_m: 0, heading_deg: 0}"
     rows = [f"{{id: {name}, tag: {k}, vehicle: gternal, {start}}}" for k, name in enumerate(names)]
-    return load_config(PLATOON, [f"robots=[{', '.join(rows)}]", f"groups.0.robots=[{', '.join(names)}]"])
+    return load_config(file, [f"robots=[{', '.join(rows)}]", f"groups.0.robots=[{', '.join(names)}]", *changes])
 
 
 class Arena:
@@ -124,7 +123,6 @@ class Arena:
 
 
 def cross(config: Config, seed: int, scenario: Scenario) -> Crossing:
-    """Drive one crossing."""
     rng, c, truth, n = np.random.default_rng(seed), config.controller, config.tracker.truth, scenario.robots
     arena, estimate, barrier = Arena(config, scenario, rng), fleet.fleet_filter(config), fleet.barrier(config)
     noise = np.array([truth.position_noise_m, truth.position_noise_m, truth.heading_noise_rad])
@@ -156,7 +154,6 @@ def cross(config: Config, seed: int, scenario: Scenario) -> Crossing:
 
 
 def points(poses: Array, ahead: float) -> Array:
-    """Return the points p (N, 2)."""
     return np.array([point_from_pose(x, y, psi, ahead) for x, y, psi in poses.tolist()])
 
 
@@ -177,18 +174,13 @@ def _asked(config: Config, scenario: Scenario, robot: Robot, pose: Array, goal: 
 
 
 def crossed(name: str, seed: int) -> Crossing:
-    """Drive one crossing of a scenario."""
     scenario = SCENARIOS[name]
     return cross(configuration(scenario.robots), seed, scenario)
 
 
 def main() -> None:
-    """Print a row for every scenario: over all seeds, the smallest gap and edge, and the median and longest time."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, seeds=20, first=1, jobs=(2, "processes that drive crossings at the same time"))
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"of: {'; '.join(SCENARIOS)}")
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2, help="processes that drive crossings at the same time")
     arguments = parser.parse_args()
     unknown = [name for name in arguments.scenarios if name not in SCENARIOS]
     if unknown:
@@ -204,7 +196,6 @@ def main() -> None:
 
 
 def row(name: str, found: list[Crossing]) -> str:
-    """Return a scenario's row."""
     all_there = sum(meeting.arrived == meeting.moving for meeting in found)
     robots = f"{sum(meeting.arrived for meeting in found)}/{sum(meeting.moving for meeting in found)}"
     gap, edge = (1e3 * min(values) for values in zip(*((meeting.gap, meeting.edge) for meeting in found), strict=True))

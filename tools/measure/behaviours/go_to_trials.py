@@ -7,30 +7,28 @@ Nothing else is demanded of them. Everything but the behaviour is what a run has
 poses with noise that are 99 ms old, the fleet filter, and the barrier with the parameters of ``configs/go-to.yaml``.
 """
 
-import argparse
 import math
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.behaviours.go_to import GoTo
 from robofleet.behaviours.interface import Situation
 from robofleet.config import groups, slices
-from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.control import wheels as commanding
+from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 from robofleet.nodes import fleet
 from robofleet.vehicles.interface import WheelSpeeds
 from robofleet.vehicles.plant import Plant
-
-Array = NDArray[np.float64]
+from tools.measure.behaviours import crossing
+from tools.measure.program import program
 
 CONFIGURATION = Path(__file__).parents[3] / "configs" / "go-to.yaml"
 APART = 1.3  # body diameters
@@ -45,8 +43,6 @@ ALONE = 2  # so many of the robots that have furthest to go are tried alone
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of one."""
-
     seed: int
     arrived: bool
     seconds: float  # until all had arrived
@@ -56,19 +52,11 @@ class Trial:
     alone: float = math.nan  # the slowest robot's time if nobody else is there [s]
 
 
-@cache
 def configuration(robots: int, *changes: str) -> Config:
-    """Return a configuration with so many robots, and changes of it."""
-    names = [f"r{k}" for k in range(1, robots + 1)]
-    start = "start: {x_m: 0, y_m: 0, heading_deg: 0}"
-    listed = [f"{{id: {name}, tag: {k}, vehicle: gternal, {start}}}" for k, name in enumerate(names)]
-    return load_config(
-        CONFIGURATION, [f"robots=[{', '.join(listed)}]", f"groups.0.robots=[{', '.join(names)}]", *changes]
-    )
+    return crossing.configuration(robots, CONFIGURATION, changes)
 
 
 def places(config: Config, count: int, rng: np.random.Generator) -> Array:
-    """Return random poses (N, 3)."""
     radius = config.members[0].vehicle.body_radius_m
     half = np.array(config.arena.size_m) / 2 - APART * radius
     found: list[Array] = []
@@ -142,7 +130,6 @@ def trial(robots: int, seed: int) -> Trial:
 
 
 def table(robots: int, trials: Sequence[Trial]) -> str:
-    """Return what came of them."""
     seconds, alone = (np.array([getattr(result, key) for result in trials]) for key in ("seconds", "alone"))
     gaps = [result.gap for result in trials]
     missing = [result.seed for result in trials if not result.arrived]
@@ -164,12 +151,8 @@ def table(robots: int, trials: Sequence[Trial]) -> str:
 
 
 def main() -> None:
-    """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, seeds=300, first=1, jobs=2)
     parser.add_argument("--robots", type=int, nargs="+", default=[4, 10, 20])
-    parser.add_argument("--seeds", type=int, default=300)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with ProcessPoolExecutor(arguments.jobs) as pool:

@@ -8,7 +8,6 @@ and those stand on the circle and around it; the barrier alone keeps the robots 
 A scene that ``robofleet check`` refuses (a start or a goal beside an obstacle, no way) is drawn anew.
 """
 
-import argparse
 import json
 import math
 import sys
@@ -22,9 +21,9 @@ import numpy as np
 
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
-from robofleet.reports.metrics import summary
 from robofleet.runs.check import load_checked
-from robofleet.runs.lockstep import Lockstep
+from robofleet.testing import run_lockstep
+from tools.measure.program import program
 
 SHIPPED = Path(__file__).parents[3] / "configs" / "obstacles.yaml"
 LONGEST_S = {"go_to": 90.0, "cyclic_pursuit": 40.0}
@@ -36,8 +35,6 @@ Pose = dict[str, float]
 
 
 class Trial(NamedTuple):
-    """What came of one."""
-
     seed: int
     outcome: str
     cause: str | None
@@ -116,12 +113,9 @@ def scene(behaviour: str, seed: int) -> tuple[Config, int]:
 
 
 def drive(behaviour: str, seed: int) -> Trial:
-    """Drive one scene."""
-    config, _ = scene(behaviour, seed)
-    run = Lockstep(config)
-    outcome, cause = run.run()
-    figures = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
-    return Trial(seed, outcome, cause, figures["duration_s"], figures["min_obstacle_gap_mm"], figures["min_gap_mm"])
+    run = run_lockstep(scene(behaviour, seed)[0])
+    figures = (run.summary[name] for name in ("duration_s", "min_obstacle_gap_mm", "min_gap_mm"))
+    return Trial(seed, run.outcome, run.cause, *figures)
 
 
 def arrived(behaviour: str, trial: Trial) -> bool:
@@ -131,12 +125,8 @@ def arrived(behaviour: str, trial: Trial) -> bool:
 
 
 def main() -> None:
-    """Drive all seeds and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, seeds=200, first=1, jobs=2)
     parser.add_argument("behaviours", nargs="*", default=["go_to", "cyclic_pursuit"])
-    parser.add_argument("--seeds", type=int, default=200)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:

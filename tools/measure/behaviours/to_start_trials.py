@@ -6,7 +6,6 @@ The four robots of the shipped platoon stand anywhere on the floor, at least 1.3
 whole stack: checks, the way to the start, the lap.
 """
 
-import argparse
 import math
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -15,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.reports.metrics import summary
-from robofleet.runs.check import load_checked
-from robofleet.runs.lockstep import Lockstep
+from robofleet.config.load import load_config
+from robofleet.testing import run_lockstep
+from tools.measure.program import program
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 RADIUS, HALF = 0.055, (1.6, 1.0)  # of a GTernal's body, of the arena [m]
@@ -36,27 +35,16 @@ def starts(seed: int, count: int) -> list[tuple[float, float, float]]:
 
 def drive(seed: int, duration_s: float) -> tuple[str, str | None, float, float]:
     """Return how a run ended, its cause, the smallest gap [mm], and the mean control error [mm]."""
-    placed = [
-        f"robots.{k}.start={{x_m: {x}, y_m: {y}, heading_deg: {psi}}}" for k, (x, y, psi) in enumerate(starts(seed, 4))
-    ]
-    config = load_checked(
-        PLATOON, ["run.begin=go_to_start", f"run.duration_s={duration_s}", f"run.seed={seed}", *placed], lockstep=True
-    )
-    run = Lockstep(config)
-    outcome, cause = run.run()
-    figures = summary(run.recording, name="", mode="lockstep", outcome=outcome, cause=cause)
-    error = figures["control_error_mm"]
-    gap = figures["min_gap_mm"]
-    return outcome, cause, math.nan if gap is None else gap, math.nan if error is None else error["mean"]
+    changes = ["run.begin=go_to_start", f"run.duration_s={duration_s}", f"run.seed={seed}"]
+    for k, (x, y, psi) in enumerate(starts(seed, 4)):
+        changes.append(f"robots.{k}.start={{x_m: {x}, y_m: {y}, heading_deg: {psi}}}")
+    run = run_lockstep(load_config(PLATOON, changes))
+    error, gap = run.summary["control_error_mm"], run.summary["min_gap_mm"]
+    return run.outcome, run.cause, math.nan if gap is None else gap, math.nan if error is None else error["mean"]
 
 
 def main() -> None:
-    """Drive all seeds and print a line each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--duration", type=float, default=88.0)
-    arguments = parser.parse_args()
+    arguments = program(__doc__, seeds=20, first=1, duration=88.0).parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     completed = 0
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:

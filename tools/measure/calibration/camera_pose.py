@@ -6,7 +6,6 @@ Errors are those of a robot's tag, 80 mm up, anywhere in the arena: points that 
 lie around the arena's rim; their survey is 0.5 mm wrong (standard deviation a coordinate), their pixels 0.02 px.
 """
 
-import argparse
 import math
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from robofleet.calibration.extrinsics.fiducials import Marks
 from robofleet.calibration.extrinsics.placing import Lens, moved
 from robofleet.config.calibrated import CameraModel
 from robofleet.tracking.camera import CameraGeometry
+from tools.measure.program import program
 
 ROOT = Path(__file__).parents[3]
 SURVEY_M, PIXELS, HEIGHT_M, ARM_M = 5e-4, 0.02, 0.08, 0.05
@@ -55,10 +55,7 @@ def row(title: str, seeds: int, wrong_m: float = 0.0) -> str:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=300)
-    seeds = parser.parse_args().seeds
+    seeds = program(__doc__, seeds=300).parse_args().seeds
     print(f"{'eight tags, surveyed to 0.5 mm':<34}{'mm rms':>9}{'predicted':>11}{'culprit named':>14}{'blamed':>9}")
     print(row("all right", seeds))
     print(row("one 20 mm wrong", seeds, 0.02))

@@ -39,7 +39,6 @@ def lens(angle_deg: float, height_m: float, tilt_deg: tuple[float, float] = (0.0
 
 
 def sees(camera: CameraGeometry, arena_m: tuple[float, float]) -> bool:
-    """Return whether the whole arena is in the image at the height of the tags."""
     half = np.array(arena_m) / 2 + RIM_M
     corners = np.array([(x, y, TAG_HEIGHT_M) for x, y in itertools.product((-half[0], half[0]), (-half[1], half[1]))])
     pixels = camera.project(corners)
@@ -72,9 +71,8 @@ def main() -> None:
     for angle in ANGLES:
         heights = [lowest(angle, arena) for arena in ARENAS]
         sides = [side_px(lens(angle, height)) for height in heights]
-        cells = (
-            f"{height:.1f} m, {side:.0f} / {1.5 * side:.0f} px" for height, side in zip(heights, sides, strict=True)
-        )
+        pairs = zip(heights, sides, strict=True)
+        cells = (f"{height:.1f} m, {side:.0f} / {1.5 * side:.0f} px" for height, side in pairs)
         print(f"| {angle}° |", " | ".join(cells), "|")
 
 

@@ -18,29 +18,21 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from robofleet.bus.keys import REQUEST, STATE, STATUS, key
-from robofleet.bus.messages import RUN_STATE
-from robofleet.bus.requests import asked
+from robofleet.bus.keys import REQUEST, STATUS, key
 from robofleet.bus.zenoh_bus import ZenohBus
-from robofleet.config.load import load_config
-from robofleet.config.tree import Config
-from robofleet.core.clock import MS, S, WallClock
+from robofleet.core.clock import MS, S
 from robofleet.operator.estop import emergency_stop, urgent
-from robofleet.runs.children import Children
-from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS
-from tests.endpoints import own_endpoint
 from tests.operator.asked_run import asked_run, until_asked
 from tests.runs.realrun import own_folders
-from tests.runs.unlaunched import started
-from tests.shipped import PLATOON
+from tools.measure.fleet import CLOCK, Fleet, configured
+from tools.measure.program import program
 
-_CLOCK = WallClock()
 _DRIVES_NS = S  # between the start and the stop
 _TROUBLED_NS = 50 * MS  # before the stop
 _FLOODERS = 2
@@ -50,31 +42,28 @@ TROUBLES = ("frozen", "killed", "flooded")
 class Tries:
     """A fleet that is started, stopped and started again; ``trouble`` is its supervisor's at each stop."""
 
-    def __init__(self, config: Config, fleet: Children, trouble: str | None) -> None:
-        self._config, self._fleet, self._trouble = config, fleet, trouble
-        self._arena, self._units, self._robots = config.arena.name, config.units, config.groups[0].robots
+    def __init__(self, fleet: Fleet, trouble: str | None) -> None:
+        self._config, self._fleet, self._trouble = fleet.config, fleet, trouble
+        self._arena, self._units = fleet.config.arena.name, fleet.config.units
         with urgent():  # its threads, as those of `robofleet stop`
-            self.bus = ZenohBus(self._arena, config.bus.endpoint, "estop", _CLOCK)
-        self._state = self.bus.newest(STATE)
+            self.bus = ZenohBus(self._arena, fleet.config.bus.endpoint, "estop", CLOCK)
 
     def once(self) -> list[float]:
         """Start the fleet and stop it; returns the time of every robot [ms]."""
-        self._ask(b"reset")
-        self._ask(b"start")
-        self._wait_running()
-        _CLOCK.sleep_until(_CLOCK.now_ns() + _DRIVES_NS)
+        self._fleet.drive()
+        CLOCK.sleep_until(CLOCK.now_ns() + _DRIVES_NS)
         statuses = self.bus.stream(key(self._arena, STATUS, "*"), capacity=4096)
         with self._troubled():
-            asked_ns = _CLOCK.now_ns()
+            asked_ns = CLOCK.now_ns()
             with urgent():
-                stopped = emergency_stop(self.bus, _CLOCK, self._units)
+                stopped = emergency_stop(self.bus, CLOCK, self._units)
         assert not stopped.silent, stopped.describe()
         after_ms: dict[str, float] = {}
         for _, full, payload in statuses.drain():
             status = ROBOT_STATUS.decode(payload)
             if status is not None and status.latch:
                 after_ms.setdefault(full, (status.stamp_ns - asked_ns) / MS)
-        assert len(after_ms) == len(self._robots)
+        assert len(after_ms) == len(self._units)
         return list(after_ms.values())
 
     @contextmanager
@@ -84,22 +73,16 @@ class Tries:
         if self._trouble == "frozen":
             self._fleet.signal("supervisor", signal.SIGSTOP)
         elif self._trouble == "killed":
-            self._fleet.kill("supervisor")
+            self._fleet.signal("supervisor", signal.SIGKILL)
         elif self._trouble == "flooded":
-            command = [
-                sys.executable,
-                "-m",
-                "tools.measure.latency.estop",
-                "--flood",
-                self._config.bus.endpoint,
-                self._arena,
-            ]
+            flood = "--flood", self._config.bus.endpoint, self._arena
+            command = [sys.executable, "-m", "tools.measure.latency.estop", *flood]
             flooders = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(_FLOODERS)]
             for flooder in flooders:
                 assert flooder.stdout is not None
                 flooder.stdout.readline()
         try:
-            _CLOCK.sleep_until(_CLOCK.now_ns() + _TROUBLED_NS)
+            CLOCK.sleep_until(CLOCK.now_ns() + _TROUBLED_NS)
             yield
         finally:
             for flooder in flooders:
@@ -108,33 +91,12 @@ class Tries:
             if self._trouble == "frozen":
                 self._fleet.signal("supervisor", signal.SIGCONT)
             elif self._trouble == "killed":
-                self._fleet.start_again("supervisor")
-
-    def _ask(self, what: bytes) -> None:
-        """Ask until it is done: robots come to rest, and a supervisor that has just started knows nobody."""
-        deadline_ns, answer = _CLOCK.now_ns() + 20 * S, b""
-        while not answer.startswith(b"ok"):
-            assert _CLOCK.now_ns() < deadline_ns, answer
-            with suppress(TimeoutError):  # it is being started again
-                answer = asked(self.bus, _CLOCK, "supervisor", what)
-            _CLOCK.sleep_until(_CLOCK.now_ns() + 50 * MS)
-
-    def _wait_running(self) -> None:
-        deadline_ns, state = _CLOCK.now_ns() + 60 * S, None
-        while state is None or state.phase != Phase.RUNNING:
-            payload = self._state.take()
-            state = state if payload is None else RUN_STATE.decode(payload)
-            assert _CLOCK.now_ns() < deadline_ns, state
-            if state is not None and state.phase == Phase.FAULT:  # of a machine that is busy
-                state = None
-                self._ask(b"reset")
-                self._ask(b"start")
-            _CLOCK.sleep_until(_CLOCK.now_ns() + 5 * MS)
+                self._fleet.start("supervisor")
 
 
 def flood(endpoint: str, arena: str) -> None:
     """Ask a supervisor for something as fast as a process can, until this one is killed."""
-    bus = ZenohBus(arena, endpoint, "flooder", _CLOCK)
+    bus = ZenohBus(arena, endpoint, "flooder", CLOCK)
     print("ready", flush=True)
     while True:
         bus.ask(REQUEST, "supervisor", b"status")
@@ -142,12 +104,10 @@ def flood(endpoint: str, arena: str) -> None:
 
 def measure(folder: Path, times: int, trouble: str | None = None) -> list[float]:
     """Return the time of every robot and try [ms]."""
-    endpoint = own_endpoint()
-    config = load_config(PLATOON, ["drivers.robots_per_process=1", "tracker.source=truth", f"bus.endpoint={endpoint}"])
-    fleet = started(config, folder, _CLOCK)
+    fleet = Fleet(folder, configured("tracker.source=truth"))
     found: list[float] = []
     try:
-        tries = Tries(config, fleet, trouble)
+        tries = Tries(fleet, trouble)
         try:
             for k in range(times):
                 attempt = tries.once()
@@ -156,7 +116,7 @@ def measure(folder: Path, times: int, trouble: str | None = None) -> list[float]
         finally:
             tries.bus.close()
     finally:
-        fleet.reap(_CLOCK)
+        fleet.close()
     return found
 
 
@@ -174,11 +134,8 @@ def print_cost(folder: Path, times: int) -> None:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--times", type=int, default=100)
+    parser = program(__doc__, times=100, cpu=False)
     parser.add_argument("--supervisor", choices=TROUBLES)
-    parser.add_argument("--cpu", action="store_true")
     parser.add_argument("--flood", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.flood is not None:

@@ -6,7 +6,6 @@ A real run without pixels. The gamepad's events come through a pipe, or with ``-
 Gamepad API in Chromium. A time ends when the driver's status that says so arrives: up to 20 ms after it became so.
 """
 
-import argparse
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -29,6 +28,7 @@ from tests.gateways.piped_pad import PipedDevice
 from tests.operator.page.browser import chromium
 from tests.operator.test_hand import GROUP, STUB, TELEOP
 from tests.runs.realrun import CLOCK, RealRun
+from tools.measure.program import program
 
 _WITHIN_NS = 5 * S
 Act = Callable[[bool], int]  # hold the button, or let it go; returns when that was
@@ -87,11 +87,7 @@ def until(statuses: Stream, turning: bool, since_ns: int) -> float:
 
 
 def main() -> None:
-    """Print both times."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--times", type=int, default=20)
-    parser.add_argument("--page", action="store_true", help="by the operator's page, in Chromium")
-    arguments = parser.parse_args()
+    arguments = program(__doc__, times=20, page=(False, "by the operator's page, in Chromium")).parse_args()
     with tempfile.TemporaryDirectory() as name, ExitStack() as held:
         web = ["--web", "--no-browser"] if arguments.page else []
         alone = "tracker.source=truth", "drivers.robots_per_process=1"

@@ -7,7 +7,6 @@ of its robot, then it commands whenever it likes, every 30 ms. The time counts f
 wheels. A command that a newer one overtakes before the controller's tick reaches no wheel and does not count.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -16,18 +15,18 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.config import slices
 from robofleet.config.load import load_config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
 from tests.gateways.ros2.user import speed
 from tests.runs.realrun import RealRun
+from tools.measure.program import program
 
 CONFIG = Path(__file__).parents[3] / "configs" / "ros2.yaml"
-Array = NDArray[np.float64]
 
 
 def latencies(run: Run, sent: list[int]) -> Array:
@@ -48,9 +47,7 @@ def latencies(run: Run, sent: list[int]) -> Array:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=30.0)
+    parser = program(__doc__, seconds=30.0)
     parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
     given = parser.parse_args()
     overrides = [word for setting in given.settings for word in ("--set", setting)]

@@ -6,7 +6,6 @@ A run of its own with simulated robots, whose script drives at every tick. The s
 controller's next tick, and from that tick to the wheels of each robot. The age of the images is not counted.
 """
 
-import argparse
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from robofleet import Fleet
 from robofleet.core.clock import MS, WallClock
 from robofleet.recording.reading import read
 from robofleet.recording.run import Run
+from tools.measure.program import program
 
 CONFIG = Path(__file__).parents[3] / "configs" / "script.yaml"
 CLOCK = WallClock()
@@ -33,7 +33,6 @@ class Stages(NamedTuple):
 
 
 def measure(seconds: float, folder: Path, *settings: str) -> Stages:
-    """Return the stages of a run."""
     sent: dict[int, int] = {}
     with Fleet(CONFIG, out=folder, settings=settings) as fleet:
         for k, _ in enumerate(fleet.ticks(seconds)):
@@ -41,7 +40,7 @@ def measure(seconds: float, folder: Path, *settings: str) -> Stages:
             fleet.drive(np.tile([0.03, 0.4 * (-1) ** (k % 2)], (4, 1)))
     run = Run(read(folder))
     stamps = run.ticks["stamp_ns"]
-    wished = run.told[0].figures["wish"][:, 0]
+    wished = run.group_figures[0].figures["wish"][:, 0]
     found = []
     for status in run.statuses:
         applied = np.unique(status["applied_ns"][status["applied_ns"] > stamps[0]])
@@ -55,11 +54,7 @@ def measure(seconds: float, folder: Path, *settings: str) -> Stages:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--camera", action="store_true", help="with images, not with the truth")
-    given = parser.parse_args()
+    given = program(__doc__, seconds=30.0, camera=(False, "with images, not with the truth")).parse_args()
     settings = [] if given.camera else ["tracker.source=truth"]
     with tempfile.TemporaryDirectory() as folder:
         stages = measure(given.seconds, Path(folder) / "run", *settings)

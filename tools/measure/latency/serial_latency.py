@@ -7,7 +7,6 @@ given to the bus to the moment when its bytes are read at the other end of a pse
 process that does both: both ends' wakings are in it.
 """
 
-import argparse
 import tempfile
 from bisect import bisect_left
 from itertools import cycle
@@ -18,7 +17,8 @@ import numpy as np
 from robofleet.core.clock import MS
 from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
-from tests.runs.serialstand import MOTION, commanded, ticks
+from tools.measure.program import program
+from tools.measure.runs.serialstand import MOTION, commanded, ticks
 
 _WHEELS = WheelSpeeds(2.0, 2.5), WheelSpeeds(2.1, 2.4)  # in turn: what is no news need not be said
 _SETTLED = 20  # commands until it drives
@@ -36,10 +36,8 @@ def measure(driver: str, seconds: float, folder: Path) -> list[float]:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = program(__doc__, seconds=60.0)
     parser.add_argument("--driver", choices=MOTION, default="gternal")
-    parser.add_argument("--seconds", type=float, default=60.0)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         found = measure(given.driver, given.seconds, Path(folder))

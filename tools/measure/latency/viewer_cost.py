@@ -6,7 +6,6 @@ One real run without pixels. The server of viewers is started and ended in turns
 machine; the viewer, a process of its own, takes every channel. The spread over the turns of one side is the noise.
 """
 
-import argparse
 import re
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.core.clock import S
 from tests.runs.realrun import CLOCK, RealRun, wait
+from tools.measure.program import program
 from tools.measure.runs.recorder_cost import heard, print_table
 
 SIDES = "without", "server", "viewer"
@@ -70,12 +70,7 @@ def ticks(bus: ZenohBus, arena: str, seconds: float) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    """Print the figures of all sides."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robots", type=int, default=100)
-    parser.add_argument("--turns", type=int, default=3, help="of each side")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each turn")
-    arguments = parser.parse_args()
+    arguments = program(__doc__, robots=100, turns=(3, "of each side"), seconds=(10.0, "of each turn")).parse_args()
     found: dict[str, list[NDArray[np.float64]]] = {name: [] for name in SIDES}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -40,8 +40,9 @@ from tests.endpoints import own_endpoint
 from tests.nodes.longfleet import fleet_of
 from tests.operator.page.webstand import WebStand
 from tests.runs.realrun import own_folders
-from tests.runs.unlaunched import start_all
 from tests.shipped import PLATOON
+from tools.measure.program import program
+from tools.measure.runs.unlaunched import start_all
 
 CLOCK = WallClock()
 _ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole
@@ -53,7 +54,6 @@ class MeasuredPage(feed.Page):
     took_ms: list[float] = []  # noqa: RUF012 - one process has one list
 
     def drawn(self, seq: int) -> None:
-        """Take the time."""
         now_ns = CLOCK.now_ns()
         self.took_ms += [(now_ns - at_ns) / MS for sent, at_ns in self._undrawn if sent == seq and at_ns]
         super().drawn(seq)
@@ -134,8 +134,6 @@ def say(config: Config) -> None:
 
 
 class Browser:
-    """One Chromium."""
-
     def __init__(self, url: str) -> None:
         from selenium import webdriver
 
@@ -147,7 +145,6 @@ class Browser:
         self.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
 
     def open(self) -> None:
-        """Open the page."""
         self.driver.get(self._url)
 
     def first_picture_ms(self) -> float | None:
@@ -163,7 +160,6 @@ class Browser:
         return float(spent), int(self.driver.execute_script("return window.robofleet?.state.drawn ?? 0"))
 
     def leave(self) -> None:
-        """Show nothing."""
         self.driver.get("about:blank")
 
 
@@ -206,7 +202,6 @@ def measure(bus: ZenohBus, config: Config, url: str, pages: int, seconds: float,
 
 
 def figures(values: list[float]) -> str:
-    """Return percentiles in words."""
     if not values:
         return "nothing"
     p50, p99 = np.percentile(values, (50, 99))
@@ -231,14 +226,9 @@ def served(file: Path) -> Iterator[str]:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", type=int, default=4)
-    parser.add_argument("--pages", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=40.0)
-    parser.add_argument("--rounds", type=int, default=4)
-    parser.add_argument("--idle", action="store_true", help="do not start the fleet")
-    parser.add_argument("--synthetic", action="store_true")
+    parser = program(
+        __doc__, robots=4, pages=3, seconds=40.0, rounds=4, idle=(False, "do not start the fleet"), synthetic=False
+    )
     for name, kind in (("--serve", Path), ("--lifeline", int), ("--say", str)):
         parser.add_argument(name, type=kind, help=argparse.SUPPRESS)
     a = parser.parse_args()

@@ -4,7 +4,6 @@
 the lines each way. A wrong motion is a target that was not commanded in the last 0.3 s.
 """
 
-import argparse
 import math
 from typing import Literal, get_args
 
@@ -12,6 +11,7 @@ from robofleet.config.troubles import LineFault
 from robofleet.testing import DriverBench
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 from tests.drivers.test_contract import TestArduinoBridge
+from tools.measure.program import program
 
 _Kind = Literal["line_cut", "line_garbage", "line_late"]
 _KINDS: tuple[_Kind, ...] = get_args(_Kind)
@@ -41,10 +41,8 @@ def drive(seed: int, faults: list[LineFault]) -> tuple[str, int, float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, runs=20, share=0.01)
     parser.add_argument("kinds", nargs="*", choices=[[], *_KINDS], metavar="KIND")
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--share", type=float, default=0.01)
     arguments = parser.parse_args()
     faults = [LineFault(kind=kind, at_s=0.0, share=arguments.share) for kind in arguments.kinds or _KINDS]
     ends, wrong, furthest, longest = zip(*(drive(seed, faults) for seed in range(arguments.runs)), strict=True)

@@ -4,15 +4,15 @@
 not commanded in the last 0.3 s.
 """
 
-import argparse
 import math
 
 import numpy as np
 
-from robofleet.core.clock import MS
+from robofleet.core.clock import MS, S
 from robofleet.simulation.faulty_line import cut, garbled
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
-from tests.drivers.create2_bench import MM_S, Bench
+from tests.drivers.line_bench import MM_S, create2
+from tools.measure.program import program
 
 _STEP_NS = 11 * MS  # a third of a tick
 _TICKS = 600
@@ -44,26 +44,23 @@ def drive(seed: int, share: float, count: Count) -> str:
                 line = trouble(line, rng)
         return line
 
-    bench = Bench()
-    try:
+    with create2() as bench:
         bench.open()
         bench.to_robot = bench.to_driver = spoil
         commands: dict[tuple[int, int], int] = {}
-        for tick in range(_TICKS):
-            wheels = WheelSpeeds(5.0 + 2.0 * math.sin(0.033 * tick), 5.0 + 2.0 * math.cos(0.023 * tick))
-            bench.write(*wheels)
-            commands[_mm_s(wheels)] = tick
-            for _ in range(3):
-                bench.let_pass(_STEP_NS)
-                if bench.read().faults:
-                    return f"run {seed}: fault {bench.read().faults}"
-                now = bench.hardware.command
-                count.look(now != STOP and commands.get(_mm_s(now), -_REMEMBERED) <= tick - _REMEMBERED)
-    except DriverError as error:
-        return f"run {seed}: {error}"
-    finally:
-        bench.to_robot = bench.to_driver = bytes
-        bench.close()
+        try:
+            for tick in range(_TICKS):
+                wheels = WheelSpeeds(5.0 + 2.0 * math.sin(0.033 * tick), 5.0 + 2.0 * math.cos(0.023 * tick))
+                bench.write(*wheels)
+                commands[_mm_s(wheels)] = tick
+                for _ in range(3):
+                    bench.let_pass(_STEP_NS / S)
+                    if bench.read().faults:
+                        return f"run {seed}: fault {bench.read().faults}"
+                    now = bench.hardware.command
+                    count.look(now != STOP and commands.get(_mm_s(now), -_REMEMBERED) <= tick - _REMEMBERED)
+        except DriverError as error:
+            return f"run {seed}: {error}"
     return ""
 
 
@@ -72,10 +69,7 @@ def _mm_s(wheels: WheelSpeeds) -> tuple[int, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--share", type=float, default=0.01)
-    arguments, count = parser.parse_args(), Count()
+    arguments, count = program(__doc__, runs=20, share=0.01).parse_args(), Count()
     ended = [why for why in (drive(seed, arguments.share, count) for seed in range(arguments.runs)) if why]
     print(f"{arguments.runs - len(ended)} of {arguments.runs} runs went on to their end", *ended, sep="\n")
     lasted_ms = [lasted * _STEP_NS / MS for lasted in count.lasted] or [0.0]

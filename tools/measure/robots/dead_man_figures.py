@@ -1,25 +1,22 @@
 """How soon a dead man stops a robot, and its cost: ``python -m tools.measure.robots.dead_man_figures [--times N]``."""
 
-import argparse
 import select
 import signal
 import statistics
 
 from robofleet.core.clock import S, WallClock
 from tests.drivers.test_dead_man import STOP, Bench
+from tools.measure.program import program
 
 _COST_S = 10.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--times", type=int, default=20)
-    times = parser.parse_args().times
+    times = program(__doc__, times=20).parse_args().times
     for name, number in (("killed", signal.SIGKILL), ("stopped", signal.SIGSTOP)):
         took_ms = sorted(_took_ms(number) for _ in range(times))
-        print(
-            f"driver {name}: stop after {statistics.median(took_ms):.0f} ms (median), {took_ms[-1]:.0f} ms (of {times})"
-        )
+        median, worst = statistics.median(took_ms), took_ms[-1]
+        print(f"driver {name}: stop after {median:.0f} ms (median), {worst:.0f} ms (of {times})")
     bench = Bench("for ever")
     try:
         bench.hear(b".....")

@@ -8,7 +8,6 @@ A wrong motion is a target that a wheel-speed loop took, and that a firmware whi
 within 0.3 s before.
 """
 
-import argparse
 import json
 import re
 import subprocess
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.runs.realrun import own_folders
+from tools.measure.program import program
 
 SERIAL = Path(__file__).parents[3] / "configs" / "platoon-serial.yaml"
 KINDS = ("line_cut", "line_garbage", "line_late")
@@ -45,13 +45,8 @@ def run(config: Path, folder: Path, seed: int, seconds: float, share: float) -> 
 
 
 def main() -> None:
-    """Run, print a line a run, and what they sum up to."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__, runs=20, first=1, seconds=20.0, share=0.01)
     parser.add_argument("config", nargs="?", type=Path, default=SERIAL, metavar="CONFIG")
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--first", type=int, default=1)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--share", type=float, default=0.01)
     arguments = parser.parse_args()
     completed, struck = 0, 0
     wrong: dict[str, list[tuple[int, float, int]]] = {}
@@ -72,9 +67,8 @@ def main() -> None:
     print(f"completed: {completed} of {arguments.runs}; lines struck: {struck}")
     for robot, found in wrong.items():
         counts, furthest, longest = zip(*found, strict=True)
-        print(
-            f"{robot}: {sum(counts)} wrong motions, at most {max(furthest):.3f} rad/s off, {max(longest)} ms at longest"
-        )
+        worst = f"at most {max(furthest):.3f} rad/s off, {max(longest)} ms at longest"
+        print(f"{robot}: {sum(counts)} wrong motions, {worst}")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ The runs have no right to a higher priority, as on a laptop. Exit 1 unless each 
 busy.
 """
 
-import argparse
 import json
 import os
 import shutil
@@ -17,6 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from tools.measure.program import program
+
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 LOOPS = 2
 _LOOP = "while True: pass"
@@ -24,7 +25,6 @@ _LOOP = "while True: pass"
 
 @contextmanager
 def busy_loops(count: int) -> Iterator[None]:
-    """Keep so many cores busy."""
     loops = [subprocess.Popen([sys.executable, "-c", _LOOP]) for _ in range(count)]
     try:
         yield
@@ -38,17 +38,8 @@ def one_run(folder: Path, *overrides: str) -> dict[str, Any]:
     """Return the summary of a run; what it says goes to ``folder``'s ``said``."""
     ordinary = ["setpriv", "--bounding-set", "-sys_nice", "--inh-caps", "-sys_nice"] if os.geteuid() == 0 else []
     changes = [word for change in ("arena.name=busy-machine", *overrides) for word in ("--set", change)]
-    command = [
-        *ordinary,
-        sys.executable,
-        "-m",
-        "robofleet",
-        "run",
-        str(PLATOON),
-        "--out",
-        str(folder / "run"),
-        "--json",
-    ]
+    run = "run", str(PLATOON), "--out", str(folder / "run"), "--json"
+    command = [*ordinary, sys.executable, "-m", "robofleet", *run]
     with (folder / "said").open("w") as log:
         done = subprocess.run(
             [*command, *changes], stdout=subprocess.PIPE, stderr=log, text=True, check=False,
@@ -59,9 +50,7 @@ def one_run(folder: Path, *overrides: str) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print a line a run, and how many were as they must be."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5)
+    parser = program(__doc__, runs=5)
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     arguments = parser.parse_args()
     good = 0

@@ -5,7 +5,6 @@
 The memory is what is resident in the end; of the dead man's process, where there is one, it is said apart.
 """
 
-import argparse
 import tempfile
 from pathlib import Path
 
@@ -14,7 +13,8 @@ import psutil
 from robofleet.core.clock import S
 from robofleet.safety.latches import GateStatus
 from robofleet.vehicles.interface import WheelSpeeds
-from tests.runs.serialstand import CLOCK, MOTION, commanded, ticks
+from tools.measure.program import program
+from tools.measure.runs.serialstand import CLOCK, MOTION, commanded, ticks
 
 _WHEELS = WheelSpeeds(2.0, 2.5)
 _SETTLED_S = 2.0
@@ -36,10 +36,8 @@ def measure(driver: str, seconds: float, folder: Path) -> tuple[float, float, li
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = program(__doc__, seconds=20.0)
     parser.add_argument("--driver", choices=MOTION, default="gternal")
-    parser.add_argument("--seconds", type=float, default=20.0)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         share, memory_mb, children = measure(given.driver, given.seconds, Path(folder))

@@ -3,7 +3,6 @@
 The compiled kernels of this installation are deleted for the first start, and made anew by it.
 """
 
-import argparse
 import os
 import shutil
 import signal
@@ -15,6 +14,7 @@ from pathlib import Path
 
 from robofleet.core.clock import S, WallClock
 from robofleet.core.kernels import store
+from tools.measure.program import program
 
 PLATOON = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 SHOWN = ("starting", "compiling", "arming", "running")  # of the lines that a run says
@@ -30,10 +30,8 @@ def start(folder: Path, interrupted_after_s: float | None = None) -> tuple[dict[
             *("--set", "arena.name=first-start", "--out", str(folder / "run")),
         ],
         env=os.environ | {"XDG_STATE_HOME": str(folder)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
     phases: dict[str, float] = {}
     if interrupted_after_s is not None:
         threading.Timer(interrupted_after_s, run.send_signal, [signal.SIGINT]).start()
@@ -48,10 +46,7 @@ def start(folder: Path, interrupted_after_s: float | None = None) -> tuple[dict[
 
 
 def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--times", type=int, default=3, help="of each")
-    times = parser.parse_args().times
+    times = program(__doc__, times=(3, "of each")).parse_args().times
     for name, cold, after_s in (("first", True, None), ("later", False, None), ("Ctrl-C in a first one", True, 8.0)):
         for _ in range(times):
             if cold:

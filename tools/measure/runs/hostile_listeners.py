@@ -24,15 +24,15 @@ from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.gateways.place import Served
+from robofleet.gateways.viewers import server as viewers_server
 from robofleet.gateways.viewers.live import Viewers
 from robofleet.gateways.viewers.retained import RetainedMessages
-from robofleet.gateways.viewers.server import Opened
 from robofleet.operator.page.hearing import Hearing
 from robofleet.operator.terminal.live import LiveView
 from robofleet.operator.terminal.terminal import Terminal
+from robofleet.recording.channels import Channel
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.run import Recording
-from robofleet.recording.scenes.drawn import Channel
 from robofleet.reports.after import report
 from robofleet.reports.metrics import summary
 from robofleet.reports.sampled import look
@@ -47,8 +47,6 @@ _PART_BYTES = 1 << 20  # of a recording, looked at together
 
 
 class Stream:
-    """All messages, oldest first."""
-
     dropped = 0
 
     def __init__(self, bus: Any, clock: Clock) -> None:
@@ -86,6 +84,8 @@ class Recorded:
 class FakeViewer:
     """A viewers' server without a net."""
 
+    address = ""
+
     def __init__(self) -> None:
         self._kept, self._topics = RetainedMessages(), set[str]()
 
@@ -101,12 +101,12 @@ class FakeViewer:
         pass
 
 
-def _rerun(config: Config, channels: Sequence[Channel]) -> Opened:
+def _rerun(config: Config, channels: Sequence[Channel]) -> viewers_server.Server:
     from robofleet.gateways.viewers.rerun.server import Server
     from robofleet.operator.viewer_address import Address
     from robofleet.reports.layouts.rerun_blueprint import blueprint
 
-    return Opened(Server("hostile", Address("127.0.0.1", 0), blueprint(Recording(config)), channels, "1MB"), "")
+    return Server("hostile", Address("127.0.0.1", 0), blueprint(Recording(config)), channels, "1MB")
 
 
 class Scripted:
@@ -225,7 +225,9 @@ class Listener(Protocol):
 class Shown:
     """Viewers that hear what the recording has, by a server."""
 
-    def __init__(self, config: Config, stream: Stream, opened: Callable[[Sequence[Channel]], Opened]) -> None:
+    def __init__(
+        self, config: Config, stream: Stream, opened: Callable[[Sequence[Channel]], viewers_server.Server]
+    ) -> None:
         self._viewers = Viewers(config, stream, Served(lambda: False, 0), opened, EPOCH_NS)
         self.step = self._viewers.step
         self._now_ns = 0
@@ -240,7 +242,7 @@ def listeners(run: Lockstep, config: Config, folder: Path, *, whole: bool) -> li
     bus, clock = run.bus, run.clock
     found: list[Listener] = [
         Watched(run, config), Recorded(config, Stream(bus, clock), folder, whole=whole),
-        Shown(config, Stream(bus, clock), lambda _: Opened(FakeViewer(), "")),
+        Shown(config, Stream(bus, clock), lambda _: FakeViewer()),
     ]  # fmt: skip
     if whole and find_spec("rerun"):
         found.append(Shown(config, Stream(bus, clock), partial(_rerun, config)))

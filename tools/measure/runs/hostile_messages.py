@@ -9,7 +9,6 @@ step on. Then the fleet must start again, or say why not. It prints how many mes
 were afterwards.
 """
 
-import argparse
 import math
 import tempfile
 from collections import Counter
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from robofleet.bus.keys import QUERIES, RECORDER, TOPICS, Topic, key
-from robofleet.bus.layouts import VERSION, BlobLayout, Layout
+from robofleet.bus.layouts import VERSION, Layout
 from robofleet.bus.messages import RECORDER_STATUS, RecorderStatus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
@@ -29,6 +28,7 @@ from robofleet.core.clock import S
 from robofleet.operator.estop import EmergencyStop
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
+from tools.measure.program import program
 from tools.measure.runs.hostile_listeners import listeners
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -38,21 +38,7 @@ _PERIOD_S = 0.011  # between two rounds, of one message on each topic
 _FEW = 2  # topics
 _ROUNDS = 250  # of one fleet
 _SELDOM = 6  # of so many fleets one has all listeners
-_WORDS = (
-    b"start",
-    b"stop",
-    b"hold",
-    b"resume",
-    b"park",
-    b"reset",
-    b"arm",
-    b"status",
-    b"estop",
-    b"pictures",
-    b"leave r1",
-    b"",
-    b"\xff" * 99,
-)
+_WORDS = *b"start stop hold resume park reset arm status estop pictures".split(), b"leave r1", b"", b"\xff" * 99
 _FLOATS = (
     0.0, -0.0, 1.0, -1.0, 2.0, 0.5, 1e-9, 5e-324, 1e6, -1e6, 1e300, -1e300, math.pi, math.nan, math.inf, -math.inf,
 )  # fmt: skip
@@ -60,8 +46,6 @@ _FLOATS = (
 
 @dataclass
 class Figures:
-    """What came of it."""
-
     messages: Counter[str] = field(default_factory=Counter)  # by topic
     fleets: int = 0
     starts: int = 0  # before and after the attacks
@@ -77,7 +61,6 @@ class Forge:
         self.sent: dict[str, bytes] = {}  # newest true payload of each key
 
     def payload(self, topic: Topic, full: str) -> bytes:
-        """Return a payload for a key."""
         if topic.layout is None:
             return bytes(self._pick(_WORDS))
         sent = self.sent.get(full, b"")
@@ -91,10 +74,9 @@ class Forge:
         else:
             self._spoil(heads, self._rng.choice((0.0, 0.1, 0.3)))
         heads["version"] = VERSION
-        if isinstance(topic.layout, BlobLayout):
-            return heads.tobytes() + (
-                rest if self._rng.random() < 0.5 else self._rng.bytes(int(self._rng.integers(200)))
-            )
+        if isinstance(topic.layout, Layout) and topic.layout.blob:
+            blob = rest if self._rng.random() < 0.5 else self._rng.bytes(int(self._rng.integers(200)))
+            return heads.tobytes() + blob
         if isinstance(topic.layout, Layout):
             return heads.tobytes()
         item = np.dtype([(name, kind) for name, kind in types["items"]])
@@ -119,7 +101,6 @@ class Forge:
         return heads.tobytes() + items.tobytes() + numbers
 
     def _spoil(self, rows: Any, share: float) -> None:
-        """Change a share of all fields."""
         for row in range(min(len(rows), 16)):
             for name in rows.dtype.names:
                 if self._rng.random() < share:
@@ -245,11 +226,8 @@ def attack(config: Config, messages: int, seed: int, *, whole: bool = True) -> F
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--messages", type=int, default=10000)
+    parser = program(__doc__, messages=10000, seed=1)
     parser.add_argument("--config", type=Path)
-    parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     for file in [arguments.config] if arguments.config else [CONFIGS / f"{name}.yaml" for name in SHIPPED]:
         figures = attack(load_config(file, [TRUTH]), arguments.messages, arguments.seed)

@@ -7,7 +7,6 @@ It drives the platoon, with true poses in lockstep and with the camera in real t
 of the second half: what a process has when it has warmed up stays.
 """
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -20,6 +19,7 @@ import psutil
 
 from robofleet.core.clock import S, WallClock
 from robofleet.recording.log import FILE
+from tools.measure.program import program
 
 CONFIG = Path(__file__).parents[3] / "configs" / "platoon.yaml"
 ROBOTS = 4
@@ -68,10 +68,7 @@ def told(found: dict[str, list[Sample]], factor: float) -> None:
 
 def main() -> None:
     """Print the slopes of a run, and the most memory that its report had."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument("--real-time", action="store_true")
-    parser.add_argument("--every", type=float, default=10.0, help="seconds between two samples")
+    parser = program(__doc__, hours=1.0, real_time=False, every=(10.0, "seconds between two samples"))
     parser.add_argument("--out", type=Path, help="a folder to keep it in")
     told_to = parser.parse_args()
     robofleet = [sys.executable, "-m", "robofleet"]

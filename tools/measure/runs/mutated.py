@@ -8,7 +8,6 @@ refusal in the project's own words may come of it, and none may take long. It pr
 and what else came.
 """
 
-import argparse
 import json
 import os
 import re
@@ -42,6 +41,7 @@ from robofleet.hosts.authority import Authority
 from robofleet.runs.check import refusals
 from robofleet.studies.sweep.load import _complaints, load
 from robofleet.studies.sweep.plan import Sweep
+from tools.measure.program import program
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 REFUSALS = ConfigError, RefusedError, CalibrationError, KeysError
@@ -87,15 +87,11 @@ _TEXTS = (
 
 
 class Kind(NamedTuple):
-    """One file that is read, and how."""
-
     file: Path
     load: Callable[[], object]
 
 
 class Figures(NamedTuple):
-    """What came of it."""
-
     refused: Counter[str]  # by the file's folder
     accepted: Counter[str]
     others: dict[str, str]  # other errors: where each was raised, and one change by which
@@ -155,9 +151,8 @@ def kinds(folder: Path) -> Iterator[Kind]:
     yield Kind(keys / f"{_NAME}.json", lambda: credentials.credentials(_ARENA, _NAME))
     yield Kind(keys / credentials.REGISTER, lambda: Authority(_ARENA, keys).entries())
     joined = keys / credentials.JOINED
-    joined.write_text(
-        json.dumps({"arena": _ARENA, "name": _NAME, "kind": "operator", "router": ["tls/192.168.1.5:7447"]})
-    )
+    operator = {"arena": _ARENA, "name": _NAME, "kind": "operator", "router": ["tls/192.168.1.5:7447"]}
+    joined.write_text(json.dumps(operator))
     yield Kind(joined, credentials.joined)
 
 
@@ -196,9 +191,8 @@ def changed(  # noqa: PLR0912 - a branch for each kind of mistake
                     holder[f"{where[-1]}{pick(('s', ' ', '_m', '.x'))}"] = holder.pop(where[-1])
                 else:
                     holder[where[-1]] = value
-        done = (
-            json.dumps(tree) if is_json else yaml.safe_dump(tree, sort_keys=False, allow_unicode=bool(rng.integers(2)))
-        )
+        unicode = not is_json and bool(rng.integers(2))
+        done = json.dumps(tree) if is_json else yaml.safe_dump(tree, sort_keys=False, allow_unicode=unicode)
         return done.encode(errors="surrogatepass"), f"at {where}: {value!r:.60}"
     lines, at = text.splitlines(), int(rng.integers(max(1, len(text.splitlines()))))
     what = int(rng.integers(6))
@@ -268,18 +262,13 @@ def attack(folder: Path, files: int, seed: int) -> Figures:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--files", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = program(__doc__, files=2000, seed=1).parse_args()
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CONFIG_HOME"] = folder
         figures = attack(Path(folder), arguments.files, arguments.seed)
     refused, accepted = figures.refused.total(), figures.accepted.total()
-    print(
-        f"{refused} refused, {accepted} accepted, {len(figures.others)} other errors; longest {figures.longest_s:.1f} s"
-    )
+    others = f"{len(figures.others)} other errors; longest {figures.longest_s:.1f} s"
+    print(f"{refused} refused, {accepted} accepted, {others}")
     for where, change in figures.others.items():
         print(f"    {where}: {change}")
 

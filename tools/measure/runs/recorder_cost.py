@@ -6,7 +6,6 @@ One running fleet, real processes over Zenoh, without pixels. The recorder is st
 sides see the same machine. The spread over the turns of one side is the noise.
 """
 
-import argparse
 import os
 import signal
 import tempfile
@@ -20,7 +19,8 @@ from robofleet.bus.keys import TICK, key
 from robofleet.bus.messages import TICK_RECORD
 from robofleet.core.clock import MS, S
 from robofleet.recording.log import FILE
-from tools.measure.runs.kills import CLOCK, Fleet
+from tools.measure.fleet import CLOCK, Fleet, pair
+from tools.measure.program import program
 
 _STREAM = 1 << 14
 _SETTLED_NS = S  # after a process was started or killed
@@ -56,14 +56,10 @@ def measured(fleet: Fleet, folder: Path, turns: int, seconds: float) -> dict[str
 
 
 def main() -> None:
-    """Print the figures of both sides."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--turns", type=int, default=6, help="of each side")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each turn")
-    arguments = parser.parse_args()
+    arguments = program(__doc__, turns=(6, "of each side"), seconds=(10.0, "of each turn")).parse_args()
     with tempfile.TemporaryDirectory() as name:
         os.environ["XDG_STATE_HOME"] = name
-        fleet = Fleet(Path(name))
+        fleet = Fleet(Path(name), pair())
         try:
             found = measured(fleet, Path(name), arguments.turns, arguments.seconds)
         finally:

@@ -7,7 +7,6 @@ killed. Everything that the listener had 0.25 s before the kill must be in the m
 readers must find the file whole.
 """
 
-import argparse
 import os
 import shutil
 import signal
@@ -26,7 +25,8 @@ from robofleet.core.clock import MS, S
 from robofleet.recording.channels import keys as recorded_keys
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import read
-from tools.measure.runs.kills import CLOCK, Fleet
+from tools.measure.fleet import CLOCK, Fleet, pair
+from tools.measure.program import program
 
 LOST_MS = 250.0
 _STREAM = 1 << 17
@@ -35,8 +35,6 @@ _ON_ITS_WAY_NS = 300 * MS  # what was said before the kill is heard by then
 
 
 class Outcome(NamedTuple):
-    """What one kill cost."""
-
     messages: int  # messages until the kill
     lost: int  # of these
     lost_ms: float  # how long before the kill the oldest of them was heard
@@ -59,9 +57,8 @@ def strike(fleet: Fleet, stream: Stream, folder: Path, rng: np.random.Generator)
     run = folder / "run"
     run.mkdir()
     (folder / FILE).rename(run / FILE)
-    mended = subprocess.run(
-        [sys.executable, "-m", "robofleet", "repair", str(run)], capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-m", "robofleet", "repair", str(run)]
+    mended = subprocess.run(command, capture_output=True, text=True, check=True)
     lost = [arrival for arrival in missing(run, arrivals) if arrival.at_ns < killed_ns]
     shutil.rmtree(run)
     oldest_ms = (killed_ns - min(arrival.at_ns for arrival in lost)) / MS if lost else 0.0
@@ -93,16 +90,13 @@ def missing(run: Path, arrivals: list[Arrival]) -> list[Arrival]:
 
 def main() -> None:
     """Kill so many recorders; exit 1 if one lost more than it may."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = program(__doc__, runs=50, seed=1).parse_args()
     rng = np.random.default_rng(arguments.seed)
     outcomes = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         os.environ["XDG_STATE_HOME"] = name
-        fleet = Fleet(folder)
+        fleet = Fleet(folder, pair())
         stream = fleet.bus.stream(*recorded_keys(fleet.config), capacity=_STREAM)
         try:
             for k in range(arguments.runs):

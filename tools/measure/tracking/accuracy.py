@@ -11,7 +11,6 @@ Cramer and Rao's: the least rms that any unbiased estimator of the same greys ca
 the light unknown (and no cable).
 """
 
-import argparse
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -21,13 +20,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, PeerTag, Setting
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter
-
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 SIDE, HEIGHT = 0.07, 0.08
 SIZE = (1920, 1080)
@@ -44,8 +43,6 @@ _DRIVES = ((0.7, 1.0), (0.55, 0.8), (0.9, 0.6))  # defocus [px], light
 
 
 class Scene(NamedTuple):
-    """What the frames are like."""
-
     noise: float  # [grey levels], see RayCaster.image
     darkness: float = 0.0  # the light, once it went out; 0: it stays on
     cable_px: float = 0.0  # a cable so wide falls across every tag
@@ -77,8 +74,6 @@ def cell_wide(family: str) -> float:
 
 
 class Frame(NamedTuple):
-    """An image and what it shows."""
-
     image: NDArray[np.uint8]
     exposure_ns: int
     prints: tuple[Print, ...]
@@ -87,8 +82,6 @@ class Frame(NamedTuple):
 
 
 class Score:
-    """What one candidate made of one scene."""
-
     def __init__(self) -> None:
         self.errors: list[tuple[float, float, float]] = []  # x, y [mm; world], psi [deg]
         self.tags = self.wrong = 0
@@ -107,7 +100,6 @@ class Score:
                 self.wrong += 1
 
     def row(self) -> dict[str, float]:
-        """Return the columns of the table."""
         if not self.errors:
             return {"measured": 0.0, "wrong": self.wrong}
         x, y, heading = np.array(self.errors).T
@@ -143,7 +135,6 @@ def drives(scene: Scene, frames: Sequence[int]) -> Iterator[tuple[Setting, RayCa
 
 
 def evaluate(scene: Scene, names: Sequence[str], frames: Sequence[int]) -> dict[str, dict[str, float]]:
-    """Return the rows of the table: candidates', and the bound's if it is named."""
     scores, bounds = {name: Score() for name in names if name != BOUND}, []
     for setting, caster, pictures in drives(scene, frames):
         candidates = {name: CANDIDATES[name](setting) for name in scores}
@@ -220,12 +211,13 @@ def _rms(values: Array) -> float:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="one JSON object, and nothing else")
-    parser.add_argument("--frames", type=int, default=90, help="images a scene")
-    parser.add_argument("--only", default="", help="candidates whose name has this in it")
-    parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
+    parser = program(
+        __doc__,
+        json=(False, "one JSON object, and nothing else"),
+        frames=(90, "images a scene"),
+        only=("", "candidates whose name has this in it"),
+        scenes=("", "scenes whose name has this in it"),
+    )
     arguments = parser.parse_args()
     names = [name for name in CANDIDATES if arguments.only in name]
     scenes = {title: scene for title, scene in SCENES.items() if arguments.scenes in title}

@@ -10,7 +10,6 @@ many of all images; what was said that is wrong: of no such tag, or of a tag ove
 largest error [mm]; the median time of an image [ms].
 """
 
-import argparse
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -27,6 +26,7 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting
 from tests.tracking.raycast import BLACK, SQUARES, WHITE, Cable, Print, RayCaster, clutter
+from tools.measure.program import program
 from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, WRONG, camera, cell_wide
 from tools.measure.tracking.accuracy import Scene as Quality
 
@@ -35,8 +35,6 @@ TAGS = 8
 
 
 class Scene(NamedTuple):
-    """What the frames are like."""
-
     contrast: float = 0.0  # [grey levels]; 0: that of a print in full light
     covered: float = 0.0  # share of the print
     along: float | None = 0.0  # which way the cover's edge runs to the print's [rad]; None: any
@@ -48,7 +46,6 @@ class Scene(NamedTuple):
 
     @property
     def side(self) -> float:
-        """The side of the tags [m]."""
         return cell_wide(self.family)
 
 
@@ -93,7 +90,6 @@ def trials(scene: Scene, count: int, seed: int = 3) -> Iterator[Trial]:
 
 
 def evaluate(scene: Scene, names: Sequence[str], count: int) -> dict[str, dict[str, float]]:
-    """Return the rows of the table."""
     scores = {name: _Score() for name in names}
     for trial in trials(scene, count):
         for name, score in scores.items():
@@ -165,12 +161,13 @@ def _cover(scene: Scene, rng: np.random.Generator) -> Cable:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="one JSON object, and nothing else")
-    parser.add_argument("--trials", type=int, default=10, help="of 8 tags and 10 images, a scene")
-    parser.add_argument("--only", default="", help="candidates whose name has one of these, separated by |, in it")
-    parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
+    parser = program(
+        __doc__,
+        json=(False, "one JSON object, and nothing else"),
+        trials=(10, "of 8 tags and 10 images, a scene"),
+        only=("", "candidates whose name has one of these, separated by |, in it"),
+        scenes=("", "scenes whose name has this in it"),
+    )
     parser.add_argument("--family", default="36h11", choices=SQUARES, help="of the tags")
     arguments = parser.parse_args()
     wanted = arguments.only.split("|")

@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording, Run
 from robofleet.runs.check import load_checked
 from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import NO_TAG, describe
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "configs" / "two-cameras.yaml"
@@ -61,7 +60,6 @@ def overlapping(folder: Path) -> Path:
 
 
 def driven(file: Path, *overrides: str) -> Recording:
-    """Run a configuration in lockstep."""
     run = Lockstep(load_checked(file, overrides, lockstep=True))
     outcome = run.run()
     print(f"  {file.stem}: {outcome[0]}" + (f": {outcome[1]}" if outcome[1] else ""))
@@ -92,16 +90,13 @@ def in_view(config: Config, at: Array) -> NDArray[np.bool_]:
     points = np.concatenate([corners, np.full((*corners.shape[:-1], 1), config.tracker.tag_height_m)], -1)
     found = []
     for view in config.views:
-        seen = CameraGeometry.from_model(view.camera.model).sees(
-            points.reshape(-1, 3), (view.camera.width, view.camera.height)
-        )
+        geometry, size = CameraGeometry.from_model(view.camera.model), (view.camera.width, view.camera.height)
+        seen = geometry.sees(points.reshape(-1, 3), size)
         found.append(seen.reshape(points.shape[:-1]).all(-1))
     return np.array(found)
 
 
 class Seam(NamedTuple):
-    """What the example shows of its seam."""
-
     seam_mm: float  # rms where both cameras see a robot
     middle_mm: float  # rms below the cameras, on the same straights
     step_mm: float  # largest change of the error from tick to tick where the cameras that see a robot change
@@ -195,7 +190,6 @@ PARTS = {"seam": (measure_seam, 82.0), "knock": (measure_knock, 8.0), "unplug": 
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure the parts that are named."""
     assert __doc__ is not None
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], metavar="PART", help=", ".join(PARTS))

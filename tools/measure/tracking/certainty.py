@@ -10,15 +10,14 @@ Without --angles the last table is left out: the mean error of 400 poses at one 
 of 3 px, and the rms of the worst phase [mm].
 """
 
-import argparse
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array
 from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.deep import DeepSearch
@@ -27,16 +26,13 @@ from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import CLEAR
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, clutter
+from tools.measure.program import program
 from tools.measure.tracking.accuracy import HEIGHT, SIDE, cell_wide
 from tools.measure.tracking.accuracy import Scene as Quality
 from tools.measure.tracking.accuracy import camera as full_camera
 
-Array = NDArray[np.float64]
-
 
 class Scene(NamedTuple):
-    """What the frames are like."""
-
     tags: int = 20
     small: bool = False  # 720p in place of 1080p
     light: float = 0.7
@@ -124,7 +120,6 @@ def placed(scene: Scene, poses: int, seed: int = 1) -> Iterator[Placed]:
 
 
 def certainty(scene: Scene, poses: int) -> dict[str, float]:
-    """Return a row of the table."""
     images = list(placed(scene, poses))
     error = np.concatenate([image.error for image in images])
     spread = np.concatenate([image.fit.covariance for image in images])
@@ -203,11 +198,12 @@ def _cover(scene: Scene, pixel: float, rng: np.random.Generator) -> Cable | None
 
 
 def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--poses", type=int, default=2000, help="of each scene")
-    parser.add_argument("--scenes", default="", help="scenes whose name has this in it")
-    parser.add_argument("--angles", action="store_true", help="the table by angles, too")
+    parser = program(
+        __doc__,
+        poses=(2000, "of each scene"),
+        scenes=("", "scenes whose name has this in it"),
+        angles=(False, "the table by angles, too"),
+    )
     parser.add_argument("--family", default="36h11", choices=SQUARES, help="of the tags; not in the last table")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)

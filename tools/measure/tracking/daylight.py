@@ -34,8 +34,6 @@ MINUTE = "[{at_s: 5, light: 1.0}, {at_s: 25, light: 0.2}, {at_s: 30, light: 0.2}
 
 
 class Shown(NamedTuple):
-    """One image, and what the tracker made of it."""
-
     at_s: float
     white: float  # grey of the brightest robot's white cells
     measured: int  # robots
@@ -56,18 +54,10 @@ class Day:
         self._publish = [bus.publisher(TRUTH, robot.id) for robot in self.config.robots]
         self.ticks = cast(Any, SimpleNamespace(began_ns=S, newest=0, newest_stamp_ns=0, update=lambda: None))
         self._taken: list[Any] = []
-        rng = np.random.default_rng(1)
         context = PoseContext(
-            config=self.config,
-            clock=self.clock,
-            bus=bus,
-            ticks=self.ticks,
-            rng=rng,
-            extra_delay_ns=0,
-            wake=lambda _: None,
-            real_time=False,
-            around=self._watched,
-        )
+            config=self.config, clock=self.clock, bus=bus, ticks=self.ticks, rng=np.random.default_rng(1),
+            extra_delay_ns=0, wake=lambda _: None, real_time=False, around=self._watched,
+        )  # fmt: skip
         self.source = CameraPoses(context)
         self._light = TagLight(robot_targets(self.config))
         self._eye = CameraGeometry.from_model(self.config.camera.model)
@@ -90,7 +80,6 @@ class Day:
         return float(x), float(y), math.remainder(psi, math.tau)
 
     def tick(self) -> Shown:
-        """Let a tick pass and its image come."""
         self.ticks.newest += 1
         self.ticks.newest_stamp_ns = self.clock.now_ns()
         end_ns = self.clock.now_ns() + TICK_NS
@@ -115,7 +104,6 @@ class Day:
         return Shown(at_s, light.white, len(measured), rms, after_ns, seen.exposure_ns, frame.exposure)
 
     def run(self, seconds: float) -> list[Shown]:
-        """Return what was shown in so long a time."""
         return [self.tick() for _ in range(math.ceil(seconds * S / TICK_NS))]
 
     def _to(self, instant_ns: int) -> None:

@@ -9,9 +9,9 @@ within 5 mm of where its tag is at that instant. Measured counts the tag-images 
 and nobody else has its id: not in the second after it was carried, uncovered or exchanged.
 """
 
-import argparse
 import math
 from collections import defaultdict
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
-from robofleet.simulation.camera import Print, SceneRenderer, Shutter
+from robofleet.core.arrays import Array
+from robofleet.simulation.camera import Print, SceneRenderer
 from robofleet.simulation.effects import effects
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagTracker
-
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 ROBOTS, SIZE, PERIOD = 20, (1280, 720), 1.0 / 30.0
 SIDE, HEIGHT, MAX_SPEED = 0.07, 0.08, 0.2
@@ -38,8 +38,6 @@ ANYWHERE = [(x, y) for x in (0, 320, 640, 960, 1279) for y in (0, 360, 719)]
 
 
 class Trouble(NamedTuple):
-    """What an episode does."""
-
     settings: SimulatedCameraSettings = SimulatedCameraSettings()
     light: float = 1.0
     exposure: float = 0.004
@@ -54,7 +52,6 @@ def cables(rng: np.random.Generator) -> tuple[Cable, ...]:
 
 
 def troubles(rng: np.random.Generator) -> dict[str, Trouble]:
-    """Return an episode of each kind."""
     lamps = tuple(
         Glare(at_px=tuple(rng.uniform((0, 0), SIZE).tolist()), radius_px=rng.uniform(5, 40), gray=300.0)
         for _ in range(3)
@@ -121,10 +118,13 @@ def episode(trouble: Trouble, images: int, rng: np.random.Generator) -> tuple[in
         Print(Target(tag, SIDE, 0.0, 0.0), x, y, rng.uniform(-3.0, 3.0))
         for tag, (x, y) in zip(trouble.posters, (fleet.places[::4] + 0.17).tolist(), strict=False)
     ]
-    noise, shutter = rng.uniform(2.0, 5.0), Shutter(trouble.exposure, trouble.line_time)
-    bright = renderer = SceneRenderer(eye, SIZE, targets, noise, rng, shutter=shutter, prints=prints)
+    made = partial(
+        SceneRenderer, eye, SIZE, targets, rng.uniform(2.0, 5.0), rng,
+        exposure_s=trouble.exposure, line_time_s=trouble.line_time, prints=prints,
+    )  # fmt: skip
+    bright = renderer = made()
     if trouble.light < 1.0:
-        renderer = SceneRenderer(eye, SIZE, targets, noise, rng, shutter=shutter, prints=prints, light=trouble.light)
+        renderer = made(light=trouble.light)
     chain = effects(trouble.settings, SIZE, rng)
     tracker = TagTracker(eye, SIZE, targets, trouble.line_time)
     excused = np.full(ROBOTS, 5)  # images for which a tag need not be measured
@@ -169,11 +169,7 @@ def episode(trouble: Trouble, images: int, rng: np.random.Generator) -> tuple[in
 
 
 def main() -> None:
-    """Print a row for each kind of trouble, and their sum."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=10_400, help="of twenty tags; default: 208,000 tag-images")
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = program(__doc__, images=(10_400, "of twenty tags; default: 208,000 tag-images"), seed=1).parse_args()
     cv2.setNumThreads(1)
     totals: dict[str, NDArray[np.int64]] = defaultdict(lambda: np.zeros(4, np.int64))
     done = 0

@@ -8,7 +8,6 @@ flat by its listed corners, up to 0.4 sides aside, and searched there with forty
 many places beside the tags are searched, which show none. Columns: listed tags that are found; what else is said.
 """
 
-import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,17 +16,15 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import pyapriltags
-from numpy.typing import NDArray
 
+from robofleet.core.arrays import Array, Image
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.deep import DeepSearch
 from robofleet.tracking.tags.detection import TagDetector
 from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import OURS
-
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 APRILTAG = "pyapriltags, decimate 1"
 OTHERS = range(40)
@@ -37,15 +34,11 @@ _LEAST_PX = 24.0  # along a side there: smaller ones are enlarged
 
 
 class Listed(NamedTuple):
-    """A tag on a photograph."""
-
     tag: int
     corners: Array  # (4, 2) [px]
 
 
 class Photograph(NamedTuple):
-    """What is listed of one."""
-
     file: str
     tags: list[Listed]
 
@@ -54,7 +47,6 @@ Detect = Callable[[Image], list[Listed]]
 
 
 def listed() -> Iterator[Photograph]:
-    """Yield what is listed."""
     file, tags = "", list[Listed]()
     for line in _LIST.read_text(encoding="ascii").splitlines():
         if line.startswith(" "):
@@ -153,8 +145,7 @@ def _opencv(detector: cv2.aruco.ArucoDetector) -> Detect:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = program(__doc__)
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
     cv2.setNumThreads(1)

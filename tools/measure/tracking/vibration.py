@@ -9,7 +9,6 @@ the tenth image on, once without floor tags and once with them: position rms and
 measured no robot at all, and how many of the robots' images were measured.
 """
 
-import argparse
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -22,12 +21,12 @@ from numpy.typing import NDArray
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.tracking.sight import FleetSight
 from robofleet.tracking.tags.targets import robot_targets
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import Print, RayCaster, along, clutter
-
-Array = NDArray[np.float64]
+from tools.measure.program import program
 
 RATE_HZ, PERIOD = 7.0, 1.0 / 30.0
 AMPLITUDES_DEG = (0.0, 0.02, 0.05)
@@ -96,7 +95,7 @@ def evaluate(configs: dict[str, Config], turn_deg: Sequence[float], images: int)
     without = dict.fromkeys(configs, 0)
     for k, frame in enumerate(frames(config, turn_deg, images)):
         for name, sight in sights.items():
-            seen = [robot for robot in sight.see(frame.image, frame.exposure_ns).robots if robot.coasted_ns == 0]
+            seen = [robot for robot in sight.see(frame.image, frame.exposure_ns).poses if robot.coasted_ns == 0]
             if k >= COUNTS_FROM:
                 without[name] += not seen
                 errors[name] += [1e3 * math.dist((r.x, r.y), frame.poses[tags[r.tag], :2]) for r in seen]
@@ -130,12 +129,13 @@ def _placed(eye: RayCamera, T: Array) -> RayCamera:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=90)
-    parser.add_argument("--axes", default=",".join(AXES), help="of x, y, z and all (default: each of these)")
-    parser.add_argument("--survey", type=float, default=0.0, help="standard deviation of the floor tags' places [mm]")
-    parser.add_argument("--json", action="store_true", help="one JSON object, and nothing else")
+    parser = program(
+        __doc__,
+        images=90,
+        axes=(",".join(AXES), "of x, y, z and all (default: each of these)"),
+        survey=(0.0, "standard deviation of the floor tags' places [mm]"),
+        json=(False, "one JSON object, and nothing else"),
+    )
     arguments = parser.parse_args()
     axes = arguments.axes.split(",")
     if not set(axes) <= AXES.keys():

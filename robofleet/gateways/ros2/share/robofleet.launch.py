@@ -25,7 +25,6 @@ _ARGUMENTS = {
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return what is started."""
     declared = [
         DeclareLaunchArgument(name, default_value=value, description=what) for name, (value, what) in _ARGUMENTS.items()
     ]

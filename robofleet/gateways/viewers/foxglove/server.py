@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
-from typing import NamedTuple
 
 from foxglove import Channel, Context, MessageSchema, Schema, Service, ServiceRequest, ServiceSchema, start_server
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
@@ -25,10 +24,10 @@ from robofleet.core.refusal import RefusedError
 from robofleet.core.valid_json import dumps
 from robofleet.gateways.asking import SERVICES, Ask
 from robofleet.gateways.viewers.retained import RetainedMessages
-from robofleet.gateways.viewers.server import Opened, Run
+from robofleet.gateways.viewers.server import Run
 from robofleet.operator.viewer_address import Address
+from robofleet.recording.channels import Channel as Described
 from robofleet.recording.run import Recording
-from robofleet.recording.scenes.drawn import Channel as Described
 from robofleet.reports.layouts import foxglove as layouts
 
 LAYOUT = "foxglove.json"
@@ -37,18 +36,11 @@ _KEY = re.compile(rb'\\"key\\": ?\\"([0-9a-f]{32})\\"')  # in a button's request
 _BACKLOG = 16384  # messages for a viewer: half a second of a hundred robots comes at once
 
 
-class Keys(NamedTuple):
-    """A certificate and its private key, PEM."""
-
-    certificate: bytes
-    key: bytes
-
-
 class Server(ServerListener):
     """Serves until ``close``; OSError where its address cannot be used."""
 
     def __init__(
-        self, name: str, at: Address, keys: Keys | None, channels: Sequence[Described], services: list[Service]
+        self, name: str, at: Address, channels: Sequence[Described], services: list[Service], layout: Path = Path()
     ) -> None:
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         context = self._context = Context()  # it lives as long as somebody holds it
@@ -61,20 +53,19 @@ class Server(ServerListener):
         }  # fmt: skip
         self._kept, self._new = RetainedMessages(), SimpleQueue[str]()
         self.subscriptions = 0  # of all viewers, so far
+        own = credentials(name, PAGE) if at.secured else None
         try:
             self._server = start_server(
                 name=name, host=at.host, port=at.port, context=context, server_listener=self,
                 capabilities=[Capability.Services] if services else [], services=services,
                 supported_encodings=["json"], message_backlog_size=_BACKLOG,
-                tls_cert=None if keys is None else keys.certificate, tls_key=None if keys is None else keys.key,
+                tls_cert=None if own is None else own.certificate.read_bytes(),
+                tls_key=None if own is None else own.key.read_bytes(),
             )  # fmt: skip
         except RuntimeError as error:
             raise OSError(str(error)) from error
-
-    @property
-    def port(self) -> int:
-        """Where it listens."""
-        return self._server.port
+        self.port = self._server.port
+        self.address = f"Foxglove, Lichtblick: open {at.url(self.port)}, with the layout {layout}"
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Hear, in a thread of the library's, that somebody wants to see a topic."""
@@ -82,7 +73,6 @@ class Server(ServerListener):
         self.subscriptions += 1
 
     def tell(self, topic: str, log_ns: int, message: bytes) -> None:
-        """Send a message to whoever wants it."""
         self._kept.take(topic, message)
         self._channels[topic].log(message, log_time=log_ns)
 
@@ -96,23 +86,14 @@ class Server(ServerListener):
                 self._channels[topic].log(message, log_time=log_ns)
 
     def close(self) -> None:
-        """Close every viewer's connection."""
         self._server.stop()
 
 
-def opened(run: Run, at: Address, channels: Sequence[Described]) -> Opened:
+def opened(run: Run, at: Address, channels: Sequence[Described]) -> Server:
     """Open the server of a run, and write its layout; OSError where its address cannot be used, RefusedError."""
     layout, key = written(run.config, run.folder, asks=run.access.role == OPERATOR)
     offered = services(run.ask, key) if key else []
-    server = Server(run.config.arena.name, at, _certificate(run.config, at), channels, offered)
-    return Opened(server, f"Foxglove, Lichtblick: open {at.url(server.port)}, with the layout {layout}")
-
-
-def _certificate(config: Config, at: Address) -> Keys | None:
-    if not at.secured:
-        return None
-    own = credentials(config.arena.name, PAGE)
-    return Keys(own.certificate.read_bytes(), own.key.read_bytes())
+    return Server(run.config.arena.name, at, channels, offered, layout)
 
 
 def written(config: Config, folder: Path, *, asks: bool) -> tuple[Path, str]:

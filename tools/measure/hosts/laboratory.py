@@ -1,10 +1,10 @@
 """Figures of a laboratory whose robots have computers of their own, in network namespaces, by root:
 
-    python -m tests.hosts.measure lap
-    python -m tests.hosts.measure radio bursts --laps 20
-    python -m tests.hosts.measure cut 0.2 1 10 60
-    python -m tests.hosts.measure laboratory
-    python -m tests.hosts.measure stop --times 100
+    python -m tools.measure.hosts.laboratory lap
+    python -m tools.measure.hosts.laboratory radio bursts --laps 20
+    python -m tools.measure.hosts.laboratory cut 0.2 1 10 60
+    python -m tools.measure.hosts.laboratory laboratory
+    python -m tools.measure.hosts.laboratory stop --times 100
 
 Each prints one JSON object. All traffic stays inside the namespaces, and a run is bounded in time.
 """
@@ -35,9 +35,9 @@ from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 from tests.hosts.fleet import ALONE, PORT, Fleet, configuration, ended, join, said
 from tests.hosts.network import Network
-from tests.hosts.radio import PATTERNS
 from tests.recording.recorded import in_order
 from tests.runs.realrun import wait
+from tools.measure.hosts.radio import PATTERNS
 
 ROBOTS = "r1", "r2", "r3", "r4"
 RADIO = "air"
@@ -57,11 +57,12 @@ def laboratory(pattern: str | None = None, seed: int = 1) -> Iterator[tuple[Netw
         join(network, ROBOTS, None if pattern is None else RADIO)
         if pattern is not None:
             air = network[RADIO]
-            words = sys.executable, "-m", "tests.hosts.radio", f"{air.address}:{PORT}"
+            words = sys.executable, "-m", "tools.measure.hosts.radio", f"{air.address}:{PORT}"
             radio = subprocess.Popen(
                 air.command(*words, f"{network['lab'].address}:{PORT}", pattern, "--seed", str(seed))
             )
-            stack.callback(lambda: (radio.kill(), radio.wait()))
+            stack.callback(radio.wait)
+            stack.callback(radio.kill)
         yield network, stack
 
 
@@ -88,12 +89,13 @@ def closed(recording: Recording) -> dict[str, Any]:
     """
     arena = recording.config.arena.name
     units = {key(arena, STATUS, unit): unit for unit in recording.config.units}
-    phase, began, newest = Phase.IDLE, {}, {}
+    phase, began = Phase.IDLE, dict[str, int]()
+    newest, last_ns = dict[str, GateStatus](), dict[str, int]()
     why: Counter[str] = Counter()
     lasted_ms: list[float] = []
     held: Counter[str] = Counter()
     stopped: set[tuple[str, int]] = set()  # unit, and when its gate closed
-    running_ns, last_ns, hurried, statuses = 0, {}, 0, 0
+    running_ns, hurried, statuses = 0, 0, 0
     for full, payload in in_order(recording):
         if full == key(arena, STATE) and (state := RUN_STATE.decode(payload)) is not None:
             if state.phase != phase and state.phase == Phase.HOLD:
@@ -137,7 +139,7 @@ def lap() -> dict[str, Any]:
         begun(fleet, run, "lap")
         (address,) = re.findall(r"for a viewer: (\S+)", fleet.log("lap"))
         authority = phone.folder / "config" / "robofleet" / "keys" / "platoon" / "authority.pem"
-        looking = phone.command(sys.executable, "-m", "tests.hosts.visitor", address, str(authority), "60")
+        looking = phone.command(sys.executable, "-m", "tools.measure.hosts.visitor", address, str(authority), "60")
         page = subprocess.Popen(looking, stdout=subprocess.PIPE, text=True)
         stack.callback(page.kill)
         daemons = {robot: psutil.Process(fleet.daemons[robot].pid) for robot in ROBOTS}

@@ -34,7 +34,8 @@ from robofleet.vehicles.plant import Plant
 from tests.bus.alone import ENABLE as ENABLE_LAYOUT
 from tests.bus.alone import LEASE_ANSWER, ROBOT_STATUS, WHEEL_COMMAND, Enable, RobotStatus, WheelCommand
 from tests.endpoints import own_endpoint
-from tests.runs.realrun import PLATOON, own_folders
+from tests.runs.realrun import own_folders
+from tests.shipped import PLATOON
 
 CLOCK = WallClock()
 TICK_NS = 33 * MS

@@ -6,23 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.config.controller import FilterSettings
 from robofleet.core.clock import MS, S
 from robofleet.drivers.simulated import SimulatedRobot
-from robofleet.tracking.filter.estimator import CARRIED, UNUSED, USED, FilterNoise, FleetFilter
+from robofleet.tracking.filter.estimator import CARRIED, UNUSED, USED, FleetFilter
 from robofleet.vehicles.interface import DriverContext, Simulation, WheelSpeeds
 from tests.robots import GTERNAL, WORN
+from tests.tracking.filter.test_estimator import NOISE
 
 TICK = 33 * MS
 NO_SPREAD = replace(WORN, wheel_gain_spread=0.0, wheel_base_spread=0.0)
-SHIPPED = FilterSettings()
-NOISE = FilterNoise(
-    SHIPPED.position_noise_m,
-    SHIPPED.heading_noise_rad,
-    SHIPPED.position_drift_m,
-    SHIPPED.heading_drift_rad,
-    SHIPPED.gate_sigma,
-)
 SEEN = np.array([3e-5, 3e-5, math.radians(0.05)])  # what the tracker's poses are worth
 
 

@@ -1,6 +1,6 @@
 """A radio between robots and their router: a proxy of UDP that loses and delays packets, by a seed.
 
-    python -m tests.hosts.radio 10.77.0.9:7447 10.77.0.1:7447 bursts --seed 1
+    python -m tools.measure.hosts.radio 10.77.0.9:7447 10.77.0.1:7447 bursts --seed 1
 
 Packets are lost when they are sent, and do not overtake each other. Each robot has a channel of its own.
 """
@@ -14,6 +14,7 @@ import selectors
 import socket
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import NamedTuple
 
 from robofleet.core.clock import S, WallClock
@@ -140,10 +141,10 @@ def serve(listen: Address, to: Address, pattern: Pattern, seed: int) -> None:
                 now = _now()
                 if key.data is None:
                     back, _, up = client(sender)
-                    pass_on(up.due(now), lambda data=data, back=back: back.send(data))
+                    pass_on(up.due(now), partial(back.send, data))
                 else:
                     _, down, _ = client(key.data)
-                    pass_on(down.due(now), lambda data=data, to=key.data: front.sendto(data, to))
+                    pass_on(down.due(now), partial(front.sendto, data, key.data))
         while waiting and waiting[0][0] <= _now():
             with suppress(BlockingIOError, ConnectionRefusedError):
                 heapq.heappop(waiting)[2]()

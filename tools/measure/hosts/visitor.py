@@ -1,6 +1,6 @@
 """A browser on another host that has the operator's page open: it counts what it is told.
 
-python -m tests.hosts.visitor ADDRESS AUTHORITY.pem
+python -m tools.measure.hosts.visitor ADDRESS AUTHORITY.pem
 """
 
 import json
@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 import httpx
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from robofleet.core.clock import S, WallClock
 
@@ -25,9 +26,9 @@ def visit(address: str, authority: str, seconds: str) -> dict[str, int]:
         client.get(f"{parts.path}?{parts.query}").raise_for_status()
         cookies = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
     counts = {"messages": 0, "bytes": 0}
-    origin, live = f"https://{parts.netloc}", f"wss://{parts.netloc}/live"
+    origin, live = Origin(f"https://{parts.netloc}"), f"wss://{parts.netloc}/live"
     with (
-        connect(live, ssl=trusted, origin=origin, additional_headers={"Cookie": cookies}) as page,  # type: ignore[arg-type]
+        connect(live, ssl=trusted, origin=origin, additional_headers={"Cookie": cookies}) as page,
         suppress(ConnectionClosed),
     ):
         while clock.now_ns() < end_ns:
