@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Color_pb2 import Color
+from tests.config.test_obstacles import OURS
 
 from robofleet.behaviours import described
 from robofleet.bus.keys import CAMERA, NEWS, STATE, STATUS, TICK, TOPICS, key
@@ -22,7 +23,6 @@ from robofleet.safety.supervisor import NOBODY, Event, Phase
 from robofleet.tracking.events import NO_TAG, TrackerEvent
 from robofleet.vehicles.solids import Solid, area, distances
 from tests.bus.alone import ROBOT_STATUS
-from tests.config.test_obstacles import OURS
 from tests.recording.recorded import in_order
 from tests.recording.viewer import START_NS, TICK_NS, Viewer, heading, instant_ns
 
