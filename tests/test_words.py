@@ -30,9 +30,8 @@ STANDING = {
     "robofleet/behaviours/track.py": {"of"},
     "robofleet/bus/messages.py": {"place", "told"},
     "robofleet/recording/columns.py": {"of"},
-    "robofleet/recording/gauge.py": {"of", "asked", "told", "said"},
-    "robofleet/recording/reading.py": {"place", "said"},
-    "robofleet/recording/run.py": {"said", "told"},
+    "robofleet/recording/gauge.py": {"of", "asked"},
+    "robofleet/recording/reading.py": {"place"},
 }
 
 

@@ -21,7 +21,7 @@ class OwnFigure(NamedTuple):
     largest: float | None  # magnitude
     each: tuple[float | None, ...]  # of each robot; empty: it is not of robots
     deviation: tuple[float, str] | None = None  # the largest one from what was asked, and its unit
-    asked: float | None = None  # what it should be
+    target: float | None = None  # what it should be
 
     @property
     def title(self) -> str:
@@ -76,7 +76,7 @@ def as_asked(group: Mapping[str, Any], figure: OwnFigure) -> OwnFigure:
         if label == figure.label and is_number(value):
             factor = scale(figure.unit, unit)
             mean, largest, *each = (v if v is None else v * factor for v in (figure.mean, figure.largest, *figure.each))
-            return figure._replace(unit=unit, mean=mean, largest=largest, each=tuple(each), asked=value)
+            return figure._replace(unit=unit, mean=mean, largest=largest, each=tuple(each), target=value)
     return figure
 
 

@@ -126,7 +126,7 @@ def _errors(s: Summary, config: Config) -> Iterator[_Row]:
             mean = papers_mean(config, figure.key)
             paper = "-" if mean is None else f"about {mean:g}"
             shown = as_asked(group, figure)
-            digits = 2 if shown.asked is None else 1
+            digits = 2 if shown.target is None else 1
             if shown.mean is None:
                 yield _Row(figure.title, "not measured", paper)
             else:

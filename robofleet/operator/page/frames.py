@@ -69,7 +69,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         ],
         "figures": [_figure(figure, groups, bounds) for figure in live_figures.columns(groups)],
         "places": {named(Phase, phase): _places(places) for phase, places in OnTheWay(config).places.items()},
-        "ways": {named(Phase, phase): {"goal": way.goal, "there": way.there} for phase, way in WAYS.items()},
+        "ways": {named(Phase, phase): {"goal": way.goal, "arrived": way.arrived} for phase, way in WAYS.items()},
         "tick_ms": config.controller.tick_s * 1e3,
         "duration_s": config.run.duration_s,
         "cameras": [

@@ -46,8 +46,8 @@ def of_run(
 
     bus = joined(config.arena.name, config.bus.endpoint, PAGE, clock, _JOIN_WITHIN_S, end_with_the_run)
     served = Served(
-        config, folder, bus, clock, name, over=lambda: lifeline.cut, keys=keys, line=lambda: lifeline.newest_line,
-        stays=lambda: lifeline.say(STAYS),
+        config=config, folder=folder, bus=bus, clock=clock, name=name, over=lambda: lifeline.cut, keys=keys,
+        line=lambda: lifeline.newest_line, stays=lambda: lifeline.say(STAYS),
     )  # fmt: skip
     with closing(bus), lifeline.logged("web", config.arena.name):
         asyncio.run(serve(served, listening, lambda at: lifeline.ready(at.line()), lambda: lifeline.by_signal))
@@ -87,6 +87,8 @@ def by_hand(
     with closing(bus):
         os.nice(_NICE)
         lifeline = Lifeline(None)
-        served = Served(config, folder, bus, clock, host, over, keys, by_hand=True)
+        served = Served(
+            config=config, folder=folder, bus=bus, clock=clock, name=host, over=over, keys=keys, by_hand=True
+        )
         ending = asyncio.run(serve(served, listening, lambda at: lifeline.ready(announce(at)), lambda: lifeline.cut))
     return True, "" if ending.frame is None else how_ended(config, folder)

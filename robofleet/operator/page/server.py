@@ -6,9 +6,10 @@ import json
 import socket
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakSet
 
 import segno
@@ -57,7 +58,8 @@ _FORBIDDEN = 403
 _NOT_FOR_VIEWERS = "refused (403): a viewer may hold the run and press the emergency stop; ask an operator"
 
 
-class Served(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Served:
     """What a server shows."""
 
     config: Config

@@ -21,19 +21,19 @@ class WayWords:
     goal: str  # of a robot
     each: str  # where each robot drives
     all: str  # where they drive
-    there: str  # a robot is
-    all_there: str
+    arrived: str  # a robot is
+    all_arrived: str
     then: str
 
 
 WAYS = {
     Phase.POSITIONING: WayWords(
-        goal="its start", each="to its start", all="to their start", there="at its start", all_there="at their start",
-        then="the run begins",
+        goal="its start", each="to its start", all="to their start", arrived="at its start",
+        all_arrived="at their start", then="the run begins",
     ),
     Phase.PARKING: WayWords(
-        goal="the park", each="to where it is parked", all="to where they are parked", there="parked",
-        all_there="parked", then="the run ends",
+        goal="the park", each="to where it is parked", all="to where they are parked", arrived="parked",
+        all_arrived="parked", then="the run ends",
     ),
 }  # fmt: skip
 
@@ -69,7 +69,7 @@ class OnTheWay:
 
     def robot_words(self, to_go_m: float) -> str:
         assert self.phase is not None
-        return f"{to_go_m:.2f} m to {WAYS[self.phase].goal}" if to_go_m else WAYS[self.phase].there
+        return f"{to_go_m:.2f} m to {WAYS[self.phase].goal}" if to_go_m else WAYS[self.phase].arrived
 
     def words(self, to_go_m: Sequence[float | None]) -> str:
         """Return how many are there, and who has the longest way; an empty string where they are on no way."""
@@ -78,11 +78,11 @@ class OnTheWay:
         left = [m or 0.0 for m in to_go_m]
         arrived = left.count(0.0)
         if arrived == len(left):
-            return f"every robot is {WAYS[self.phase].there}"
+            return f"every robot is {WAYS[self.phase].arrived}"
         last = max(range(len(left)), key=lambda row: left[row])
         seconds = math.ceil(max(m / speed for m, speed in zip(left, self._speeds, strict=True)))
         farthest = f"{self._ids[last]} has {left[last]:.2f} m to go, at least {seconds} s"
-        return f"{WAYS[self.phase].all_there}: {arrived} of {len(left)} robots; {farthest}"
+        return f"{WAYS[self.phase].all_arrived}: {arrived} of {len(left)} robots; {farthest}"
 
 
 def _to_go_m(record: RobotTick, goal: Pose | None) -> float | None:

@@ -159,7 +159,8 @@ def test_a_name_of_this_computer_that_others_reach_is_not_served_without_keys(
     tmp_path: Path, platoon_of: Callable[..., Config]
 ) -> None:
     clock = WallClock()
-    served = Served(platoon_of(), tmp_path, MemoryBus("platoon", clock, 0), clock, "localhost", lambda: False)
+    bus = MemoryBus("platoon", clock, 0)
+    served = Served(config=platoon_of(), folder=tmp_path, bus=bus, clock=clock, name="localhost", over=lambda: False)
     with (
         Elsewhere() as listening,
         pytest.raises(RefusedError, match=r"localhost is 192\.168\.7\.7, which others reach"),

@@ -193,7 +193,9 @@ def web_stand(
     buses = [ZenohBus(config.arena.name, config.bus.endpoint, name, CLOCK, roles=has) for name, has in roles.items()]
     urls: list[Addresses] = []
     cut, over = threading.Event(), threading.Event()
-    served = Served(config, folder, buses[1], CLOCK, host, over.is_set, keys, line=console)
+    served = Served(
+        config=config, folder=folder, bus=buses[1], clock=CLOCK, name=host, over=over.is_set, keys=keys, line=console
+    )
     thread = threading.Thread(
         target=lambda: asyncio.run(serve(served, socket.create_server((host, 0)), urls.append, cut.is_set))
     )

@@ -20,7 +20,7 @@ export function robotsOf(hello, tick) {
 }
 
 function onTheWay({ gate, to_go_m: left }, way) {
-  if (left === 0) return way.there;
+  if (left === 0) return way.arrived;
   return `${gate === "open" ? "" : "stands, "}${left.toFixed(2)} m to ${way.goal}`;
 }
 
