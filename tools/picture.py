@@ -63,7 +63,7 @@ def draw(config: Config, run: Run, k: int) -> Image:
         else:
             for pixel in pixels:
                 dot(image, pixel, PALE, 4)
-    references = np.concatenate([record.references[k] for record in run.told])
+    references = np.concatenate([record.references[k] for record in run.group_figures])
     points = run.points()
     assert points is not None
     first = max(0, k - round(TRAIL_S / config.controller.tick_s))

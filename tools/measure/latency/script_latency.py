@@ -41,7 +41,7 @@ def measure(seconds: float, folder: Path, *settings: str) -> Stages:
             fleet.drive(np.tile([0.03, 0.4 * (-1) ** (k % 2)], (4, 1)))
     run = Run(read(folder))
     stamps = run.ticks["stamp_ns"]
-    wished = run.told[0].figures["wish"][:, 0]
+    wished = run.group_figures[0].figures["wish"][:, 0]
     found = []
     for status in run.statuses:
         applied = np.unique(status["applied_ns"][status["applied_ns"] > stamps[0]])
