@@ -164,9 +164,9 @@ def stops(recording: Recording) -> list[tuple[Event, float, float]]:
     failed = run.items["failed"][:, 0]
     found = []
     for k in np.flatnonzero((failed > 0) & (np.roll(failed, 1) == 0)).tolist():
-        newest = run.told[0].figures["wish"][k, 0]
+        newest = run.group_figures[0].figures["wish"][k, 0]
         setpoints = [SCRIPT_WISH.decode_head(p) for p in recording.messages[key(arena, WISH, "script")]]
-        epoch = run.told[0].figures["wish_epoch"][k, 0]
+        epoch = run.group_figures[0].figures["wish_epoch"][k, 0]
         wish = next(w for w in setpoints if w is not None and (w.epoch, w.seq) == (epoch, newest))
         since_ns = ticks[wish.echo_tick]
         assert not np.abs(run.items["left_rad_s"][k:][:3]).any()  # what is commanded from that tick on
