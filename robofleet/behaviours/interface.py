@@ -37,11 +37,6 @@ class Flow(NamedTuple):
         alpha: Speed-up of the flow [1/s].
         horizon: How far the flow predicts, T [s].
         integrator: How the flow is stepped: by its exact solution, or by forward Euler.
-
-    Attributes:
-        alpha: TODO.
-        horizon: TODO.
-        integrator: TODO.
     """
 
     alpha: float
@@ -67,21 +62,6 @@ class Team:
         point_ahead: Distance l from the axle to the point ahead [m].
         flow: Parameters of the Newton-Raphson flow.
         rng: Random numbers, the same for the same seed.
-
-    Attributes:
-        name: TODO.
-        robots: TODO.
-        drives: TODO.
-        bodies: TODO.
-        starts: TODO.
-        bystanders: TODO.
-        keepout: TODO.
-        arena: TODO.
-        tick: TODO.
-        delay: TODO.
-        point_ahead: TODO.
-        flow: TODO.
-        rng: TODO.
     """
 
     name: str
@@ -127,15 +107,6 @@ class Wish:
         age: Time since the tick by which the script decided, by the controller's ticks [s].
         epoch: Random number of the script's session.
         seq: Number of the setpoint in its session.
-
-    Attributes:
-        kind: TODO.
-        values: TODO.
-        told: TODO.
-        order: TODO.
-        age: TODO.
-        epoch: TODO.
-        seq: TODO.
     """
 
     kind: WishKind
@@ -159,14 +130,6 @@ class Situation:
             estimate.
         others: (M, 3) every other robot in the arena that was seen: x, y [m; world], body radius [m].
         wish: The newest setpoint since the run went on, for a behaviour that ``takes_wishes``. None: none yet.
-
-    Attributes:
-        t: TODO.
-        poses: TODO.
-        driving: TODO.
-        disturbance: TODO.
-        others: TODO.
-        wish: TODO.
     """
 
     t: float
@@ -206,13 +169,6 @@ class Decision(NamedTuple):
         references: (N, 2) where each robot's followed point is to be [m; world]. NaN: nowhere.
         figures: Values by the figures' names: (N,), or one value for all. A missing one is NaN.
         hold: Why the group stands at once and the run is to be held. None: it goes on.
-
-    Attributes:
-        velocities: TODO.
-        of: TODO.
-        references: TODO.
-        figures: TODO.
-        hold: TODO.
     """
 
     velocities: Array
@@ -231,13 +187,6 @@ class Figure(NamedTuple):
         shown: The unit for people and for ``summary.json``: "mm" of m, "deg" of rad. Empty: ``unit``.
         meaning: A sentence for the report and the viewers.
         live: Whether it is a column of the terminal and of the page.
-
-    Attributes:
-        name: TODO.
-        unit: TODO.
-        shown: TODO.
-        meaning: TODO.
-        live: TODO.
     """
 
     name: str
@@ -284,12 +233,6 @@ class Line(NamedTuple):
         points: (M, 2) [m; world].
         closed: Whether it ends where it begins.
         directed: Whether it is driven in the points' order: arrows are drawn on it.
-
-    Attributes:
-        name: TODO.
-        points: TODO.
-        closed: TODO.
-        directed: TODO.
     """
 
     name: str
@@ -304,10 +247,6 @@ class Dots(NamedTuple):
     Attributes:
         name: Their name.
         points: (M, 2) [m; world].
-
-    Attributes:
-        name: TODO.
-        points: TODO.
     """
 
     name: str
@@ -324,10 +263,6 @@ class Refusal(NamedTuple):
         key: The key that is wrong: "settings.path_rate" or "robots.1" of the group, "r2.start" of the robot r2, else
             from the root.
         message: What is wrong and how to mend it.
-
-    Attributes:
-        key: TODO.
-        message: TODO.
     """
 
     key: str
@@ -347,16 +282,6 @@ class Bound:
         mend: How to mend a bound that does not hold.
         at_least: Whether the value must be at least the limit. Else it must be at most the limit.
         strict: Whether the value must not equal the limit.
-
-    Attributes:
-        path: TODO.
-        what: TODO.
-        value: TODO.
-        limit: TODO.
-        unit: TODO.
-        mend: TODO.
-        at_least: TODO.
-        strict: TODO.
     """
 
     path: str
@@ -388,12 +313,6 @@ class Start(NamedTuple):
         arrived_s: When each robot is where the behaviour wants it (N) [s]. Infinite: not soon.
         rows: Rows of a table: what, value, limit, note.
         warnings: What may take long: how long [s], and a sentence.
-
-    Attributes:
-        jam: TODO.
-        arrived_s: TODO.
-        rows: TODO.
-        warnings: TODO.
     """
 
     jam: Reason | None = None
@@ -415,16 +334,6 @@ class Past:
         spaced: (K,) ticks after ``run.spacing_settle_s``: of these the true errors count.
         references: (K, N, 2) as decided [m; world]. NaN: none.
         figures: (K, N) by the figures' names. NaN: not decided.
-
-    Attributes:
-        t: TODO.
-        poses: TODO.
-        points: TODO.
-        known: TODO.
-        settled: TODO.
-        spaced: TODO.
-        references: TODO.
-        figures: TODO.
     """
 
     t: Array
@@ -448,15 +357,6 @@ class Measure(NamedTuple):
         shown: The unit for people, as a Figure's.
         meaning: A sentence for the report.
         asked: What the values should be. None: nothing certain.
-
-    Attributes:
-        name: TODO.
-        unit: TODO.
-        values: TODO.
-        of: TODO.
-        shown: TODO.
-        meaning: TODO.
-        asked: TODO.
     """
 
     name: str

@@ -193,20 +193,6 @@ class TagPose(NamedTuple):
         xpsi_m_rad: Covariance of x and psi.
         ypsi_m_rad: Covariance of y and psi.
         psipsi_rad2: Variance of psi.
-
-    Attributes:
-        tag: TODO.
-        after_ns: TODO.
-        coasted_ns: TODO.
-        x_m: TODO.
-        y_m: TODO.
-        psi_rad: TODO.
-        xx_m2: TODO.
-        xy_m2: TODO.
-        yy_m2: TODO.
-        xpsi_m_rad: TODO.
-        ypsi_m_rad: TODO.
-        psipsi_rad2: TODO.
     """
 
     tag: int

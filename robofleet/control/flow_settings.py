@@ -41,19 +41,6 @@ class FlowSettings:
         offset_free: Whether a constant disturbance is estimated and predicted with.
         max_condition: Greatest condition number of dg/du with rows and columns scaled to 1. Above it the update is
             refused.
-
-    Attributes:
-        alpha: TODO.
-        horizon: TODO.
-        step: TODO.
-        integrator: TODO.
-        predictor: TODO.
-        prediction_steps: TODO.
-        lower: TODO.
-        upper: TODO.
-        delay: TODO.
-        offset_free: TODO.
-        max_condition: TODO.
     """
 
     alpha: float

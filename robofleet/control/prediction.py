@@ -51,17 +51,6 @@ class Plant:
         fused: The prediction by hand (RK4): x, u, T, steps, y, dg -> status. It writes g (m,) to y and dg/du (m, m) to
             dg, and returns 0, or the step k that was not finite, or -k where the eigenvalues met on the way need k
             steps.
-
-    Attributes:
-        f: TODO.
-        h: TODO.
-        n: TODO.
-        m: TODO.
-        f_x: TODO.
-        f_u: TODO.
-        h_x: TODO.
-        fastest_rate: TODO.
-        fused: TODO.
     """
 
     f: Callable[[Array, Array], Array]

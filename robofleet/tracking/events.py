@@ -46,11 +46,6 @@ class Notice(NamedTuple):
         event: What happened.
         tag: The tag that it is about. ``NO_TAG``: none.
         value: As the event's comment says.
-
-    Attributes:
-        event: TODO.
-        tag: TODO.
-        value: TODO.
     """
 
     event: TrackerEvent

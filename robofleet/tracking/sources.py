@@ -40,10 +40,6 @@ class Exposure(NamedTuple):
     Attributes:
         time_s: Exposure time of each row [s].
         gain: Gain [the camera's own units].
-
-    Attributes:
-        time_s: TODO.
-        gain: TODO.
     """
 
     time_s: float
@@ -58,12 +54,6 @@ class ExposureLimits(NamedTuple):
         longest: The longest time and the greatest gain.
         step: From one possible setting to the next. 0: any.
         gain_db: One unit of the gain [dB]; roughly, where the camera does not tell.
-
-    Attributes:
-        shortest: TODO.
-        longest: TODO.
-        step: TODO.
-        gain_db: TODO.
     """
 
     shortest: Exposure
@@ -79,11 +69,6 @@ class Frame(NamedTuple):
         image: Grey levels (H, W).
         exposure_ns: Mid-exposure, of the middle row if the shutter rolls [ns; this host's clock].
         exposure: How it was exposed, as far as an ``AdjustableCamera`` knows.
-
-    Attributes:
-        image: TODO.
-        exposure_ns: TODO.
-        exposure: TODO.
     """
 
     image: NDArray[np.uint8]
@@ -169,14 +154,6 @@ class CameraContext:
         rng: Random numbers of the camera.
         extra_delay_ns: Time from the end of the readout to the image's use [ns]: what lockstep charges for the
             tracker's work.
-
-    Attributes:
-        config: TODO.
-        clock: TODO.
-        bus: TODO.
-        ticks: TODO.
-        rng: TODO.
-        extra_delay_ns: TODO.
     """
 
     config: Config
@@ -295,12 +272,6 @@ class Observation(NamedTuple):
         poses: One pose for each robot that was seen.
         refused: How many candidates were refused so far.
         image: The image to look at, until the next one: grey levels (H, W). None: there is no camera.
-
-    Attributes:
-        exposure_ns: TODO.
-        poses: TODO.
-        refused: TODO.
-        image: TODO.
     """
 
     exposure_ns: int
@@ -373,11 +344,6 @@ class PoseContext(CameraContext):
         wake: Wakes the process, which then observes. Any thread may call it, with an instant [ns].
         real_time: Whether the run is in real time. Else it is in lockstep.
         around: Puts faults on purpose around a camera's images.
-
-    Attributes:
-        wake: TODO.
-        real_time: TODO.
-        around: TODO.
     """
 
     wake: Wake

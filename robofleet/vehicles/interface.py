@@ -26,10 +26,6 @@ class WheelSpeeds(NamedTuple):
     Attributes:
         left: Left wheel [rad/s].
         right: Right wheel [rad/s].
-
-    Attributes:
-        left: TODO.
-        right: TODO.
     """
 
     left: float
@@ -66,15 +62,6 @@ class DriverReading(NamedTuple):
         battery: Charge [0..1]. NaN where the robot cannot tell.
         faults: Bits of ``RobotFault``. 0: healthy.
         sensors: Its other sensors. None: it has none, or ``DriverContext.sensors`` asks for none.
-
-    Attributes:
-        left_angle: TODO.
-        right_angle: TODO.
-        left_speed: TODO.
-        right_speed: TODO.
-        battery: TODO.
-        faults: TODO.
-        sensors: TODO.
     """
 
     left_angle: float
@@ -105,22 +92,6 @@ class Imperfections:
         wheel_gain_error: Error of both wheels' travel, relative.
         wiring: How motors and encoders are connected.
         actuation_delay: Time from a command's arrival until the wheels begin to follow it [s].
-
-    Attributes:
-        motor_lag: TODO.
-        speed_quantum: TODO.
-        loop_period: TODO.
-        deadband: TODO.
-        breakaway: TODO.
-        wheel_gain_spread: TODO.
-        wheel_base_spread: TODO.
-        slip: TODO.
-        slip_noise: TODO.
-        top_speed_sag: TODO.
-        battery_life: TODO.
-        wheel_gain_error: TODO.
-        wiring: TODO.
-        actuation_delay: TODO.
     """
 
     motor_lag: float
@@ -148,13 +119,6 @@ class BodyTrouble(NamedTuple):
         left: Speed at which the left wheel turns by itself [rad/s]. None: it obeys.
         right: The same of the right wheel [rad/s].
         pushed: Velocity by a hand along x and y [m/s; world].
-
-    Attributes:
-        stuck: TODO.
-        slip: TODO.
-        left: TODO.
-        right: TODO.
-        pushed: TODO.
     """
 
     stuck: bool = False
@@ -176,15 +140,6 @@ class Simulation:
         rng: Its random numbers.
         radius: Radius of the disc that others' distance sensors see [m].
         sensing: Its sensors. None: its wheels alone.
-
-    Attributes:
-        drive: TODO.
-        imperfections: TODO.
-        start: TODO.
-        trouble: TODO.
-        rng: TODO.
-        radius: TODO.
-        sensing: TODO.
     """
 
     drive: DifferentialDrive
@@ -206,13 +161,6 @@ class WorldRobot:
         drive: Its wheels and limits, as the controller assumes them.
         radius: Radius of the smallest disc about the axle's middle that covers it [m].
         start: Pose of the axle's middle: x, y [m], psi [rad; world]. None: not known.
-
-    Attributes:
-        robot: TODO.
-        unit: TODO.
-        drive: TODO.
-        radius: TODO.
-        start: TODO.
     """
 
     robot: str
@@ -231,12 +179,6 @@ class WorldObstacle:
         points: A polygon's corners, counter-clockwise, or a disc's middle [m; world].
         radius: A disc's radius [m]. 0: a polygon.
         height: Height above the floor [m].
-
-    Attributes:
-        name: TODO.
-        points: TODO.
-        radius: TODO.
-        height: TODO.
     """
 
     name: str
@@ -256,12 +198,6 @@ class World:
         floor: Corners of the floor [m]. None: the whole rectangle.
         robots: All robots of the run, the driver's own too, in the configuration's order.
         obstacles: Everything on the floor that does not move.
-
-    Attributes:
-        size: TODO.
-        floor: TODO.
-        robots: TODO.
-        obstacles: TODO.
     """
 
     size: tuple[float, float]
@@ -297,15 +233,6 @@ class DriverContext:
         settings: ``robots[].settings`` as the class's own ``Settings``. None where the class has none.
         sensors: The sensors that ``read`` is to report. None: nobody asks for any.
         world: The arena with all robots and obstacles. None: the driver is made outside a run.
-
-    Attributes:
-        robot: TODO.
-        drive: TODO.
-        simulation: TODO.
-        now_ns: TODO.
-        settings: TODO.
-        sensors: TODO.
-        world: TODO.
     """
 
     robot: str
