@@ -15,9 +15,7 @@ pytestmark = pytest.mark.long
 @pytest.mark.parametrize(
     ("fault", "cause"),
     [
-        pytest.param(
-            "{kind: killed, process: driver-r2, at_s: 0.5}", "r2: the driver went silent", marks=pytest.mark.long
-        ),
+        ("{kind: killed, process: driver-r2, at_s: 0.5}", "r2: the driver went silent"),
         ("{kind: stopped, process: driver-r2, at_s: 0.5, duration_s: 5}", "r2: the driver went silent"),
     ],
 )
