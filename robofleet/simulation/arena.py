@@ -83,9 +83,7 @@ def take(  # type: ignore[no-untyped-def]
     capacity = stamps.shape[1]
     for truth in truths:
         n = rows[truth.place] if truth.place < len(rows) else NOBODY
-        if n == NOBODY or not (
-            abs(truth.x_m) < _FAR and abs(truth.y_m) < _FAR and abs(truth.psi_rad) < _FAR
-        ):
+        if n == NOBODY or not (abs(truth.x_m) < _FAR and abs(truth.y_m) < _FAR and abs(truth.psi_rad) < _FAR):
             continue
         if count[n] and stamp_ns <= stamps[n, (count[n] - 1) % capacity]:
             continue
