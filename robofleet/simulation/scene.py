@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config import obstacles
-from robofleet.config.calibrated import FloorTag, TagOffset
+from robofleet.config.calibrated import TagOffset
 from robofleet.config.camera import Cover, Knock, Outage, SimulatedCameraSettings
 from robofleet.config.tree import Config
 from robofleet.simulation.camera import Print, SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.tags.targets import Target, robot_targets
+from robofleet.tracking.tags.targets import floor_targets, robot_targets
 
 _SLOW_STEPS = 20  # in which a slow knock is done
 _LIGHT_STEP = 0.02  # by which daylight changes, at least
@@ -30,7 +30,10 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
         rng,
         exposure_s=camera.exposure_s,
         line_time_s=camera.model.line_time_s,
-        prints=[_print(tag, config.tracker.family) for tag in lying],
+        prints=[
+            Print(target, tag.x_m, tag.y_m, math.radians(tag.heading_deg))
+            for target, tag in zip(floor_targets(config, lying), lying, strict=True)
+        ],
         offsets=np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in true_offsets(config)]),
         light=light_at(simulated, 0.0),
         obstacles=[solid.outline for solid in obstacles.standing(config.arena)],
@@ -111,8 +114,3 @@ def _progress(knock: Knock, t: float) -> float:
     if t < knock.at_s or knock.over_s == 0.0:
         return float(t >= knock.at_s)
     return min(1.0, math.floor(_SLOW_STEPS * (t - knock.at_s) / knock.over_s) / _SLOW_STEPS)
-
-
-def _print(tag: FloorTag, family: str) -> Print:
-    target = Target(tag.tag, tag.side_m, tag.height_m, 0.0, family)
-    return Print(target, tag.x_m, tag.y_m, math.radians(tag.heading_deg))

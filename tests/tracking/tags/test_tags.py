@@ -117,12 +117,6 @@ def test_print_that_only_reads_like_a_tag_is_refused() -> None:
         assert (len(findings.tags), findings.refused) == (expected, 1 - expected)
 
 
-def test_same_tag_twice_is_found_twice() -> None:
-    twice = scene((1, 1, 2))
-    image = twice.render(np.array([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), (0.0, 0.5, 2.0)]))
-    assert sorted(found.target for found in detector().detect(image).tags) == [0, 0, 1]
-
-
 def test_only_what_is_whole_in_the_region_is_found(renderer: SceneRenderer) -> None:
     image = renderer.render(FOUR)
     (u, v), _ = GEOMETRY.project(np.array([(-0.5, 0.0, HEIGHT_M), (0.5, 0.0, HEIGHT_M)])).astype(int)
@@ -130,12 +124,6 @@ def test_only_what_is_whole_in_the_region_is_found(renderer: SceneRenderer) -> N
     assert found.target == 0
     assert abs(found.centre - (-0.5 + 0j)) < 2e-4
     assert detector().detect(image, Region(u, v - 40, u + 40, v + 40)).tags == ()
-
-
-def test_what_is_known_is_not_told_again(renderer: SceneRenderer) -> None:
-    image = renderer.render(FOUR)
-    known = np.array([-0.5, np.nan, 0.0, np.nan], dtype=complex)  # the third one stands elsewhere
-    assert sorted(found.target for found in detector().detect(image, known=known).tags) == [1, 2, 3]
 
 
 @pytest.mark.parametrize("light", [0.5, 0.15])
@@ -151,12 +139,6 @@ def test_tags_in_the_dark_are_found(renderer: SceneRenderer, light: float) -> No
 def test_tag_of_a_wrong_size_is_refused(renderer: SceneRenderer) -> None:
     image = renderer.render(np.array([(0.0, 0.0, 0.0), *3 * [(np.nan, np.nan, np.nan)]]))
     assert detector(side=0.05).detect(image) == Findings((), 1)
-
-
-def test_tag_over_the_image_edge_is_not_seen(renderer: SceneRenderer) -> None:
-    corners = GEOMETRY.to_plane(np.array([[0.0, 0.0], [1279.0, 300.0], [640.0, 719.0]]), HEIGHT_M)
-    poses = np.array([(x, y, 0.4) for x, y in corners] + [(9.0, -40.0, 0.0)])
-    assert detector().detect(renderer.render(poses)).tags == ()
 
 
 def test_a_tile_is_searched_again_when_it_changes_and_now_and_then(
