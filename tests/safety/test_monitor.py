@@ -147,8 +147,8 @@ def test_a_robot_that_only_a_camera_sees_that_is_out_is_not_lost() -> None:
 @pytest.mark.parametrize(("x_m", "outside"), [(-0.05, False), (-0.0499, True), (0.7, True)])
 def test_a_robot_off_a_floor_that_is_a_polygon_is_outside(x_m: float, outside: bool) -> None:
     corners = ((-1.5, -1.0), (1.5, -1.0), (1.5, 0.3), (0.0, 0.3), (0.0, 1.0), (-1.5, 1.0))
-    settings, state = replace(SETTINGS, floors=(Solid("floor", corners, floor=True),)), robot(0, pose=(x_m, 0.6, 0.0))
-    assert told(state, before=state, settings=settings) == [Happening(Event.OUTSIDE_ARENA, 0)] * outside
+    settings, placed = replace(SETTINGS, floors=(Solid("floor", corners, floor=True),)), robot(0, pose=(x_m, 0.6, 0.0))
+    assert told(placed, before=placed, settings=settings) == [Happening(Event.OUTSIDE_ARENA, 0)] * outside
 
 
 def test_a_robot_is_not_outside_where_it_was_seen_long_ago() -> None:

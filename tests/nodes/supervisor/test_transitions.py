@@ -268,7 +268,7 @@ ROWS = {
         says("r2", **STALLED), run(1100), says("r2", left_angle_rad=1.0), run(100), ask("resume"),
         says("r2", **STALLED), run(1100)], HOLD, Event.WHEEL_STALLED, 1),
     "a fleet of another size": Row(running, [fleet_of_another_size], FAULT, Event.OTHER_BUILD),
-    "another version's numbers": Row(running, [says("r1", boot_id=4711, gate=77), run(100)], FAULT,
+    "another version's numbers": Row(running, [says("r1", boot_id=4711, latch=99, gate=77), run(100)], FAULT,
                                      Event.DRIVER_RESTARTED, 0),
     "a driver's clock begins anew": Row(running, [clock_anew, run(100)], FAULT, Event.DRIVER_RESTARTED, 0),
     # what was overtaken says nothing
