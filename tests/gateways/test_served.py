@@ -58,14 +58,14 @@ def test_the_next_run_of_an_arena_is_another_one(monkeypatch: pytest.MonkeyPatch
 
 
 def test_viewers_see_nothing_of_the_next_run() -> None:
-    told: list[bytes] = []
+    states: list[bytes] = []
 
     def tell(topic: str, _log_ns: int, message: bytes) -> None:
-        told.extend([message] if topic == STATES else [])
+        states.extend([message] if topic == STATES else [])
 
     server: Any = SimpleNamespace(address="", tell=tell, step=lambda _: None, close=lambda: None)
     arrivals = [Arrival(at * S, STATES, state(epoch)) for at, epoch in enumerate([1, 1, 2, 2], 1)]
     stream: Any = SimpleNamespace(drain=lambda: arrivals)
     served = Served(lambda: False, 0)
     Viewers(CONFIG, stream, served, lambda _: server, 0).step(4 * S)
-    assert told == [state(1)] * 2 and served.is_over(4 * S)
+    assert states == [state(1)] * 2 and served.is_over(4 * S)

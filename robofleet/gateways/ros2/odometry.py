@@ -65,8 +65,8 @@ class Odometry:
             x, y, psi = self._then(robot, at_ns)
             turn = pose[2] - psi
             cos, sin = math.cos(turn), math.sin(turn)
-            place = pose[0] - cos * x + sin * y, pose[1] - sin * x - cos * y
-            self.corrections[robot] = *place, math.remainder(turn, math.tau)
+            position = pose[0] - cos * x + sin * y, pose[1] - sin * x - cos * y
+            self.corrections[robot] = *position, math.remainder(turn, math.tau)
             self.corrected[robot] = True
 
     def _then(self, robot: int, at_ns: int) -> list[float]:

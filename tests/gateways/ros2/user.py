@@ -73,7 +73,10 @@ def listen(node: Node, seconds: float) -> dict[str, Any]:
                 kept.append(node.create_subscription(load(kind), name, came.append, quality))
         rclpy.spin_once(node, timeout_sec=0.05)
     for name, came in messages.items():
-        found[name] |= {"messages": len(came), "frames": sorted({frame for one in came for frame in frames(one)})}
+        found[name] |= {
+            "messages": len(came),
+            "frames": sorted({frame for message in came for frame in frames(message)}),
+        }
     services = {name: kinds[0] for name, kinds in node.get_service_names_and_types()}
     return {"topics": found, "services": services}
 
