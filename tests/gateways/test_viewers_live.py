@@ -23,9 +23,9 @@ DRAWN = 0.97  # of what is drawn ten times a second: a process that was late mis
 
 @pytest.fixture
 def run(tmp_path: Path, alone_for_a_module: None) -> RealRun:
-    """Both kinds of viewers at once, each with a server of its own."""
+    """Both kinds of viewers at once, each with a server of its own; rerun's takes some seconds to start."""
     options = "--rerun", "127.0.0.1:0", "--foxglove", "127.0.0.1:0"
-    run = RealRun(tmp_path, *of_robots("r1", "r2"), "--duration", "10", *options)
+    run = RealRun(tmp_path, *of_robots("r1", "r2"), "--duration", "20", *options)
     run.wait_for(lambda: FOXGLOVE.search(run.said) and RERUN.search(run.said))
     return run
 
