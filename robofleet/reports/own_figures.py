@@ -25,7 +25,9 @@ class OwnFigure(NamedTuple):
 
     @property
     def title(self) -> str:
-        return ", ".join(filter(None, (self.label, self.unit)))
+        """Its label and unit in words, and what it should be."""
+        asked = "" if self.asked is None else f" (of {self.asked:g})"
+        return ", ".join(filter(None, (self.label, self.unit))) + asked
 
 
 def own_figures(group: Mapping[str, Any]) -> Iterator[OwnFigure]:
