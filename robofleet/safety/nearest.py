@@ -17,14 +17,13 @@ def nearest(x: float, y: float, rows: Array) -> tuple[float, float]:
     """Return the point nearest to (x, y) that keeps all rows, and has been checked to; NaN if there is none."""
     if _excess(x, y, rows) <= TOLERANCE:
         return x, y
-    along, across = _project(x, y, rows)
-    if not _excess(along, across, rows) <= _CHECKED:  # it cannot withdraw from all: not nearer to any
-        for k in range(len(rows)):
-            rows[k, 2] = max(rows[k, 2], 0.0)
+    for _ in range(2):
         along, across = _project(x, y, rows)
-        if not _excess(along, across, rows) <= _CHECKED:
-            return np.nan, np.nan
-    return along, across
+        if _excess(along, across, rows) <= _CHECKED:
+            return along, across
+        for k in range(len(rows)):  # it cannot withdraw from all: not nearer to any
+            rows[k, 2] = max(rows[k, 2], 0.0)
+    return np.nan, np.nan
 
 
 @kernel

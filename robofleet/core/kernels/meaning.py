@@ -19,6 +19,9 @@ from typing import Any, Protocol, runtime_checkable
 import llvmlite
 import numba
 import numpy as np
+from llvmlite.binding import parse_assembly
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.dispatcher import Dispatcher
 
 from robofleet.core.errors import UnknownMeaningError
@@ -26,10 +29,46 @@ from robofleet.core.errors import UnknownMeaningError
 # what they compile to is known from their name and the version
 _LIBRARIES = {"numpy", "numba", "math", "cmath", "operator", "builtins"}
 _VERSIONS = (str(sys.implementation.cache_tag), numba.__version__, llvmlite.__version__, np.__version__)
+
+
+class InnerLibrary(JITCodeLibrary):
+    """A function that only compiled code calls: optimised and translated into machine code as a part of its callers.
+
+    A quarter of all compilation would go into machine code that nobody runs.
+    """
+
+    def __init__(self, codegen: Any, *, fastmath: bool) -> None:
+        super().__init__(codegen, "inner")  # type: ignore[no-untyped-call]
+        self._fastmath = fastmath
+        self.enable_object_caching()  # type: ignore[no-untyped-call]
+
+    def _optimize_final_module(self) -> None:
+        if self._fastmath:  # the order of its sums is decided here
+            super()._optimize_final_module()  # type: ignore[no-untyped-call]
+
+    def _finalize_final_module(self) -> None:
+        """Compile nothing but the addresses of numba's environments, which numba writes."""
+        module = self._final_module
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        names = [value.name for value in module.global_variables if value.name.startswith("_ZN08NumbaEnv")]
+        self._final_module = parse_assembly("\n".join(f'@"{name}" = common global ptr null' for name in names))
+        self._final_module.triple, self._final_module.data_layout = module.triple, module.data_layout
+        super()._finalize_final_module()  # type: ignore[no-untyped-call]
+        self._final_module = module
+
+
+class InnerCompiler(Compiler):
+    """Compiles into an ``InnerLibrary``."""
+
+    def __init__(self, typing: Any, target: Any, library: Any, args: Any, result: Any, flags: Any, types: Any) -> None:
+        library = InnerLibrary(target.codegen(), fastmath=bool(flags.fastmath))
+        super().__init__(typing, target, library, args, result, flags, types)  # type: ignore[no-untyped-call]
+
+
 # A function that only compiled code calls becomes a part of each caller, and has no wrapper for Python. A copy beside a
 # caller would be shared by all callers that are loaded. Copies round differently where the order of sums is the
 # compiler's: results would depend on which caller was loaded first.
-INNER = {"no_cpython_wrapper": True, "forceinline": True}
+INNER = {"no_cpython_wrapper": True, "forceinline": True, "pipeline_class": InnerCompiler}
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
 

@@ -69,7 +69,7 @@ def accumulate(  # type: ignore[no-untyped-def]
                 flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope,
                 tilted,
             )  # fmt: skip
-            full = 0  # type: ignore[assignment]
+            full = np.int64(0)
         if many > 0:
             _read(flat[full:], many, first, stride, y, image[v, begin : end + 1])
             full += many
