@@ -26,8 +26,8 @@ class OwnFigure(NamedTuple):
     @property
     def title(self) -> str:
         """Its label and unit in words, and what it should be."""
-        asked = "" if self.asked is None else f" (of {self.asked:g})"
-        return ", ".join(filter(None, (self.label, self.unit))) + asked
+        target = "" if self.target is None else f" (of {self.target:g})"
+        return ", ".join(filter(None, (self.label, self.unit))) + target
 
 
 def own_figures(group: Mapping[str, Any]) -> Iterator[OwnFigure]:
