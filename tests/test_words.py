@@ -32,7 +32,6 @@ STANDING = {
     "robofleet/recording/columns.py": {"of"},
     "robofleet/recording/gauge.py": {"of", "asked"},
     "robofleet/recording/reading.py": {"place"},
-    "robofleet/reports/own_figures.py": {"asked"},
 }
 
 

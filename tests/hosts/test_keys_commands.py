@@ -519,7 +519,7 @@ def test_a_service_is_nobody_but_its_robots_driver(service: Path) -> None:
                  "SupplementaryGroups=dialout"):  # fmt: skip
         assert f"\n{line}\n" in text
     assert not re.search(r"^User=", text, re.MULTILINE)
-    assert int(re.findall(r"^LimitRTPRIO=(\d+)$", text, re.MULTILINE)[0]) >= daemon._PRIORITY
+    assert int(re.findall(r"^LimitRTPRIO=(\d+)$", text, re.MULTILINE)[0]) >= daemon._DRIVER_PRIORITY
     assert int(re.findall(r"^LimitNICE=(-\d+)$", text, re.MULTILINE)[0]) <= node.NICE
     driver = (DEPLOY / "robofleet-driver@.service").read_text()
     allowed = re.findall(r"^DeviceAllow=.*$", driver, re.MULTILINE)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Color_pb2 import Color
-from tests.config.test_obstacles import OURS
 
 from robofleet.behaviours import described
 from robofleet.bus.keys import CAMERA, NEWS, STATE, STATUS, TICK, TOPICS, key
@@ -25,6 +24,7 @@ from robofleet.vehicles.solids import Solid, area, distances
 from tests.bus.alone import ROBOT_STATUS
 from tests.recording.recorded import in_order
 from tests.recording.viewer import START_NS, TICK_NS, Viewer, heading, instant_ns
+from tests.shipped import SHIPPED
 
 Make = Callable[..., Any]
 INFO, WARNING, ERROR = 2, 3, 4  # Foxglove's
@@ -232,7 +232,7 @@ def test_triangles_fill_a_star(seed: int) -> None:
 
 
 def test_every_obstacle_of_a_configuration_is_in_the_viewers_scene() -> None:
-    config = load_config(OURS)
+    config = load_config(SHIPPED / "obstacles.yaml")
     entities = {entity.id: entity for entity in arena(config, (), None)}  # type: ignore[arg-type]
     assert {"arena", "obstacles/box", "obstacles/pillar", "obstacles/wall"} == set(entities)
     assert len(entities["arena"].lines) == 2, "the arena, and its floor"
