@@ -74,5 +74,5 @@ class Odometry:
         known = min(self._count, _REMEMBERED_STATUSES)
         order = (np.arange(known) + self._count - known) % _REMEMBERED_STATUSES
         instants, (x, y, psi) = self._at_ns[order], self._past[order, robot].T
-        first_ns = instants[0]
-        return [float(np.interp(at_ns - first_ns, instants - first_ns, values)) for values in (x, y, np.unwrap(psi))]
+        since_first_ns = float(at_ns - int(instants[0]))  # an instant that a message names may be any number
+        return [float(np.interp(since_first_ns, instants - instants[0], each)) for each in (x, y, np.unwrap(psi))]
