@@ -237,7 +237,7 @@ def argparse_only(file: Path, name: str | None, arguments: list[str], monkeypatc
     if "Fleet.from_arguments(" in text:
         Fleet.from_arguments("configs/script.yaml", arguments)
         return
-    if "argparse" not in text:
+    if "argparse" not in text and "program(" not in text:
         known = set(arguments) <= set(re.findall(r'"(--\w+)"', text))
         assert known, f"{file.name} takes no {arguments}"
         return

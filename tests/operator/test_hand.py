@@ -205,8 +205,7 @@ def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tupl
         thread.start()
         yield pad, wished
         over.set()
-        fleet.controlled = False
-        thread.join(10.0)
+    thread.join(10.0)  # the supervisor is silent now
     assert not thread.is_alive()
     assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
 
