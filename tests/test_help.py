@@ -59,6 +59,7 @@ def completed(folder: Path, *words: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_bash_completes_commands_options_and_arenas_that_have_a_run(shell: Path) -> None:
     config = load_config(ROOT / "configs" / "platoon.yaml", ["bus.endpoint=unixsock-stream//run/lab/bus.sock"])
     with ExitStack() as runs:
@@ -72,6 +73,7 @@ def test_bash_completes_commands_options_and_arenas_that_have_a_run(shell: Path)
     assert completed(shell, "robofleet", "run", "--lock") == ["--lockstep"]
 
 
+@pytest.mark.slow
 def test_bash_is_left_to_complete_files(shell: Path) -> None:
     assert completed(shell, "robofleet", "run", "conf") == []
     script = 'eval "$(_ROBOFLEET_COMPLETE=source_bash robofleet)"; complete -p robofleet'

@@ -144,6 +144,7 @@ def test_where_the_supervisor_is_silent_a_strangers_answer_is_named_and_not_beli
     assert stolen
 
 
+@pytest.mark.slow
 def test_of_two_who_call_themselves_supervisor_none_is_believed_but_the_request_arrives(bus: Bus) -> None:
     requests: list[bytes] = []
     queryable = bus.forge(key("lab", on(b"hold"), "supervisor"), b"ok", [])
@@ -178,6 +179,7 @@ def test_a_lease_is_asked_of_the_driver_whoever_else_listens(bus: Bus) -> None:
     assert set(requests) == {b"please"}
 
 
+@pytest.mark.slow
 def test_a_process_that_is_there_twice_is_refused_and_the_first_is_left_alone(bus: Bus) -> None:
     with pytest.raises(RoleTakenError, match=rf"the arena lab has a supervisor already \(process {os.getpid()}\)"):
         ZenohBus("lab", bus.endpoint, "supervisor", CLOCK, roles=("supervisor",))
@@ -341,6 +343,7 @@ def test_a_socket_that_a_killed_router_left_is_taken_over_and_one_that_is_served
     CLOCK.sleep_until(CLOCK.now_ns() + MS)
 
 
+@pytest.mark.slow
 def test_a_flood_of_requests_reaches_nobody_and_another_clients_request_is_heard(bus: Bus) -> None:
     requests: list[bytes] = []
     request = key("lab", REQUEST, "supervisor")

@@ -83,6 +83,7 @@ def opened(endpoint: str, own: Credentials | None, *, root: Path | None = None, 
     return zenoh.open(config)
 
 
+@pytest.mark.slow_after_first
 def test_without_a_certificate_of_this_authority_there_is_no_link(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor without encryption, with a certificate that has ended, or to a router of another arena."""
     own, theirs = (Credentials.at(keys.folder, "r1") for keys in (lab.authority, lab.elsewhere))

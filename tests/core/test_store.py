@@ -188,6 +188,7 @@ SHIPPED = "import sys; from pathlib import Path; from robofleet.core.kernels imp
 FOR_COMMON = {"NUMBA_CPU_NAME": store.SHIPPED_CPU, "NUMBA_CPU_FEATURES": ""}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not store.runs_shipped(), reason="this processor runs no kernels of a wheel")
 def test_what_the_package_brings_is_loaded_unless_others_can_write_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

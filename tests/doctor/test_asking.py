@@ -30,6 +30,7 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, TwinSt
         yield stands
 
 
+@pytest.mark.slow
 def test_every_kind_is_known_by_its_answer_and_stands(twins: dict[str, TwinStand]) -> None:
     before = [stand.twin.truth()[:3] for stand in twins.values()]
     found = asking.ask(Needs(), [str(stand.port) for stand in twins.values()])

@@ -72,6 +72,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     bench.stand.twin.close()
 
 
+@pytest.mark.slow
 def test_a_killed_driver_leaves_it_at_rest_and_its_successor_may_have_the_port(bench: Bench) -> None:
     bench.driver.kill()
     assert bench.wait(lambda: not bench.moves) < STOPS_WITHIN_S[bench.kind]

@@ -176,6 +176,7 @@ def test_ideal_robots_are_on_their_way_where_the_original_has_them(steps: int, r
     assert apart.max() < 0.012  # they begin a tick or two later, with 4 mm a tick
 
 
+@pytest.mark.slow
 def test_two_runs_of_a_script_leave_the_same_trace(runs: Runs, folder: Path) -> None:
     short = SCRIPT_2.replace("range(400)", "range(30)")
     traces = set()

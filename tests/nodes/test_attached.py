@@ -73,6 +73,7 @@ def attached(cable: Cable) -> Any:
     driver.close()
 
 
+@pytest.mark.slow
 def test_a_driver_that_fails_is_closed_and_sought_ever_more_patiently(
     cable: Cable, attached: ReconnectingDriver
 ) -> None:

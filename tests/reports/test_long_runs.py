@@ -97,6 +97,7 @@ def test_a_part_of_a_run_is_let_go_of_before_the_next_one_is_read(
     assert len(seen) > 3
 
 
+@pytest.mark.slow
 def test_a_run_of_four_times_the_length_needs_no_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reading, "_AROUND_NS", 3 * S // 2)
     monkeypatch.setattr(sampled, "_MOST_TICK_BYTES", 50_000)

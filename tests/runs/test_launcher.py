@@ -64,6 +64,7 @@ def test_a_run_in_real_time_with_the_camera(real_run: Callable[..., RealRun]) ->
         assert "Traceback" not in log.read_text(), log.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "victim", ["driver-r1", *(pytest.param(name, marks=pytest.mark.long) for name in LONG_VICTIMS)]
 )

@@ -169,6 +169,7 @@ def test_a_server_that_is_gone_in_mid_run_is_a_lost_link(browser: Chrome, mortal
         assert "did not get through" in page.text("notice")
 
 
+@pytest.mark.slow
 def test_a_run_that_has_ended_is_told_calmly(browser: Chrome, mortal: WebStand, tmp_path: Path) -> None:
     with opened(browser, mortal) as page:
         page.fleet.phase, page.fleet.cause = Phase.IDLE, Event.STOP_REQUESTED

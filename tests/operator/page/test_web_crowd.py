@@ -82,6 +82,7 @@ def dripped(clients: list[socket.socket]) -> bool:
     return all(map(is_closed, clients))
 
 
+@pytest.mark.slow
 def test_who_asks_for_nothing_or_speaks_byte_by_byte_is_closed(stand: WebStand) -> None:
     with stand.page() as page, ExitStack() as opened:
         crowds = {kind: opened.enter_context(crowd(stand, 30, SAID[kind])) for kind in SAID}

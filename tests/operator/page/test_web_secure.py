@@ -119,6 +119,7 @@ def test_what_is_not_tls_gets_a_closed_connection_and_disturbs_nobody(
     assert lines[0].startswith("refused (1 so far): a connection of 127.0.0.1: no TLS: ")
 
 
+@pytest.mark.slow
 def test_half_open_handshakes_delay_nobody_and_are_closed_and_a_page_that_has_left_is_missed_by_nobody(
     stand: WebStand, comes: Comes, caplog: pytest.LogCaptureFixture
 ) -> None:
