@@ -3,10 +3,10 @@
 import gc
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
-from robofleet.core.clock import S, stopwatch_ns
+from robofleet.core.clock import S, WallClock, stopwatch_ns
 from robofleet.core.kernels import reached
 
 _MARK = "compiling"
@@ -46,9 +46,11 @@ def decoded(line: str) -> Progress | None:
 def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
     """Say how far it is whenever one of ``kernels``, or one that they call, was compiled; nothing where all are loaded.
 
-    The work of a kernel is taken as the length of its code.
+    The work of a kernel is taken as the length of its code. A process that compiles keeps its turn until all is done.
     """
     from numba.core import event  # noqa: PLC0415 - it takes a second to load
+
+    from robofleet.core.kernels import store  # noqa: PLC0415 - so does this
 
     work = {code: len(code.co_code) for code in (kernel.py_func.__code__ for kernel in reached(*kernels))}
     done: set[Any] = set()
@@ -62,8 +64,9 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
         def on_start(self, _event: Any) -> None:
             nonlocal began_ns
             if not began_ns:
-                began_ns = stopwatch_ns()
                 spread()
+                turn.enter_context(store.turn(WallClock()))
+                began_ns = stopwatch_ns()
 
         def on_end(self, compiled: Any) -> None:
             if (code := compiled.data["dispatcher"].py_func.__code__) in work and code not in done:
@@ -73,7 +76,7 @@ def told(name: str, kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
     thresholds = gc.get_threshold()
     gc.set_threshold(_COLLECTED_EVERY)
     try:
-        with event.install_listener("numba:compile", Listener()):
+        with ExitStack() as turn, event.install_listener("numba:compile", Listener()):
             yield
     finally:
         gc.set_threshold(*thresholds)

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -160,6 +161,41 @@ def test_a_file_that_may_be_anothers_or_is_damaged_is_compiled_anew(
     assert said(started(MODELS, folder, 2.0, 3.0, 4.0)) == [(3.0, False), (4.0, False), (5.0, False)]
     assert not evil.exists()
     assert said(started(MODELS, folder, 2.0, 3.0, 4.0)) == [(3.0, True), (4.0, True), (5.0, True)]
+
+
+class Waits:
+    """A clock by which whoever waits does ``at_last`` at the third time."""
+
+    def __init__(self, at_last: Callable[[], None]) -> None:
+        self.count, self._at_last = 0, at_last
+
+    def now_ns(self) -> int:
+        return 0
+
+    def sleep_until(self, instant_ns: int, *, precise: bool = False) -> None:
+        self.count += 1
+        if self.count == 3:
+            self._at_last()
+
+
+def test_as_many_compile_at_a_time_as_there_are_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "folder", lambda: tmp_path / "kernels")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: {0, 5})
+    nobody = Waits(lambda: pytest.fail("there are two cores"))
+    with ExitStack() as first, store.turn(nobody):
+        first.enter_context(store.turn(nobody))
+        third = Waits(first.close)
+        with store.turn(third):
+            assert third.count == 3
+
+
+def test_where_no_turn_can_be_kept_nobody_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: {0})
+    monkeypatch.setattr(store, "folder", lambda: tmp_path / "file" / "kernels")
+    (tmp_path / "file").touch()
+    nobody = Waits(lambda: pytest.fail("nothing can be kept here"))
+    with store.turn(nobody), store.turn(nobody):
+        assert nobody.count == 0
 
 
 @pytest.mark.slow

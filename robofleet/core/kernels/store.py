@@ -8,6 +8,7 @@ before the user's own, where only the owner of the package's own source can writ
 """
 
 import contextlib
+import fcntl
 import functools
 import hashlib
 import os
@@ -18,7 +19,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from llvmlite.binding import get_host_cpu_features
 from numba.core import serialize
@@ -26,9 +27,11 @@ from numba.core.caching import _Cache
 from numba.core.codegen import RuntimeLinker
 from numba.core.compiler import CompileResult
 
+from robofleet.core.clock import MS, Clock, S
 from robofleet.core.files import open_plain
 
 _PACKAGE = Path(__file__).parents[1]
+_TURN_EVERY_NS, _LONGEST_WAIT_NS = 20 * MS, 60 * S
 _LARGEST = 256_000_000  # bytes in the folder; those that nobody has read for longest go first
 _CHECK = 16  # bytes of digest before the content
 SHIPPED = Path(__file__).parent / "compiled"
@@ -149,6 +152,36 @@ def _shipped_content(name: str) -> bytes:
         if all(_is_only_of(trusted, status) for status in found):
             return stream.read()
     return b""
+
+
+@contextlib.contextmanager
+def turn(clock: Clock) -> Iterator[None]:
+    """Wait for one of as many turns to compile as there are cores, and keep it.
+
+    The processes of a run compile for 3 to 20 s each. Where all of them share two cores, the longest one is slow as
+    long as the others are there, and alone afterwards. Where nothing can be kept, nobody waits; nobody waits for long
+    for a process that does not go on.
+    """
+    with contextlib.suppress(OSError):
+        folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+    with contextlib.ExitStack() as held:
+        directory, files = held.enter_context(_opened(folder())), list[IO[str]]()
+        if directory is not None:
+            with contextlib.suppress(OSError):
+                cores = range(len(os.sched_getaffinity(0)))
+                files = [held.enter_context((directory / f"turn-{core}").open("a")) for core in cores]
+        until_ns = clock.now_ns() + _LONGEST_WAIT_NS
+        while files and clock.now_ns() < until_ns and not any(map(_locks, files)):
+            clock.sleep_until(clock.now_ns() + _TURN_EVERY_NS)
+        yield
+
+
+def _locks(file: IO[str]) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 @contextlib.contextmanager
