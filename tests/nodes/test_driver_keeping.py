@@ -297,6 +297,12 @@ def test_the_newest_half_counts_however_often_it_is_written(folder: Path) -> Non
     assert (folder / "r1.json").stat().st_size == 8192
 
 
+@pytest.mark.parametrize("most", [(1 << 31) - 1, 1 << 31, (1 << 32) - 1, 1 << 32, (1 << 63) - 1])
+def test_large_numbers_are_kept(folder: Path, most: int) -> None:
+    FileStateStore("lab").save("r1", StoredRobot(most, Latch.RUNAWAY, most))
+    assert FileStateStore("lab").load("r1") == StoredRobot(most, Latch.RUNAWAY, most)
+
+
 def test_what_is_lost_latches_until_it_is_saved_again(folder: Path) -> None:
     state_store = FileStateStore("lab")
     state_store.save("r1", StoredRobot(3, Latch.NONE, 2))

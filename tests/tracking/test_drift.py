@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from robofleet.config.calibrated import FloorTag
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.camera_motion import pose_covariance, sensitivity
 from robofleet.tracking.drift import DriftMonitor
 from robofleet.tracking.events import NO_TAG, Notice, TrackerEvent
 from robofleet.tracking.tags.tracker import TagSighting
@@ -445,3 +446,12 @@ def test_the_uncertainty_of_an_images_camera_is_true() -> None:
             spread = lab.monitor.covariance(points)
             squares.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread[:, :2, :2]), off))
     assert 0.5 < np.mean(squares) / 2.0 < 2.0  # of a degree of freedom
+
+
+def test_what_a_camera_does_to_poses_is_that_of_its_whole_model() -> None:
+    points, rng = np.array([(-1.4, 0.8, ROBOTS_M), (0.3, -0.4, ROBOTS_M), (1.2, 0.2, 0.0)]), np.random.default_rng(0)
+    rows = sensitivity(CALIBRATED, points).reshape(3, 3, 6)
+    parts = 1e-4 * rng.normal(0.0, 1.0, (6, 6))
+    spread = pose_covariance(CALIBRATED, points, parts @ parts.T)
+    expected = rows @ parts @ parts.T @ rows.transpose(0, 2, 1)
+    assert np.abs(spread - expected).max() < 0.05 * expected.max()  # a focal length is a little less of a barrel
