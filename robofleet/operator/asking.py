@@ -23,10 +23,11 @@ def ask_supervisor(bus: Bus, clock: Clock, what: str, role: str = OPERATOR) -> O
 class Asking:
     """Asks in threads: an answer may take two seconds. The emergency stop has threads of its own."""
 
-    def __init__(self, bus: Bus, clock: Clock, units: Units, role: str = OPERATOR) -> None:
-        """``role``: in which this program is on the bus."""
+    def __init__(self, bus: Bus, clock: Clock, units: Units, role: str = OPERATOR, at_once: int = 1) -> None:
+        """``role``: in which this program is on the bus; ``at_once``: requests that wait for their answers. Of one at a
+        time each arrives after those before it: a hold never overtakes a resume."""
         self._bus, self._clock, self._units, self._role = bus, clock, units, role
-        self._threads = ThreadPoolExecutor(2, "ask")
+        self._threads = ThreadPoolExecutor(at_once, "ask")
         self._urgent = ThreadPoolExecutor(4, "estop")
 
     def __call__(self, what: str) -> "Future[Outcome]":

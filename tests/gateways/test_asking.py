@@ -56,3 +56,29 @@ def test_who_asks_is_told_what_went_wrong(what: str) -> None:
     ask = Asking(Broken(CONFIG.arena.name, clock, 0), clock, CONFIG.units)
     assert ask(what).result(WITHIN_S) == (False, "the session is closed")
     ask.close()
+
+
+class Slow(MemoryBus):
+    """A bus on which a resume is under way for as long as a hold may overtake it."""
+
+    def __init__(self) -> None:
+        super().__init__(CONFIG.arena.name, WallClock(), 0)
+        self.asked_for: list[bytes] = []
+        self.held = Event()
+
+    def ask(self, topic: Topic, name: str, payload: bytes) -> Answer:
+        if payload == b"resume":
+            self.held.wait(0.3)
+        else:
+            self.held.set()
+        self.asked_for.append(payload)
+        raise OSError("nobody answers")
+
+
+def test_a_request_does_not_overtake_the_one_before() -> None:
+    bus = Slow()
+    ask = Asking(bus, WallClock(), CONFIG.units)
+    for answer in [ask("resume"), ask("hold")]:
+        answer.result(WITHIN_S)
+    ask.close()
+    assert bus.asked_for == [b"resume", b"hold"]

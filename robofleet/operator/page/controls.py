@@ -17,7 +17,7 @@ class Controls:
     """Asks the supervisor, and says what it answered. The emergency stop waits for no other request."""
 
     def __init__(self, bus: Bus, clock: Clock, units: Units) -> None:
-        self._asking = Asking(bus, clock, units)
+        self._asking = Asking(bus, clock, units, at_once=2)
         self._under_way = 0
         self._begun: set[asyncio.Task[None]] = set()
         self.close = self._asking.close
