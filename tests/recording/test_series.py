@@ -49,7 +49,7 @@ def rows_of(file: Path) -> list[dict[str, str]]:
 
 
 def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tmp_path: Path) -> None:
-    run = story(ticks=40)
+    run = story("run.settle_s=0", "run.spacing_settle_s=0", ticks=40)
     run.aside(0.003)
     run.control_error[:, 2] = 0.0015
     write_csv([Run(run.recording())], tmp_path / "m.csv")
@@ -65,14 +65,15 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
     assert [row["saturated"] for row in rows[:6]] == ["0", "0", "0", "0", "1", "0"]
     units = ("_m", "_rad", "_s", "_mm", "_deg", "_ms")
     plain = {
-        "tick", "run_tick", "robot", "group", "failed", "reference_parameter", "saturated", "measured", "lost",
-        "filtered", "blocked",
+        "tick", "run_tick", "robot", "group", "counts", "failed", "reference_parameter", "saturated", "measured",
+        "lost", "filtered", "blocked",
     }  # fmt: skip
     assert all(name in plain or name.endswith(units) for name in rows[0])
 
 
 def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None:
-    write_csv([Run(story(ticks=3).recording(truth=False))], tmp_path / "m.csv")
+    settled = "run.settle_s=0", "run.spacing_settle_s=0"
+    write_csv([Run(story(*settled, ticks=3).recording(truth=False))], tmp_path / "m.csv")
     absent = {"reference_x_m", "reference_y_m", "estimated_path_error_mm", "estimated_spacing_mm"}  # not in this story
     unknown = absent | {
         "centre_error_mm", "true_x_m", "true_y_m", "true_psi_rad", "path_error_mm", "timed_error_mm", "pose_error_mm",
@@ -105,6 +106,6 @@ def test_a_run_without_a_tick_has_no_row(story: Make, tmp_path: Path) -> None:
 def test_times_are_instants_and_go_on_over_a_hold(story: Make) -> None:
     run = story(ticks=60)
     held = slice(25, 45)  # in which no tick is one of the run
-    t = Run(without(run.recording(), key("platoon", TICK), held)).since_start_s
+    t = Run(without(run.recording(), key("platoon", TICK), held)).clock_time_s
     assert (t[0], t[-1]) == (0.0, pytest.approx(59 * 0.033))
     assert math.isclose(np.diff(t).max(), 21 * 0.033)
