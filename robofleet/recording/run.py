@@ -543,8 +543,14 @@ def _can_be(rows: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _with_gaps(items: NDArray[Any]) -> NDArray[Any]:
-    """Return the robots of ticks (K, N) with NaN in place of every figure that is not finite, or beyond any arena."""
+    """Return the robots of ticks (K, N) with NaN in place of every figure that is not finite, or beyond any arena.
+
+    The same in place of the pose of a robot that no image has shown yet: its filter stands at zero.
+    """
     wrong = {name: ~(np.abs(items[name]) < _BEYOND) for name in items.dtype.names or ()}
+    unseen = (items["lost"] > 0) & np.all([items[name] == 0.0 for name in ("x_m", "y_m", "psi_rad")], axis=0)
+    for name in ("x_m", "y_m", "psi_rad", "point_x_m", "point_y_m"):
+        wrong[name] |= unseen
     if not any(where.any() for where in wrong.values()):
         return items
     items = items.copy()

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robofleet.bus.keys import TICK, key
+from robofleet.bus.messages import TICK_RECORD
 from robofleet.recording.columns import write_csv
 from robofleet.recording.measures import line
 from robofleet.recording.run import Recording, Run
@@ -83,6 +84,20 @@ def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None
         empty = {name for name, cell in row.items() if cell == ""}
         assert empty - {"spacing_mm"} == unknown | {"heading_error_deg", "exposure_to_wheel_ms", *measured}
         assert not any("nan" in cell for cell in row.values())
+
+
+def test_a_robot_that_no_image_has_shown_yet_has_no_pose(story: Make, tmp_path: Path) -> None:
+    recording = story(ticks=3).recording()
+    full = key("platoon", TICK)
+    first = TICK_RECORD.decode(recording.messages[full][5])
+    unseen = first.robots[1]._replace(x_m=0.0, y_m=0.0, psi_rad=0.0, point_x_m=0.08, point_y_m=0.0, lost=1.0)
+    robots = (first.robots[0], unseen, *first.robots[2:])
+    recording.messages[full][5] = TICK_RECORD.encode(first._replace(robots=robots))
+    write_csv([Run(recording)], tmp_path / "m.csv")
+    seen, row = rows_of(tmp_path / "m.csv")[:2]
+    poses = ("x_m", "y_m", "psi_rad", "point_x_m", "point_y_m", "pose_error_mm", "heading_error_deg")
+    assert {name for name in poses if row[name] == ""} == set(poses)
+    assert all(seen[name] != "" for name in poses)
 
 
 def without(recording: Recording, full: str, left_out: slice) -> Recording:
