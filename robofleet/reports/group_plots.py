@@ -98,12 +98,12 @@ def _caption(curve: Curve) -> str:
     meaning = f"{curve.meaning[:1].upper()}{curve.meaning[1:]}. " if curve.meaning else ""
     if curve.asked is not None:
         return (
-            f"{meaning}Above: all of it. Below: the difference from its target, scaled to the ticks that count. The grey "
-            "part does not count."
+            f"{meaning}Above: all of it. Below: the difference from its target, scaled to what counts. The grey part "
+            "does not count."
         )
     if curve.is_figure:
         return f"{meaning}Reported by the behaviour at each tick. The grey part does not count."
-    return f"{meaning}Measured after the run. The axis is scaled to what counts: the grey part may lie outside."
+    return f"{meaning}Measured after the run. The axis is scaled to what counts; the grey part may lie outside."
 
 
 def _legend(part: GroupColumns, k: int, view: RunView) -> Legend:

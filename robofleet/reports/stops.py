@@ -111,9 +111,9 @@ def how_many(stops: Sequence[FleetStop]) -> str:
 
 def _stop(run: Run, row: int, at_ns: int, why: _Why) -> dict[str, Any]:
     clock_s, run_s = (round(float(times), 4) for times in (run.clock.clock_time_s(at_ns), run.clock.run_time_s(at_ns)))
-    stop = {"t_s": clock_s, "run_time_s": run_s, "clock_time_s": clock_s}
-    stop |= {"robot": run.config.members[row].id, "cause": why.cause, "by_operator": why.by_operator}
-    return stop | {"target_ms": None, "output_ms": None}
+    times = {"t_s": clock_s, "run_time_s": run_s, "clock_time_s": clock_s}
+    what = {"robot": run.config.members[row].id, "cause": why.cause, "by_operator": why.by_operator}
+    return {**times, **what, "target_ms": None, "output_ms": None}
 
 
 def _why(run: Run, row: int, k: int) -> _Why | None:
