@@ -190,7 +190,8 @@ def _bounds(page: Page, summary: Summary) -> None:
         return
     completed = summary["outcome"] == "completed"
     rest = "does not meet its bound" if completed else "was not checked: the run ended too early"
-    page.section("Bounds", f"The limits in run.bounds. A figure that was not measured {rest}.")
+    gaps = any(bound["value"] is None for bound in summary["bounds"])
+    page.section("Bounds", "The limits in run.bounds." + f" A figure that was not measured {rest}." * gaps)
     rows = []
     for bound in summary["bounds"]:
         verdict = Marked("✓ met", True) if bound["pass"] else Marked("✗ not met", False)

@@ -21,6 +21,12 @@ _BY_OPERATOR = (Event.HOLD_REQUESTED, Event.ESTOP_REQUESTED, Event.STOPPED_AT_GA
 _GOING_ON = (Phase.ARMED, Phase.RUNNING)
 _TOGETHER_S = 0.5  # gates that close for one cause so soon after another one belong to one stop
 _NAMED_ROBOTS = 8  # of a stop
+_GATES = {  # why a gate closed, where nobody said more
+    named(GateStatus, GateStatus.NO_ENABLE): "no permission of the supervisor arrived",
+    named(GateStatus, GateStatus.NO_COMMAND): "no command of the controller arrived",
+    named(GateStatus, GateStatus.NO_LEASE): "no controller had its lease",
+    named(GateStatus, GateStatus.LATCHED): "its gate was latched",
+}
 
 
 class _Why(NamedTuple):
@@ -66,6 +72,7 @@ class FleetStop:
     robots: tuple[str, ...]
     cause: str
     by_operator: bool
+    count: int  # of the stops; a robot may have several
     target_ms: float | None  # the longest
     output_ms: float | None
 
@@ -94,19 +101,29 @@ def fleet_stops(stops: Sequence[dict[str, Any]]) -> list[FleetStop]:
         }
         found.append(
             FleetStop(
-                run_s=first["run_time_s"], clock_s=first["clock_time_s"], cause=first["cause"],
-                robots=tuple(dict.fromkeys(stop["robot"] for stop in same)), by_operator=first["by_operator"],
+                run_s=first["run_time_s"],
+                clock_s=first["clock_time_s"],
+                robots=tuple(dict.fromkeys(stop["robot"] for stop in same)),
+                cause=_in_words(first["cause"]),
+                by_operator=first["by_operator"],
+                count=len(same),
                 **longest,
             )
-        )  # fmt: skip
+        )
     return found
 
 
 def how_many(stops: Sequence[FleetStop]) -> str:
     """Return a number of unrequested stops in words: what a fleet does together is one."""
-    each = sum(len(stop.robots) for stop in stops)
+    each = sum(stop.count for stop in stops)
     robots = "" if each == len(stops) else f" ({each} counting each robot)"
     return f"{len(stops)} unrequested stop{'s' * (len(stops) != 1)}{robots}"
+
+
+def _in_words(cause: str) -> str:
+    """Return a stop's cause without its gate, where something led to that."""
+    gate, _, why = cause.partition(": ")
+    return (why or _GATES[gate]) if gate in _GATES else cause
 
 
 def _stop(run: Run, row: int, at_ns: int, why: _Why) -> dict[str, Any]:

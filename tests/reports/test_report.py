@@ -109,7 +109,7 @@ def test_a_fault_is_said_first_and_stops_are_listed(story: Make, page: Make, add
     assert colour == "bad"
     assert shown.startswith("Ended by a fault: r2: <its own> e-stop")
     assert "1 unrequested stop" in shown
-    assert "0.66 r2 no enable" in " ".join(words(text).split())
+    assert "0.66 0.66 r2 no permission of the supervisor arrived" in " ".join(words(text).split())
 
 
 @pytest.mark.slow

@@ -121,16 +121,20 @@ def test_what_stops_together_for_one_cause_is_one_stop_of_the_fleet() -> None:
 
     robots = [f"r{k}" for k in range(1, 5)]
     stops = [stop(robot, 20.7 + 0.01 * k, output_ms=10.0 * k) for k, robot in enumerate(robots)]
-    stops += [stop("r2", 20.8, "a flat battery"), *(stop(robot, 26.7) for robot in robots)]
+    stops += [
+        stop("r2", 20.8, "a flat battery"),
+        stop("r2", 20.9, "a flat battery"),
+        *(stop(robot, 26.7) for robot in robots),
+    ]
     found = fleet_stops(stops)
     assert [(own.robots, own.output_ms) for own in found] == [
         (tuple(robots), 30.0),
         (("r2",), None),
         (tuple(robots), None),
     ]
-    assert str(found[0]) == "r1, r2, r3, r4 at 20.7 s run time: no enable: hold (standing after 30 ms)"
-    assert str(found[2]) == "r1, r2, r3, r4 at 20.7 s run time (26.7 s clock time): no enable: hold"
-    assert how_many(found) == "3 unrequested stops (9 counting each robot)"
-    assert how_many(found[1:2]) == "1 unrequested stop"
+    assert str(found[0]) == "r1, r2, r3, r4 at 20.7 s run time: hold (standing after 30 ms)"
+    assert str(found[2]) == "r1, r2, r3, r4 at 20.7 s run time (26.7 s clock time): hold"
+    assert how_many(found) == "3 unrequested stops (10 counting each robot)"
+    assert how_many(fleet_stops(stops[:1])) == "1 unrequested stop"
     many = fleet_stops([stop(f"r{k}", 1.0) for k in range(100)])
     assert str(many[0]).startswith("r0, r1, r2, r3, r4, r5, r6, r7 and 92 more at 1.0 s run time")

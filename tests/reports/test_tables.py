@@ -55,7 +55,7 @@ def test_the_table_shows_what_was_measured_beside_the_paper(
     assert "250.5" in row(text, "spacing, mm (of 250)")
     assert "75.0" in row(text, "tags found")
     assert "21.0, 21.0" in row(text, "exposure to wheel")
-    assert "1 unrequested stop:\n    r2 at 0.7 s run time: no enable\n" in text
+    assert "1 unrequested stop:\n    r2 at 0.7 s run time: no permission of the supervisor arrived\n" in text
     assert "of 300" in row(text, "overruns")
     assert "not measured" not in text
     assert "(simulation)" in text
@@ -110,7 +110,7 @@ def test_an_operators_hold_is_told_from_a_stop_by_itself(
         add_status(recording, robot, run.stamp(20), gate=GateStatus.NO_ENABLE)
     text = printed(summary_table(figures(recording), run.config))
     assert "unrequested" not in text
-    assert "The operator stopped r1, r2 at 0.7 s run time: no enable: hold requested\n" in text
+    assert "The operator stopped r1, r2 at 0.7 s run time: hold requested\n" in text
 
 
 @pytest.mark.parametrize("width", [60, 80])
