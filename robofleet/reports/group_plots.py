@@ -55,35 +55,33 @@ def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
     curve = part.curves[k]
     if not np.isfinite(curve.values).any():
         return None
-    run = view.config.run
-    settle_s = run.settle_s if curve.is_figure else run.spacing_settle_s
     key, words = _BOUNDS.get(curve.key, ("", ""))
     bound = getattr(view.bounds, key, None)
     if curve.asked is None:
         figure, (axes,) = strips(view, [curve.label], 2.4)
-        settling(axes, settle_s)
-        _lines(axes, view, part, curve, settle_s, bound)
+        settling(axes, view, curve.counts)
+        _lines(axes, view, part, curve, bound)
         level(axes, bound, words)
         level(axes, papers_mean(view.config, curve.key), "the paper's mean, on hardware")
         return figure
-    figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
-    lines(whole, view.run.since_start_s, curve.values, view.span, colours(view, part, curve))
-    level(whole, curve.asked, f"asked: {curve.asked:g} {curve.unit}")
+    figure, (whole, off) = strips(view, [curve.label, f"off the target, {curve.unit}"])
+    lines(whole, view.run.clock_time_s, curve.values, view.span, colours(view, part, curve))
+    level(whole, curve.asked, f"target: {curve.asked:g} {curve.unit}")
     deviation = curve.values - curve.asked
-    settling(off, settle_s)
-    lines(off, view.run.since_start_s, deviation, view.span, colours(view, part, curve))
-    zoomed(off, deviation[view.counted(settle_s)], bound, bound and -bound)
+    settling(off, view, curve.counts)
+    lines(off, view.run.clock_time_s, deviation, view.span, colours(view, part, curve))
+    zoomed(off, deviation[view.counted(curve.counts)], bound, bound and -bound)
     level(off, bound, words)
     level(off, bound and -bound)
     return figure
 
 
-def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s: float, bound: float | None) -> None:
+def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, bound: float | None) -> None:
     """Draw a curve: of a figure that was told all of it, of a measure what counts."""
-    counted = curve.values[view.counted(settle_s)]
+    counted = curve.values[view.counted(curve.counts)]
     lowest = wide(curve.values, counted) if curve.is_figure else None
     values = curve.values if lowest is None else np.maximum(curve.values, lowest)
-    lines(axes, view.run.since_start_s, values, view.span, colours(view, part, curve))
+    lines(axes, view.run.clock_time_s, values, view.span, colours(view, part, curve))
     if lowest is not None:
         logarithmic(axes, lowest)
     else:
@@ -92,7 +90,7 @@ def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s
 
 def _missing(part: GroupColumns, curve: Curve) -> str:
     if not curve.of:
-        return "Not measured: the group has nothing that it could be measured of."
+        return "Not measured: it needs more robots."
     return "Not measured." if curve.is_figure or part.past.known.all() else f"Not measured: {NO_TRUTH}"
 
 
@@ -100,12 +98,12 @@ def _caption(curve: Curve) -> str:
     meaning = f"{curve.meaning[:1].upper()}{curve.meaning[1:]}. " if curve.meaning else ""
     if curve.asked is not None:
         return (
-            f"{meaning}Above all of it, below the difference from what the behaviour asks for, large enough to see "
-            "what counts. In the grey part it is not counted."
+            f"{meaning}Above: all of it. Below: the difference from its target, scaled to what counts. The grey part "
+            "does not count."
         )
     if curve.is_figure:
-        return f"{meaning}The behaviour told it at each tick. In the grey part it is not counted."
-    return f"{meaning}Measured after the run. The axis shows what counts: the start, which is grey, may lie above it."
+        return f"{meaning}Reported by the behaviour at each tick. The grey part does not count."
+    return f"{meaning}Measured after the run. The axis is scaled to what counts; the grey part may lie outside."
 
 
 def _legend(part: GroupColumns, k: int, view: RunView) -> Legend:
