@@ -184,7 +184,7 @@ MISTAKES = [
     Mistake("a driver of no robot", "driver platoon.yaml --robots r9", "--robots: there is no robot 'r9'",
         "it has r1, r2, r3, r4"),
     Mistake("a driver of nobody", "driver platoon.yaml", "--robots: is missing",
-        "robofleet driver lab.yaml --robots r1,r2"),
+        "robofleet node driver lab.yaml --robots r1,r2"),
     Mistake("an experiment misspelt", "paper lane-chang", "there is no experiment 'lane-chang'",
         "did you mean 'lane-change'?"),
     Mistake("a storm of no seeds", "storm platoon.yaml --seeds 0", "--seeds: ", "must be greater than or equal to 1"),

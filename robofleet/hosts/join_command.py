@@ -86,7 +86,7 @@ def join(
         print(
             "Next: systemctl enable --now robofleet-unit"
             if service
-            else f"Next: robofleet driver --unit {passport.name}"
+            else f"Next: robofleet node driver --unit {passport.name}"
         )
         print(f"Then delete {file} here and at the laboratory")
 
@@ -202,7 +202,7 @@ StartLimitIntervalSec=0
 
 [Service]
 Type=notify
-ExecStart={program} driver --unit {unit}
+ExecStart={program} node driver --unit {unit}
 # A user of its own, without a right but to the robot's port. Root keeps the keys, and systemd hands over copies.
 DynamicUser=yes
 SupplementaryGroups=dialout

@@ -25,8 +25,6 @@ from robofleet.hosts import bundle as bundles
 from robofleet.hosts.authority import AUTHORITY_DAYS, DAYS, Authority, Entry
 from robofleet.hosts.join_command import refused
 
-app = typer.Typer(no_args_is_help=True, help=__doc__)
-
 ArenaName = Annotated[str, typer.Argument(metavar="ARENA", help="arena.name of the configuration.")]
 Who = Annotated[str, typer.Argument(metavar="NAME", help="A unit, a process, or a person.")]
 Days = Annotated[int | None, typer.Option(metavar="N", min=1, max=36500, help="How long it is valid.")]
@@ -45,7 +43,6 @@ def _named(name: str) -> str:
     return name
 
 
-@app.command()
 def init(
     arena: ArenaName,
     address: Annotated[
@@ -71,7 +68,6 @@ def init(
     print(f"Next: robofleet keys add {arena} router --address THIS_COMPUTERS_ADDRESS")
 
 
-@app.command()
 def add(
     arena: ArenaName,
     name: Annotated[
@@ -149,7 +145,6 @@ def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], 
         print(f"Next: robofleet keys bundle {arena} {units[0]} --router quic/THIS_COMPUTERS_ADDRESS:7447")
 
 
-@app.command("list")
 def listed(
     arena: ArenaName, as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False
 ) -> None:
@@ -179,7 +174,6 @@ def _row(name: str, entry: "Entry") -> dict[str, Any]:
     }  # fmt: skip
 
 
-@app.command()
 def renew(
     arena: ArenaName,
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="Default with --all: everybody.")] = None,
@@ -200,7 +194,6 @@ def renew(
     print(f"Next: robofleet keys bundle {arena} NAME, for whoever is on another computer, and join it there again")
 
 
-@app.command()
 def revoke(arena: ArenaName, name: Who) -> None:
     """Let nobody in by a name's certificate any more, at once.
 
@@ -218,7 +211,6 @@ def revoke(arena: ArenaName, name: Who) -> None:
     )
 
 
-@app.command()
 def bundle(
     arena: ArenaName,
     name: Who,

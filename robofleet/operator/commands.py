@@ -1,22 +1,15 @@
-"""The commands around a run: each of its processes by itself, and what an operator does to a running arena."""
+"""The commands of an operator to a run that is on."""
 
-import os
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra
 from robofleet.core.valid_json import dumps
 from robofleet.operator import direct
+from robofleet.operator.node_commands import LifelineFd, for_one_process
 from robofleet.operator.page.page_address import LOOPBACK, listening
-from robofleet.runs import table
-
-if TYPE_CHECKING:
-    from robofleet.config.tree import Config
-    from robofleet.runs.table import Row
-
 
 def running_names() -> list[str]:
     """Return what a shell completes for ARENA."""
@@ -25,7 +18,6 @@ def running_names() -> list[str]:
     return [run.arena for run in running()]
 
 
-ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="The run's configuration.")]
 ArenaName = Annotated[
     str | None,
     typer.Argument(
@@ -35,7 +27,6 @@ ArenaName = Annotated[
         show_default=False,
     ),
 ]
-LifelineFd = Annotated[int | None, typer.Option("--lifeline", hidden=True)]
 
 
 def stop(arena: ArenaName = None) -> None:
@@ -108,125 +99,6 @@ def status(
     raise typer.Exit(direct.status(arena, as_json=as_json))
 
 
-def tracker(
-    config: ConfigPath,
-    camera: Annotated[str, typer.Option(metavar="NAME", help="The tracker's camera, if CONFIG has several.")] = "",
-    lifeline: LifelineFd = None,
-) -> None:
-    """The tracker of a run, and its camera.
-
-    $ robofleet tracker lab.yaml
-    """
-    _be(table.TRACKER, config, lifeline, camera=camera)
-
-
-def _be(
-    row: "Row", file: Path, lifeline: int | None, robots: tuple[str, ...] = (), camera: str = "", *,
-    take_over: bool = False,
-) -> None:  # fmt: skip
-    """Be one process of the run of a configuration, in whose folder it is recorded."""
-    from robofleet.runs import child  # noqa: PLC0415
-
-    config = _for_one_process(file, robots, listen=row is table.ROUTER)
-    child.main(row, config, file.parent, lifeline, robots, camera, take_over=take_over)
-
-
-def supervisor(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-    """The supervisor of a run.
-
-    $ robofleet supervisor lab.yaml
-    """
-    _be(table.SUPERVISOR, config, lifeline)
-
-
-def recorder(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-    """The recorder of a run: it writes run.mcap beside CONFIG.
-
-    $ robofleet recorder lab.yaml
-    """
-    _be(table.RECORDER, config, lifeline)
-
-
-def twins(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-    """The firmware twins of a run: they answer on serial ports in the place of robots.
-
-    $ robofleet twins lab.yaml
-    """
-    _be(table.TWINS, config, lifeline)
-
-
-def controller(
-    config: ConfigPath,
-    takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
-    lifeline: LifelineFd = None,
-) -> None:
-    """The controller of a run.
-
-    $ robofleet controller lab.yaml
-    """
-    _be(table.CONTROLLER, config, lifeline, take_over=takeover)
-
-
-def driver(
-    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The run's configuration.")] = None,
-    robots: Annotated[
-        str | None, typer.Option(metavar="r1,r2", help="Which robots of CONFIG this process drives.")
-    ] = None,
-    unit: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="On a robot's own computer, without CONFIG: each run brings its own."),
-    ] = None,
-    lifeline: LifelineFd = None,
-) -> None:
-    """The drivers of some robots: what a robot's own computer runs.
-
-    $ robofleet driver lab.yaml --robots r1,r2
-    """
-    if unit is not None:
-        if config is not None or robots is not None:
-            raise RefusedError("--unit: each run brings its configuration: leave CONFIG and --robots out")
-        _wait_for_runs(unit)
-        return
-    if config is None or robots is None:
-        missing = "CONFIG" if config is None else "--robots"
-        example = (
-            "`robofleet driver lab.yaml --robots r1,r2`, or on a robot's own computer `robofleet driver --unit r1`"
-        )
-        raise RefusedError(f"{missing}: is missing: {example}")
-    names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
-    _be(table.DRIVER, config, lifeline, names)
-
-
-def _wait_for_runs(unit: str) -> None:
-    """Be the driver of this computer's robots, whatever run comes: as a program without the command line's packages."""
-    from robofleet.config.files.robot_file import load_robot_file, robot_file  # noqa: PLC0415
-
-    file = robot_file()
-    robot = load_robot_file(file)
-    if robot.unit != unit:
-        raise RefusedError(f"--unit {unit}: {file} says that this computer is {robot.unit}")
-    os.execv(sys.executable, [sys.executable, "-P", "-X", "faulthandler", "-m", "robofleet.runs.daemon"])
-
-
-def router(
-    config: ConfigPath,
-    print_config: Annotated[
-        bool, typer.Option("--print-config", help="Print it as the configuration of a zenohd of your own: JSON5.")
-    ] = False,
-    lifeline: LifelineFd = None,
-) -> None:
-    """The router of a run's bus.
-
-    $ robofleet router lab.yaml
-    """
-    if print_config:
-        from robofleet.hosts.network import settings_of  # noqa: PLC0415
-
-        print(dumps(settings_of(_for_one_process(config))))
-        return
-    _be(table.ROUTER, config, lifeline)
-
-
 def hosts(
     arena: Annotated[
         str | None,
@@ -259,7 +131,7 @@ def hosts(
             found = asking.hosts_elsewhere(joined)
         else:
             file = Path(chosen(arena, own=True).folder) / "config.yaml" if file is None or named else file
-            found = asking.hosts(_for_one_process(file))
+            found = asking.hosts(for_one_process(file))
     except UnreachableError as error:
         raise typer.Exit(direct.answered(False, str(error))) from error
     if as_json:
@@ -306,13 +178,13 @@ def web(
         from robofleet.operator.page.process import of_run  # noqa: PLC0415
 
         assert run is not None
-        tree = _for_one_process(Path(run))
+        tree = for_one_process(Path(run))
         socket, keys = listening(host, port, "--host"), page_keys(tree.arena.name, host, "--host")
         of_run(tree, Path(run).absolute().parent, lifeline, socket, host, keys)
         return
     from robofleet.operator.page.command import there  # noqa: PLC0415
 
-    page_run = there(run, _for_one_process)
+    page_run = there(run, for_one_process)
     with listening(host, port, "--host") as socket:
         keys = page_keys(page_run.config.arena.name, host, "--host")
         from robofleet.operator.page.process import by_hand  # noqa: PLC0415 - the server's packages take their time
@@ -320,38 +192,3 @@ def web(
         done, line = by_hand(page_run, socket, host, keys, browser=not no_browser)
     if line:
         raise typer.Exit(direct.answered(done, line))
-
-
-def _for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool = False) -> "Config":
-    """Return the configuration of a run's process: it finds the others at an endpoint that all of them know."""
-    from robofleet.bus.endpoint import check_free, settled  # noqa: PLC0415
-    from robofleet.bus.private_folder import PlaceError  # noqa: PLC0415
-    from robofleet.config.load import ConfigFile  # noqa: PLC0415
-
-    source = ConfigFile(config)
-    tree = source.config
-    known = [robot.id for robot in tree.robots]
-    for unknown in (name for name in robots if name not in known):
-        raise RefusedError(f"--robots: there is no robot {unknown!r} in {config} (it has {', '.join(known)})")
-    if robots and robots not in tree.units.values():
-        unit = tree.unit_of[robots[0]]
-        raise RefusedError(
-            f"--robots: a process drives all robots of one unit: name {','.join(tree.units[unit])}, or give "
-            f"robots[].unit or drivers.robots_per_process in {config}"
-        )
-    if tree.bus.endpoint.endswith(":0"):
-        raise RefusedError(
-            f"{config}: bus.endpoint: {tree.bus.endpoint} is another port for each process: "
-            "name one, for example tcp/127.0.0.1:7447, or leave it out"
-        )
-    for robot in robots:
-        from robofleet.runs.check_drivers import of_robot  # noqa: PLC0415
-
-        source.refuse(of_robot(tree, known.index(robot)))
-    try:
-        tree = settled(tree, listen=listen)
-        if listen:
-            check_free(tree)
-    except PlaceError as error:
-        raise RefusedError(f"{config}: {error}") from error
-    return tree

@@ -59,7 +59,7 @@ class Edges:
 class Row(NamedTuple):
     """One kind of process."""
 
-    name: str  # of its command; its log, place on the bus and faults are named so too, a driver's after its first robot
+    name: str  # of its command, too; its log, place on the bus and faults are named so too, a driver's after its first robot
     make: Callable[[Edges], Node] | None  # None: it has no steps, and a main function of its own
     priority: int | None  # real-time; 0: nice alone, before what else the machine does; None: it goes before nobody
     starter: Starter | None = "run"  # None: bus.router or drivers.started_by says it
@@ -70,6 +70,11 @@ class Row(NamedTuple):
     precise: bool = False  # it meets each instant within microseconds, and no message wakes it
     ends_within_s: float = 0.8  # of its lifeline's end
     missing: str = ""  # what a configuration lacks that has no such process, and how to mend it
+
+    @property
+    def command(self) -> tuple[str, ...]:
+        """The words behind ``robofleet``."""
+        return (self.name,) if self is PAGE else ("node", self.name)
 
     def instances(self, config: "Config") -> "Sequence[Process]":
         """Return the processes of this kind that a run of a configuration has."""
@@ -91,10 +96,9 @@ class Process(NamedTuple):
 
     @property
     def command(self) -> tuple[str, ...]:
-        """What ``robofleet`` is called with, beside the configuration: its command first."""
-        if self.camera:
-            return self.row.name, "--camera", self.camera
-        return (self.row.name, "--robots", ",".join(self.robots)) if self.robots else (self.row.name,)
+        """What ``robofleet`` is called with, before the configuration."""
+        options = ("--camera", self.camera) if self.camera else ("--robots", ",".join(self.robots)) if self.robots else ()
+        return *self.row.command, *options
 
     def config(self, config: "Config") -> "Config":
         """Return the configuration as this process has it: a tracker's camera is its own."""

@@ -24,14 +24,11 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.config.load import load_config
 from robofleet.core.settings import FAMILIES, LAST_TAG, FamilyName, is_family
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
-
 PaperName = Annotated[str, typer.Option("--paper", help=", ".join(PAPERS))]
 _SIDE = "Side of the black square; of Standard41h12, of the white square in the black one"
 OutFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="FILE.pdf or FILE.svg")]
 
 
-@app.command()
 def tags(
     ids: Annotated[str, typer.Option("--ids", help="As 1-4,10")],
     out: OutFile,
@@ -52,7 +49,6 @@ def tags(
         print(file)
 
 
-@app.command()
 def floor(
     config: Annotated[
         Path,
@@ -88,7 +84,6 @@ def floor(
         print(f"Then: robofleet calibrate arena CAMERA survey.yaml --live {shlex.quote(str(config))}")
 
 
-@app.command()
 def board(
     out: OutFile,
     squares: Annotated[str | None, typer.Option("--squares", help="COLUMNSxROWS; default: 11x8, or what fits")] = None,
