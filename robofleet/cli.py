@@ -29,6 +29,7 @@ from robofleet.operator.terminal.plain_terminal import silence_libraries, speak_
 
 _COLLECT_AFTER_OBJECTS = 50_000  # loading libraries makes hundreds of thousands, and hardly any garbage
 _NODE = "node"
+_PROCESSES = "router", "supervisor", "tracker", "controller", "driver", "recorder", "twins"
 _BEGIN = "Begin"
 _DRIVE = "Drive"
 _RUNNING = "During a run"
@@ -80,9 +81,8 @@ COMMANDS = (
     *(Row(name, "operator.commands", name) for name in ("arm", "start")),
     Row("layout", "reports.commands", "layout"),
     Row("schema", "operator.config_commands", "schema"),
-    Row("node", "operator.node_commands"),
-    *(Row(f"node {name}", "operator.node_commands", name) for name in ("router", "supervisor", "tracker", "controller")),
-    *(Row(f"node {name}", "operator.node_commands", name) for name in ("driver", "recorder", "twins")),
+    Row(_NODE, "operator.node_commands"),
+    *(Row(f"{_NODE} {name}", "operator.node_commands", name) for name in _PROCESSES),
 )
 
 
@@ -174,7 +174,7 @@ class _Commands(_Lazy):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is called; a process of a run, also by the name that it had at the top once."""
-        if args[0] in _rows(_NODE):
+        if args[0] in _PROCESSES:
             if not ctx.resilient_parsing:
                 print(f"`robofleet {args[0]}` is now `robofleet {_NODE} {args[0]}`", file=sys.stderr)
             args = [_NODE, *args]

@@ -243,7 +243,9 @@ class ConfigFile:
 
     def _elsewhere(self, loc: Loc) -> str | None:
         """Return where an unknown key stands in the tree; None where a key beside it is nearer, or none is near."""
-        paths = elsewhere(str(loc[-1]), {"": Config, **self._settings}, lambda path: self._at(keys_of(path)) is not None)
+        paths = elsewhere(
+            str(loc[-1]), {"": Config, **self._settings}, lambda path: self._at(keys_of(path)) is not None
+        )
         if meant(loc) != loc or not paths or (node := self._at(loc)) is None:
             return None
         option, equals, value = node.position.source.name.partition("=")

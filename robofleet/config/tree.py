@@ -52,7 +52,8 @@ class BusSettings(Model):
     ``quic/192.168.1.10:7447`` for robots on a radio, ``tls/192.168.1.10:7447`` for others."""
     router: Literal["run", "service"] = "run"
     """Who starts the router: each run its own, or ``service``: it is there before and after runs, as ``robofleet node
-    router CONFIG`` or a zenohd of your own. ``robofleet hosts CONFIG`` then shows the robots' computers between runs, too."""
+    router CONFIG`` or a zenohd of your own. ``robofleet hosts CONFIG`` then shows the robots' computers between runs,
+    too."""
     insecure: Literal["loopback"] | None = None
     """``loopback`` allows TCP on this computer. Every user and every program of the computer can then drive the
     robots."""

@@ -5,11 +5,12 @@ from typing import Annotated
 
 import typer
 
-from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra
+from robofleet.core.refusal import WEB_PACKAGES, need_extra
 from robofleet.core.valid_json import dumps
 from robofleet.operator import direct
 from robofleet.operator.node_commands import LifelineFd, for_one_process
 from robofleet.operator.page.page_address import LOOPBACK, listening
+
 
 def running_names() -> list[str]:
     """Return what a shell completes for ARENA."""
@@ -22,7 +23,7 @@ ArenaName = Annotated[
     str | None,
     typer.Argument(
         metavar="ARENA",
-        help="arena.name of its configuration; leave it out if only one arena has a run.",
+        help="The run's arena (arena.name). Not needed if only one run is on.",
         autocompletion=running_names,
         show_default=False,
     ),
@@ -30,18 +31,20 @@ ArenaName = Annotated[
 
 
 def stop(arena: ArenaName = None) -> None:
-    """Emergency stop: every robot stands at once, and its gate stays latched, also through a restart.
+    """Emergency stop: all robots stand at once.
 
     $ robofleet stop
 
-    Without ARENA every run of yours is stopped; as root, everybody's. It says who has acknowledged, and when. Look at
-    the robots; then robofleet reset, or robofleet run --reset.
+    Without ARENA it stops all your runs; as root, those of all users. It prints which robots have confirmed, and when.
+    Robots stay stopped, also after a restart, until `robofleet reset` or `robofleet run --reset`.
     """
     raise typer.Exit(direct.stop(arena))
 
 
 def arm(arena: ArenaName = None) -> None:
-    """Check a fleet that waits for its operator, and try its wheels; `robofleet start` goes on.
+    """Check the robots of a waiting run; each moves a little.
+
+    It is for runs with `run.start: operator`. Then `robofleet start` starts the run.
 
     $ robofleet arm
     """
@@ -49,7 +52,9 @@ def arm(arena: ArenaName = None) -> None:
 
 
 def start(arena: ArenaName = None) -> None:
-    """Start a fleet that waits for its operator (run.start: operator).
+    """Start a waiting run.
+
+    It is for runs with `run.start: operator`, after `robofleet arm`.
 
     $ robofleet start
     """
@@ -57,7 +62,9 @@ def start(arena: ArenaName = None) -> None:
 
 
 def hold(arena: ArenaName = None) -> None:
-    """Let every robot stand; `robofleet resume` goes on.
+    """Make all robots stand; `resume` continues.
+
+    A hold ends the run after two minutes.
 
     $ robofleet hold
     """
@@ -73,7 +80,9 @@ def resume(arena: ArenaName = None) -> None:
 
 
 def park(arena: ArenaName = None) -> None:
-    """Let every robot drive to its place to park; the run ends there.
+    """Drive all robots to their parking poses; end the run.
+
+    The poses are robots[].park of the configuration.
 
     $ robofleet park
     """
@@ -81,7 +90,9 @@ def park(arena: ArenaName = None) -> None:
 
 
 def reset(arena: ArenaName = None) -> None:
-    """Clear the latches of an emergency stop or a fault, with every robot at rest. It moves nothing.
+    """Clear an emergency stop or a fault; nothing moves.
+
+    All robots must be at rest.
 
     $ robofleet reset
     """
@@ -90,9 +101,11 @@ def reset(arena: ArenaName = None) -> None:
 
 def status(
     arena: ArenaName = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
-    """Show an arena's state: its phase and the cause, each robot's gate, latch and battery, and what can be done now.
+    """Show the state of a run and of its robots.
+
+    It also prints the cause of a stop, and what you can do now.
 
     $ robofleet status --json
     """
@@ -104,21 +117,23 @@ def hosts(
         str | None,
         typer.Argument(
             metavar="ARENA|CONFIG",
-            help="Whose computers; leave it out if only one arena has a run. CONFIG: between runs, too.",
+            help="The run's arena; not needed if only one run is on. CONFIG works between runs, too.",
             autocompletion=running_names,
             show_default=False,
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
-    """Show the computers of an arena's robots: where, version, certificate, round trip, loss, battery, since when.
+    """Show the computers of the robots.
+
+    It prints address, version, certificate, round trip, loss, battery, and since when each is connected.
 
     $ robofleet hosts
 
     $ robofleet hosts lab.yaml
 
-    The second one needs no run, where the router stays between runs (bus.router: service). A computer that has joined
-    as an operator or a viewer sees the robots that are linked.
+    With CONFIG no run is needed, if the router stays between runs (bus.router: service). A computer that has joined as
+    an operator or a viewer sees the robots that are connected.
     """
     from robofleet.operator import hosts as asking  # noqa: PLC0415
     from robofleet.operator.requests import UnreachableError, chosen, joined_arena  # noqa: PLC0415
@@ -147,29 +162,38 @@ def web(
         str | None,
         typer.Argument(
             metavar="ARENA|CONFIG",
-            help="Which run's page; leave it out if only one arena has a run.",
+            help="The run's arena; not needed if only one run is on.",
             autocompletion=running_names,
             show_default=False,
         ),
     ] = None,
-    port: Annotated[int, typer.Option(metavar="N", min=0, max=65535, help="Default: any free one.")] = 0,
+    port: Annotated[
+        int,
+        typer.Option(
+            metavar="N", min=0, max=65535, show_default=False, help="Port of the page. Default: any free port."
+        ),
+    ] = 0,
     host: Annotated[
         str,
         typer.Option(
             metavar="ADDRESS",
-            help="This machine's address to listen at; for a phone, the one in its network: by TLS.",
+            help="Serve the page at this address of the computer; for a phone, its address in the phone's network.",
         ),
     ] = LOOPBACK,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the page's address; open no browser.")
+    ] = False,
     lifeline: LifelineFd = None,
 ) -> None:
-    """The operator's page of a run that is on, in your browser: see it, hold it, stop it.
+    """Open the operator's page of a run in a browser.
+
+    The page shows the run, and has buttons to hold and to stop it.
 
     $ robofleet web
 
     $ robofleet web --host 192.168.1.5 --port 8080
 
-    When the run has ended the page shows how, with its report. It is served while somebody looks, ten minutes at most.
+    After the end the page shows the report, for ten minutes at most. A page for other computers is encrypted (TLS).
     """
     from robofleet.operator.page.certificate import page_keys  # noqa: PLC0415
 

@@ -1,10 +1,12 @@
-"""Start one process of a run by itself; `robofleet run` starts them all.
+"""Start one process of a run by itself.
+
+`robofleet run` starts all of them.
 
 $ robofleet node router lab.yaml
 
 $ robofleet node driver --unit r1
 
-A configuration of several processes needs a fixed bus.endpoint, or none.
+All processes of a run read the same configuration, whose bus.endpoint names no port 0.
 """
 
 import os
@@ -31,7 +33,7 @@ def tracker(
     camera: Annotated[str, typer.Option(metavar="NAME", help="Which camera, if CONFIG has several.")] = "",
     lifeline: LifelineFd = None,
 ) -> None:
-    """Start a tracker: it measures the robots' poses in the images of a camera.
+    """Start a tracker: it measures poses in a camera's images.
 
     $ robofleet node tracker lab.yaml
     """
@@ -50,7 +52,7 @@ def _be(
 
 
 def supervisor(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-    """Start the supervisor: it permits robots to move, and stops them at a fault.
+    """Start the supervisor: it permits motion, and stops robots.
 
     $ robofleet node supervisor lab.yaml
     """
@@ -66,7 +68,7 @@ def recorder(config: ConfigPath, lifeline: LifelineFd = None) -> None:
 
 
 def twins(config: ConfigPath, lifeline: LifelineFd = None) -> None:
-    """Start the firmware twins: programs that answer on serial ports in place of robots.
+    """Start the firmware twins: simulated robots on serial ports.
 
     $ robofleet node twins lab.yaml
     """
@@ -78,7 +80,7 @@ def controller(
     takeover: Annotated[bool, typer.Option("--takeover", hidden=True)] = False,
     lifeline: LifelineFd = None,
 ) -> None:
-    """Start the controller: it sends each robot its command, 30 times a second.
+    """Start the controller: it commands the robots.
 
     $ robofleet node controller lab.yaml
     """
@@ -92,11 +94,15 @@ def driver(
     ] = None,
     unit: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="This robot computer's unit, in place of CONFIG: each run sends its configuration."),
+        typer.Option(
+            metavar="NAME", help="This robot computer's unit, in place of CONFIG: each run sends its configuration."
+        ),
     ] = None,
     lifeline: LifelineFd = None,
 ) -> None:
-    """Start the driver of some robots; on a robot's own computer, wait for runs.
+    """Start a driver: it moves robots.
+
+    On a robot's own computer, with --unit, it waits for runs.
 
     $ robofleet node driver lab.yaml --robots r1,r2
 
@@ -109,10 +115,10 @@ def driver(
         return
     if config is None or robots is None:
         missing = "CONFIG" if config is None else "--robots"
-        example = (
-            "`robofleet node driver lab.yaml --robots r1,r2`, or on a robot's own computer `robofleet node driver --unit r1`"
+        raise RefusedError(
+            f"{missing}: is missing: `robofleet node driver lab.yaml --robots r1,r2`, or on a robot's own computer "
+            "`robofleet node driver --unit r1`"
         )
-        raise RefusedError(f"{missing}: is missing: {example}")
     names = tuple(dict.fromkeys(name.strip() for name in robots.split(",")))
     _be(table.DRIVER, config, lifeline, names)
 
@@ -135,7 +141,7 @@ def router(
     ] = False,
     lifeline: LifelineFd = None,
 ) -> None:
-    """Start the router: it passes all messages between the processes.
+    """Start the router: it passes the processes' messages on.
 
     $ robofleet node router lab.yaml
     """
@@ -145,7 +151,6 @@ def router(
         print(dumps(settings_of(for_one_process(config))))
         return
     _be(table.ROUTER, config, lifeline)
-
 
 
 def for_one_process(config: Path, robots: tuple[str, ...] = (), *, listen: bool = False) -> "Config":

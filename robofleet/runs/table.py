@@ -59,7 +59,7 @@ class Edges:
 class Row(NamedTuple):
     """One kind of process."""
 
-    name: str  # of its command, too; its log, place on the bus and faults are named so too, a driver's after its first robot
+    name: str  # of its command; its log, place on the bus and faults are named so too, a driver's after its first robot
     make: Callable[[Edges], Node] | None  # None: it has no steps, and a main function of its own
     priority: int | None  # real-time; 0: nice alone, before what else the machine does; None: it goes before nobody
     starter: Starter | None = "run"  # None: bus.router or drivers.started_by says it
@@ -97,7 +97,9 @@ class Process(NamedTuple):
     @property
     def command(self) -> tuple[str, ...]:
         """What ``robofleet`` is called with, before the configuration."""
-        options = ("--camera", self.camera) if self.camera else ("--robots", ",".join(self.robots)) if self.robots else ()
+        options = (
+            ("--camera", self.camera) if self.camera else ("--robots", ",".join(self.robots)) if self.robots else ()
+        )
         return *self.row.command, *options
 
     def config(self, config: "Config") -> "Config":

@@ -26,7 +26,9 @@ def test_a_lost_terminal_ends_a_process_well(tmp_path: Path) -> None:
     config = tmp_path / "fixed.yaml"
     endpoint = own_endpoint()
     config.write_text(f"bus: {{endpoint: '{endpoint}'}}\n{PLATOON.read_text()}")
-    router = subprocess.Popen([sys.executable, "-m", "robofleet", "node", "router", str(config)], stderr=subprocess.PIPE)
+    router = subprocess.Popen(
+        [sys.executable, "-m", "robofleet", "node", "router", str(config)], stderr=subprocess.PIPE
+    )
     assert router.stderr is not None
     with router.stderr:
         assert router.stderr.readline() == b"ready\n"
