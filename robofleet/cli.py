@@ -122,7 +122,7 @@ class _FromSource:
         """Take nothing: it stands in the source."""
 
 
-class _Unloaded(_FromSource, Command):
+class _Unloaded(_FromSource, Command):  # type: ignore[misc]  # a property in the place of a value
     """A command of the table, whose module is not imported yet: it has what the list of commands shows."""
 
     def __init__(self, name: str, row: Row) -> None:
@@ -158,7 +158,7 @@ class _Lazy(Commands):
             return name, command, ["--help"]
 
 
-class _Group(_FromSource, _Lazy):
+class _Group(_FromSource, _Lazy):  # type: ignore[misc]  # as above
     """A group of commands of the table."""
 
     def __init__(self, name: str, row: Row) -> None:

@@ -211,7 +211,7 @@ def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(a
     )
 
 
-@pytest.mark.parametrize("arguments", [["run", "--help"], ["calibrate", "camera", "--help"], ["schema"]])
+@pytest.mark.parametrize("arguments", [["run", "--help"], ["calibrate", "intrinsics", "--help"], ["schema"]])
 def test_a_robots_computer_without_the_extra_has_every_commands_help_and_the_schema(arguments: list[str]) -> None:
     hidden = f"import sys; sys.modules.update(dict.fromkeys({LAB_MODULES}))"
     code = f"{hidden}; sys.argv[1:] = {arguments}; from robofleet.cli import main; main()"
@@ -221,7 +221,8 @@ def test_a_robots_computer_without_the_extra_has_every_commands_help_and_the_sch
 
 
 COMMANDS_ON_A_RUN = [["stop"], ["hold"], ["status"], ["status", "--json"], ["web"]]
-ONE_PROCESS = [["router"], ["supervisor"], ["tracker"], ["controller"], ["driver", "--robots", "r1,r2,r3,r4"]]
+ONE_PROCESS = [["node", name] for name in ("router", "supervisor", "tracker", "controller")]
+ONE_PROCESS += [["node", "driver", "--robots", "r1,r2,r3,r4"]]
 
 
 @pytest.mark.parametrize("command", [*COMMANDS_ON_A_RUN, *ONE_PROCESS, ["run"]], ids=" ".join)

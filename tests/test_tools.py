@@ -1,6 +1,5 @@
 """The scripts of ``tools/`` where their packages are not installed."""
 
-import re
 import subprocess
 import sys
 from pathlib import Path

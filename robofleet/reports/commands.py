@@ -174,7 +174,8 @@ def layout(
     with _readable():
         if viewer not in VIEWERS:
             raise RefusedError(f"VIEWER: {viewer!r} is not known: take one of {', '.join(VIEWERS)}")
-        layout_kind, file = VIEWERS[viewer], file_of(chosen(run))
+        run = chosen(run)
+        layout_kind, file = VIEWERS[viewer], file_of(run)
         try:
             with _importing(behaviours) as imports:
                 written = layout_kind.make(about(run, imports), file)

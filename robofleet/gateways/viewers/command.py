@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from robofleet.gateways.place import JOINED_WITHIN_S, ArenaAccess, answering, run_of
-from robofleet.operator.commands import ArenaName, LifelineFd
+from robofleet.operator.commands import ArenaName
+from robofleet.operator.node_commands import LifelineFd
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, RERUN, Address, need
 
 _Copy = Annotated[
