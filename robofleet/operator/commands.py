@@ -64,7 +64,7 @@ def start(arena: ArenaName = None) -> None:
 def hold(arena: ArenaName = None) -> None:
     """Make all robots stand; `resume` continues.
 
-    A hold ends the run after two minutes.
+    Without `resume` the run ends after two minutes.
 
     $ robofleet hold
     """

@@ -5,6 +5,7 @@ line in the list of commands, a paragraph that begins with ``$`` is an example.
 """
 
 import inspect
+import re
 import shutil
 from collections.abc import Iterable
 from typing import Any
@@ -17,6 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 
 _WIDEST = 100  # longer lines are hard to read
 _INDENT = (0, 0, 0, 2)
+_NO_BREAK = "\u2800"  # a blank that is no space
 _HEADING, _NAME, _EXAMPLE = "bold", "cyan", "green"
 
 
@@ -25,7 +27,7 @@ class Command(TyperCommand):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Lay its help out."""
-        formatter.write(_drawn(*_about(self, ctx), *_parameters(self, ctx), *_examples(self)))
+        formatter.write(_drawn(self, *_about(self, ctx), *_parameters(self, ctx)))
 
 
 class Commands(TyperGroup):
@@ -33,19 +35,32 @@ class Commands(TyperGroup):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Lay its help out."""
-        formatter.write(_drawn(*_about(self, ctx), *_list(self), *_examples(self)))
+        formatter.write(_drawn(self, *_about(self, ctx), *_list(self)))
 
 
-def _drawn(*parts: RenderableType) -> str:
+def _drawn(command: Any, *parts: RenderableType) -> str:
+    examples = [text for text in _paragraphs(command) if text.startswith("$")]
     console = Console(highlight=False, width=min(_WIDEST, shutil.get_terminal_size().columns))
     with console.capture() as captured:
         for part in parts:
             console.print(part)
-    return "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
+        if examples:
+            console.print(Text("\nExamples", _HEADING))
+        for example in examples:
+            console.print(Text(f"  {example}", _EXAMPLE), soft_wrap=True)  # so it can be copied
+        if command.epilog:
+            console.print(Text("\n" + _in_lines(command.epilog)))
+    text = captured.get().replace(_NO_BREAK, " ")
+    return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
 
 
 def _paragraphs(command: Any) -> list[str]:
-    return [" ".join(text.split()) for text in inspect.cleandoc(command.help or "").split("\n\n")]
+    return [_in_lines(text) for text in inspect.cleandoc(command.help or "").split("\n\n")]
+
+
+def _in_lines(text: str) -> str:
+    """Return a text without its line ends; what is quoted in it, for example a command, is not broken."""
+    return re.sub("`.*?`", lambda quoted: quoted[0].replace(" ", _NO_BREAK), " ".join(text.split()))
 
 
 def _about(command: Any, ctx: Any) -> Iterable[RenderableType]:
@@ -58,7 +73,9 @@ def _about(command: Any, ctx: Any) -> Iterable[RenderableType]:
 
 def _usage(command: Any, ctx: Any) -> Iterable[str]:
     arguments = [param for param in _shown(command, ctx) if param.param_type_name == "argument"]
-    yield from (_name(param) if param.required else f"[{_name(param)}]" for param in arguments)
+    options = [param for param in _shown(command, ctx) if param.param_type_name == "option" and param.required]
+    for name, param in [(_name(param), param) for param in (*arguments, *options)]:
+        yield name if param.required or name.startswith("[") else f"[{name}]"
     if hasattr(command, "commands"):
         yield "COMMAND"
     yield "[OPTIONS]"
@@ -80,15 +97,15 @@ def _shown(command: Any, ctx: Any) -> list[Any]:
 def _name(param: Any) -> str:
     metavar = str(param.metavar or param.name.upper())
     if param.param_type_name == "argument":
-        return metavar.strip("[]")
+        return metavar
     return ", ".join(param.opts) + ("" if param.is_flag else f" {metavar}")
 
 
 def _meaning(param: Any) -> str:
-    default = param.default if isinstance(param.default, (str, int, float)) and param.default is not False else ""
-    notes = [f"Default: {default}." if default != "" and param.show_default else ""]
-    notes += ["Required." if param.required and param.param_type_name == "option" else ""]
-    return " ".join(filter(None, [param.help or "", *notes]))
+    default = param.default if param.show_default and not isinstance(param.default, bool) else ""
+    if default == "" or not isinstance(default, str | int | float):
+        return str(param.help or "")
+    return f"{param.help} Default: {format(default, '' if isinstance(default, str) else 'g')}."
 
 
 def _list(group: Any) -> Iterable[RenderableType]:
@@ -101,20 +118,11 @@ def _list(group: Any) -> Iterable[RenderableType]:
             rows.append((Text("" if heading == previous else heading, _HEADING), *cells))
         elif not any(headings):
             rows.append(cells)
-    yield ""
-    yield _grid(rows)
+    yield "" if any(headings) else Text("\nCommands", _HEADING)
+    yield Padding(_grid(rows), 0 if any(headings) else _INDENT)
     if any(headings) and not all(headings):
         names = ", ".join(command.name for command in commands if command.rich_help_panel is None)
         yield Text.assemble(("More: ", _HEADING), names)
-
-
-def _examples(command: Any) -> Iterable[RenderableType]:
-    examples = [text for text in _paragraphs(command) if text.startswith("$")]
-    if examples:
-        yield Text("\nExamples", _HEADING)
-        yield from (Padding(Text(example, _EXAMPLE), _INDENT) for example in examples)
-    if command.epilog:
-        yield Text("\n" + " ".join(command.epilog.split()))
 
 
 def _grid(rows: Iterable[tuple[Text, ...]]) -> RenderableType:

@@ -9,7 +9,7 @@ from robofleet.core.clock import utc_now
 from robofleet.core.refusal import RefusedError
 
 RUNS = Path("runs")
-DEFAULT_FOLDER = f"Default: {RUNS}/<UTC time>-<name>."  # for the help of options
+DEFAULT_FOLDER = f"Default: {RUNS}/<time>-<name>."  # for the help of options
 STAMP = "%Y%m%dT%H%M%SZ"
 _NAME = re.compile(r"\d{8}T\d{6}Z-.+")
 

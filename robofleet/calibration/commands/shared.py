@@ -16,7 +16,7 @@ from robofleet.runs import folder as folders
 
 ReportFile = Annotated[
     Path | None,
-    typer.Option("--report", metavar="FILE", help="File of the report. Default: runs/<UTC time>-<name>/report.html."),
+    typer.Option("--report", metavar="FILE", help="File of the report. Default: runs/<time>-<name>/report.html."),
 ]
 CameraName = Annotated[
     str,
