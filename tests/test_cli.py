@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from tests.shipped import PLATOON
 
 pytestmark = pytest.mark.usefixtures("unplotted")
 
+RECORDING = Path(__file__).parent / "recordings" / "platoon.mcap"
 TRUTH = ("--lockstep", "--set", "tracker.source=truth")
 SUMMARY_KEYS = {
     "version", "config", "seed", "mode", "outcome", "cause", "duration_s", "ticks", "real_time_factor", "trace_hash",
@@ -129,6 +131,16 @@ def test_a_run_ends_with_a_table_in_a_folder_of_its_own(folder: Path) -> None:
     assert "control error" in result.stdout
     summary, page = ((made / name).read_text() for name in ("summary.json", "report.html"))
     assert f"{json.loads(summary)['began'].replace('T', ' ').removesuffix('Z')} UTC; 4 robots" in page
+
+
+@pytest.mark.parametrize("command", [["report"], ["replay"], ["repair"], ["layout", "foxglove"]], ids=" ".join)
+def test_a_command_on_a_run_takes_the_newest_one(command: list[str], folder: Path) -> None:
+    newest = folder / "runs" / "20260102T030405Z-platoon"
+    newest.mkdir(parents=True)
+    shutil.copy(RECORDING, newest / "run.mcap")
+    result = robofleet(*command)
+    assert result.exit_code == (1 if command == ["report"] else 0), result.output  # it is too short for its bounds
+    assert "the newest run is taken: runs/20260102T030405Z-platoon\n" in result.stderr
 
 
 def test_a_fault_is_exit_code_1_with_its_cause_and_a_summary(folder: Path) -> None:
