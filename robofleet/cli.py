@@ -24,7 +24,6 @@ from typer.main import get_command
 from robofleet.core.log_lines import never_raise
 from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, how_to_install
 from robofleet.operator import usage
-from robofleet.operator.help import Command, Commands
 from robofleet.operator.terminal.plain_terminal import silence_libraries, speak_its_language
 
 _COLLECT_AFTER_OBJECTS = 50_000  # loading libraries makes hundreds of thousands, and hardly any garbage
@@ -122,7 +121,7 @@ class _FromSource:
         """Take nothing: it stands in the source."""
 
 
-class _Unloaded(_FromSource, Command):  # type: ignore[misc]  # a property in the place of a value
+class _Unloaded(_FromSource, usage.Command):  # type: ignore[misc]  # a property in the place of a value
     """A command of the table, whose module is not imported yet: it has what the list of commands shows."""
 
     def __init__(self, name: str, row: Row) -> None:
@@ -135,11 +134,11 @@ class _Unloaded(_FromSource, Command):  # type: ignore[misc]  # a property in th
         module = import_module(f"robofleet.{self._row.module}")
         function: Callable[..., None] = getattr(module, self._row.function)
         app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
-        app.command(self.name, cls=getattr(module, self._row.parser, Command))(function)
+        app.command(self.name, cls=getattr(module, self._row.parser, usage.Command))(function)
         return get_command(app)
 
 
-class _Lazy(Commands):
+class _Lazy(usage.Commands):
     """Commands of the table: the one that is called is imported."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

@@ -14,7 +14,6 @@ from rich.console import Console, RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
-from typer.core import TyperCommand, TyperGroup
 
 _WIDEST = 100  # longer lines are hard to read
 _INDENT = (0, 0, 0, 2)
@@ -22,20 +21,13 @@ _NO_BREAK = "\u2800"  # a blank that is no space
 _HEADING, _NAME, _EXAMPLE = "bold", "cyan", "green"
 
 
-class Command(TyperCommand):
-    """A command."""
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Lay its help out."""
-        formatter.write(_drawn(self, *_about(self, ctx), *_parameters(self, ctx)))
+def of_command(command: Any, ctx: Any) -> str:
+    return _drawn(command, *_about(command, ctx), *_parameters(command, ctx))
 
 
-class Commands(TyperGroup):
-    """A group of commands. Those with a heading (``rich_help_panel``) are listed under it."""
-
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Lay its help out."""
-        formatter.write(_drawn(self, *_about(self, ctx), *_list(self)))
+def of_group(group: Any, ctx: Any) -> str:
+    """Return the help of a group of commands: those with a heading (``rich_help_panel``) are listed under it."""
+    return _drawn(group, *_about(group, ctx), *_list(group))
 
 
 def _drawn(command: Any, *parts: RenderableType) -> str:

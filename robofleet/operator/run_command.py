@@ -22,12 +22,12 @@ from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.operator import viewer_address as viewers
 from robofleet.operator.config_commands import ConfigFile, Overrides
 from robofleet.operator.ending import Ending, Result
-from robofleet.operator.help import Command
 from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.page_address import LOOPBACK, listening
 from robofleet.operator.run import in_lockstep, in_real_time
 from robofleet.operator.terminal.outlet import unhindered
 from robofleet.operator.terminal.plain_terminal import as_shown
+from robofleet.operator.usage import Command
 from robofleet.reports.tables import proofs_table
 from robofleet.runs import folder as folders
 from robofleet.runs.check import load_checked, proofs, start_warnings

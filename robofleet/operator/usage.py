@@ -1,4 +1,4 @@
-"""A command that was typed wrongly: one line that names the argument and says how to mend it."""
+"""How commands are used: their help, and one line for a command that was typed wrongly, which says how to mend it."""
 
 import difflib
 import re
@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from robofleet.core.sentences import in_words
 
@@ -13,6 +14,26 @@ from robofleet.core.sentences import in_words
 UsageError: Any = typer.BadParameter.__mro__[1]
 
 _EXAMPLE = re.compile(r"^\s*\$ (robofleet .+)$", re.MULTILINE)
+
+
+class Command(TyperCommand):
+    """A command."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Lay its help out."""
+        from robofleet.operator import help as layout  # noqa: PLC0415 - a driver's process loads no rich
+
+        formatter.write(layout.of_command(self, ctx))
+
+
+class Commands(TyperGroup):
+    """A group of commands."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Lay its help out."""
+        from robofleet.operator import help as layout  # noqa: PLC0415
+
+        formatter.write(layout.of_group(self, ctx))
 
 
 def show(error: Any) -> None:

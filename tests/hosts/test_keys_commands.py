@@ -493,7 +493,7 @@ def test_a_service_starts_the_units_driver(bundle: Path, desk: Path, monkeypatch
     assert len(lines) <= 5
     assert "Next: systemctl enable --now robofleet-unit" in lines
     service = (desk / "systemd" / "robofleet-unit.service").read_text()
-    assert re.search(r"^ExecStart=/\S.* driver --unit r1$", service, re.MULTILINE)
+    assert re.search(r"^ExecStart=/\S.* node driver --unit r1$", service, re.MULTILINE)
     assert load_robot_file(desk / "etc" / "robot.yaml").unit == "r1"
 
 

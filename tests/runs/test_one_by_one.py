@@ -13,11 +13,11 @@ from tests.endpoints import own_endpoint
 from tests.shipped import PLATOON
 
 
-@pytest.mark.parametrize("command", [["router"], ["controller"], ["driver", "--robots", "r1,r2,r3,r4"]])
+@pytest.mark.parametrize("command", [["router"], ["controller"], ["driver", "--robots", "r1,r2,r3,r4"]], ids=" ".join)
 def test_a_port_that_nobody_else_can_know_is_refused(command: list[str], tmp_path: Path) -> None:
     config = tmp_path / "any.yaml"
     config.write_text(f"bus: {{endpoint: 'tcp/127.0.0.1:0', insecure: loopback}}\n{PLATOON.read_text()}")
-    result = CliRunner().invoke(app, [*command, str(config)])
+    result = CliRunner().invoke(app, ["node", *command, str(config)])
     assert result.exit_code == 2
     assert "bus.endpoint" in result.stderr
 
