@@ -20,33 +20,39 @@ def doctor(
     config: Annotated[
         Path | None,
         typer.Argument(
-            metavar="CONFIG", help="Judge this machine by what this configuration needs.", show_default=False
+            metavar="CONFIG", help="The configuration to be run here; without it, a simulated run.", show_default=False
         ),
     ] = None,
     overrides: Annotated[
         list[str],
-        typer.Option("--set", metavar="KEY=VALUE", help="Change a key of CONFIG, e.g. robots.0.driver=create2."),
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Change a key of CONFIG, for example robots.0.driver=create2. Repeatable.",
+        ),
     ] = [],  # noqa: B006 - typer copies it
     robots: Annotated[
-        str, typer.Option(metavar="r1,r2", help="This machine runs only the drivers of these robots of CONFIG.")
+        str, typer.Option(metavar="r1,r2", help="This computer runs only the drivers of these robots of CONFIG.")
     ] = "",
     ask: Annotated[
         list[str],
         typer.Option(
             metavar="PORT",
-            help="Open this serial port and say which robot answers; `all`: those of CONFIG, else every USB port. "
-            "No wheel moves; opening resets an Arduino. Repeatable.",
+            help="Open this serial port and print which robot answers; all: the ports of CONFIG, without CONFIG every "
+            "USB port. No wheel moves; opening a port resets an Arduino. Repeatable.",
         ),
     ] = [],  # noqa: B006 - typer copies it
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
-    """What a run needs of this machine, a line each: ok, warn or missing, and how to mend it.
+    """Check this computer: what a run needs, how to get it.
+
+    It prints a line for each need: ok, warn or missing, and how to mend it.
 
     $ robofleet doctor
 
     $ robofleet doctor configs/lab.yaml --ask all
 
-    Exit 0: a run would work; 1: something that it needs is missing.
+    Exit code 0: a run would work. 1: something is missing.
     """
     if not all(ask):
         raise RefusedError("--ask: name a serial port, as /dev/ttyUSB0, or all")

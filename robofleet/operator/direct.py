@@ -12,6 +12,7 @@ from functools import partial
 
 from robofleet.core.errors import BadInputError
 from robofleet.core.log_lines import never_raise
+from robofleet.core.sentences import in_words
 from robofleet.core.valid_json import dumps
 from robofleet.operator.terminal.plain_terminal import speak_its_language
 
@@ -34,7 +35,7 @@ def run(words: Sequence[str]) -> int | None:
         print(file=sys.stderr)
         return 1
     except BadInputError as error:
-        print(error, file=sys.stderr)
+        print(in_words(str(error), sys.stderr), file=sys.stderr)
         return 2
 
 
@@ -68,13 +69,14 @@ def status(arena: str | None, *, as_json: bool = False) -> int:
         from robofleet.reports.tables import status_table  # noqa: PLC0415
 
         Console().print(status_table(found))
-        print(found["next"] or "")
+        print(in_words(found["next"] or "", sys.stdout))
     return 0
 
 
 def answered(done: bool, what: str) -> int:
     """Print what came of a command, and return its exit code."""
-    print(what, file=sys.stdout if done else sys.stderr)
+    stream = sys.stdout if done else sys.stderr
+    print(in_words(what, stream), file=stream)
     return 0 if done else 1
 
 

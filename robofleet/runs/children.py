@@ -84,7 +84,7 @@ class Children:
     children: list[Child] = field(default_factory=list)
 
     def start(self, name: str, *arguments: str) -> Child:
-        """Start ``robofleet NAME CONFIG ...`` as a new interpreter."""
+        """Start ``robofleet ARGUMENTS CONFIG`` as a new interpreter."""
         child = self.started(name, arguments)
         self.children.append(child)
         return child
@@ -94,7 +94,7 @@ class Children:
         ours, theirs = socket.socketpair()
         log = self.folder / f"{name}.log"
         with theirs, log.open("ab") as output:
-            command = [sys.executable, "-P", "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
+            command = [sys.executable, "-P", "-m", "robofleet", *arguments, str(self.config_file)]
             process = subprocess.Popen(
                 [*command, "--lifeline", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],

@@ -139,7 +139,7 @@ class Launcher:
             self._show("compiling" if compiling else "starting", words)
 
         fleet.wait_ready(self._clock, wait)
-        fleet.start(table.RECORDER.name, table.RECORDER.name)  # it may compile kernels, too
+        fleet.start(table.RECORDER.name, *table.RECORDER.command)  # it may compile kernels, too
         for process in self._others:
             taking = ["--takeover"] if self._take_over and process.row is table.CONTROLLER else []
             fleet.start(process.name, *process.command, *taking)

@@ -9,10 +9,10 @@ from robofleet.bus.permissions import SCRIPT
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.core.clock import utc_now
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import RefusedError, new_folder
 from robofleet.operator.requests import NoArenaError, chosen, joined_arena
+from robofleet.runs import folder as folders
 from robofleet.runs.check import load_checked
 from robofleet.scripts.script_link import FleetError, Link, first, scripted
 from robofleet.vehicles.interface import DriverError
@@ -64,7 +64,7 @@ def _folder(out: Out, name: str) -> Path | None:
     """Return a new folder for what a run leaves; None: it leaves nothing."""
     if out is False:
         return None
-    folder = Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}" if out is None else Path(out)
+    folder = folders.new(name) if out is None else Path(out)
     new_folder(folder, "out")
     return folder
 

@@ -62,25 +62,31 @@ def drive(
 def teleop(
     arena: ArenaName = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
+        Path | None,
+        typer.Option(metavar="FILE", help="A copy of the run's configuration, if the run is on another computer."),
     ] = None,
-    group: Annotated[str | None, typer.Option(metavar="NAME", help="The group, if several can be driven.")] = None,
+    group: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Which group, if several have the behaviour teleop.")
+    ] = None,
     out: Annotated[
         str | None,
-        typer.Option(metavar="ROBOT", help="Robot to drive out of a held run; default: the group's first."),
+        typer.Option(metavar="ROBOT", help="The robot to drive during a hold. Default: the group's first."),
     ] = None,
     device: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="/dev/input/event*; default: the only gamepad.")
+        Path | None,
+        typer.Option(metavar="PATH", help="The gamepad, for example /dev/input/event3. Default: the only one."),
     ] = None,
 ) -> None:
-    """Drive a robot by a gamepad of this computer: the first robot of a group with behaviour teleop.
+    """Drive a robot with a gamepad.
+
+    It drives the first robot of a group with the behaviour teleop.
 
     $ robofleet teleop
 
     $ robofleet teleop --out r3
 
-    Hold a shoulder button (L1 or R1): the left stick drives. Let it go, and the robot stands. While the run is held, it
-    drives one robot out at a crawl. Ctrl-C ends this, and not the run.
+    Press and hold L1 or R1: the left stick drives. Release it: the robot stands. During a hold it drives one robot,
+    slowly. Ctrl-C ends this command; the run goes on.
     """
     from robofleet.bus.permissions import OPERATOR as PERSON  # noqa: PLC0415
     from robofleet.core.clock import WallClock  # noqa: PLC0415
