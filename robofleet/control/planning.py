@@ -404,7 +404,8 @@ def _configuration(
 @kernel
 def _forced(q: Indices, forced: Indices, at: Array, radii: Array, out: Indices) -> bool:
     """Write what is forced; False where it is not clear."""
-    out[:] = forced
+    for i in range(len(q)):
+        out[i] = forced[i]  # not out[:] = forced: the message of that line's check compiles for a second
     for i in range(len(q)):
         if forced[i] < 0:
             continue

@@ -109,7 +109,8 @@ def _shorten(
                         break
                 if possible:
                     for a in range(begin + 1, end):
-                        places[i, a], radii[i, a] = new[a], new_radii[a]
+                        places[i, a, 0], places[i, a, 1] = new[a, 0], new[a, 1]
+                        radii[i, a] = new_radii[a]
                     shorter = True
                     break
         span = span * 2 // 3

@@ -30,7 +30,6 @@ from numba.core.compiler import CompileResult
 from robofleet.core.clock import MS, Clock, S
 from robofleet.core.files import open_plain
 
-_PACKAGE = Path(__file__).parents[1]
 _TURN_EVERY_NS, _LONGEST_WAIT_NS = 20 * MS, 60 * S
 _LARGEST = 256_000_000  # bytes in the folder; those that nobody has read for longest go first
 _CHECK = 16  # bytes of digest before the content
@@ -51,14 +50,7 @@ _SHIPPED_CPU_FEATURES = (
 
 
 def folder() -> Path:
-    """Return where they are kept: beside the package, where this user can have a folder, else in this user's cache."""
-    beside = _PACKAGE / "__pycache__" / "kernels"
-    with contextlib.suppress(OSError):
-        if _is_own(beside.lstat()):
-            return beside
-    above = beside.parent if beside.parent.exists() else _PACKAGE
-    if not os.path.lexists(beside) and os.access(above, os.W_OK):
-        return beside
+    """Return where they are kept: in this user's cache."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robofleet" / "kernels"
 
 
