@@ -504,3 +504,6 @@ def _hungarian(cost: Array, column_of: Indices) -> None:
             row_of[current], current = row_of[came[current]], came[current]
     for j in range(n):
         column_of[row_of[j]] = j
+
+
+KERNELS = (_radii, _direct, _neighbours, _costs, _choices, _configuration, _hungarian, *solid_ways.KERNELS)

@@ -146,3 +146,6 @@ def _needs(places: Array, radii: Array, i: int, needed: NDArray[np.int32]) -> No
                 if x * x + y * y < apart * apart - 1e-6:
                     needed[a, j] = b + 1
                     break
+
+
+KERNELS = (_radii, _shorten, _needs)  # that are called from Python

@@ -179,7 +179,7 @@ class _Walk:
         )
 
     def _is_part(self, compiled: Dispatcher) -> bool:
-        """Whether a function may become a part of its callers: its options are the model's, and it does not call itself."""
+        """Whether a function may become a part of its callers: it has the model's options, and does not call itself."""
         code = compiled.py_func.__code__
         calls_itself = code.co_name in (*code.co_names, *code.co_freevars)
         return {**self._options, "nopython": True, "boundscheck": None} == compiled.targetoptions and not calls_itself

@@ -47,7 +47,7 @@ class Way(NamedTuple):
 
 def tables(
     groups: Sequence[Group], tick: TickRecord, statuses: Sequence[RobotStatus | None], state: RunState | None,
-    way: Way | None = None,
+    way: Way | None = None, *, starting: bool = False,
 ) -> Iterator[str | Text | Fitting]:  # fmt: skip
     """Yield a table for each group, with its name where there are several; statuses: of the members.
 
@@ -66,7 +66,14 @@ def tables(
             item, status = tick.robots[row], statuses[row]
             texts = [live_figures.words(every[k], figures[row, k]) or _UNKNOWN for k in own]
             texts += [] if way is None else [_to_go(way, row)]
-            rows.append((robot.ljust(widest), *_common(item, status), *texts, _state(item, status, state, row)))
+            rows.append(
+                (
+                    robot.ljust(widest),
+                    *_common(item, status),
+                    *texts,
+                    _state(item, status, state, row, starting=starting),
+                )
+            )
             row += 1
         heads = {live_figures.title(every[k]): _head(every[k]) for k in own}
         yield _table(rows, heads | ({} if way is None else {_TO_GO: _TO_GO}))
@@ -107,10 +114,14 @@ def _common(item: RobotTick, status: RobotStatus | None) -> tuple[str, str, str]
     return _UNKNOWN if item.lost else pose, f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}", battery
 
 
-def _state(item: RobotTick, status: RobotStatus | None, state: RunState | None, row: int) -> Text:
+def _state(
+    item: RobotTick, status: RobotStatus | None, state: RunState | None, row: int, *, starting: bool
+) -> Text:  # fmt: skip
     """Why a robot may move, or why not: its latch, its own halt or its group's, its gate, the barrier."""
     if status is None:
-        return Text("silent", "red")
+        return Text("starting") if starting else Text("silent", "red")
+    if starting and status.latch == Latch.DRILL:
+        return Text("stop tried")
     if status.latch:
         return Text(named(Latch, status.latch), "bold red")
     if own := own_state(state, row, item):
