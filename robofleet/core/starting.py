@@ -18,7 +18,7 @@ from robofleet.core.kernels import SHIPPED
 # What a process compiles where nothing is compiled yet, before it says so itself: by the beginning of its name.
 _COMPILING_S = {"tracker": 15.0, "controller": 13.0, "driver": 3.5, "supervisor": 3.0}
 _MARK = "starting"
-_EXPECTED_S = 2.0  # of work at the expected speed: by so much is a machine known before it has done anything
+_EXPECTED_S = 1.0  # of work at the expected speed: by so much is a machine known before it has done anything
 _SMOOTH_S = 2.0  # in which the shown time follows the estimated one
 _LEAST_LEFT_S = 0.5
 _SURE = 0.5  # of an estimate that has passed without news, so much is left at least
@@ -51,7 +51,7 @@ class Starting(NamedTuple):
         return f"{self.short()}: {self.doing}"
 
     def short(self) -> str:
-        return f"starting {100 * self.share:.0f} %, about {max(1.0, self.left_s):.0f} s left"
+        return f"{100 * self.share:.0f} %, about {max(1.0, self.left_s):.0f} s left"
 
 
 class _Work(NamedTuple):
@@ -90,8 +90,11 @@ class Start:
         """Take that a process is there."""
         if name not in self._ready:
             self._ready.add(name)
-            progress = self._progress.get(name)
-            self._take(name, _Work(self._loading_s + (progress.work_s if progress else 0.0), 0.0))
+            work_s = 0.0
+            if (progress := self._progress.get(name)) is not None:  # another process has compiled what it has not
+                work_s = progress.work_s
+                self._progress[name] = progress._replace(done=progress.total)
+            self._take(name, _Work(self._loading_s + work_s, 0.0))
 
     def checks(self, words: str) -> None:
         """Take what is checked, when every process is there."""
@@ -132,7 +135,7 @@ class Start:
         if any(name not in self._ready for name in self._progress):
             each = self._progress.values()
             return f"compiling kernels, {sum(p.done for p in each)} of {sum(p.total for p in each)}"
-        return f"processes, {len(self._ready)} of {len(self._works)}"
+        return f"processes, {len(self._ready)} of {len(self._works)} ready"
 
 
 def _compiling_s(name: str) -> float:

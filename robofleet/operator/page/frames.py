@@ -125,7 +125,10 @@ def tick(
 ) -> Frame:
     """Return the run as it stands; ``starting``: how far its start is."""
     state, way = hearing.state, hearing.way
+    if starting and state and state.phase == Phase.IDLE:
+        state = None  # the supervisor is ready before the others are
     words = None if state is None else state_words(state, hearing.busy, config.ids)
+    check = words.check if state and words and state.phase == Phase.ARMED else None
     to_go_m = way.to_go_m(None if hearing.controller_silent() else hearing.record)
     return {
         "type": "tick",
@@ -134,11 +137,7 @@ def tick(
         "t_s": _rounded(hearing.t_s, 3),
         "phase": phase_name(state),
         "cause": words and words.cause,
-        "stage": starting.words()
-        if starting
-        else words.check
-        if state and words and state.phase == Phase.ARMED
-        else None,
+        "stage": starting.words() if starting else check,
         "start_share": starting and starting.share,
         "what_next": what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
         "way": None if way.phase is None else named(Phase, way.phase),

@@ -20,7 +20,9 @@ _BAR_COLUMNS = 50
 def start_bar(starting: Starting) -> Group:
     line = Table.grid(padding=(0, 3, 0, 0))
     line.add_column(no_wrap=True)
-    line.add_row(Text(starting.short(), "bold cyan"), ProgressBar(1.0, starting.share, width=_BAR_COLUMNS))
+    line.add_row(
+        Text(f"starting {starting.short()}", "bold cyan"), ProgressBar(1.0, starting.share, width=_BAR_COLUMNS)
+    )
     return Group(line, Text(starting.doing, "cyan"))
 
 
@@ -38,7 +40,7 @@ class StartLines:
             return
         if phase != self._phase or now_ns >= self._next_ns:
             self._phase, self._next_ns = phase, now_ns + _LINE_NS
-            print(starting.words(), file=sys.stderr, flush=True)
+            print(f"starting {starting.words()}", file=sys.stderr, flush=True)
 
 
 class StartView:
