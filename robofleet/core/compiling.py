@@ -57,8 +57,11 @@ def told(kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
         say(Progress(len(done), len(work), sum(work[code] for code in done), sum(work.values())))
 
     class Listener(event.Listener):
+        begun = False
+
         def on_start(self, _event: Any) -> None:
-            if not work:
+            if not self.begun:
+                self.begun = True
                 work.update(_work(kernels, store.labels()))
                 spread()
                 turn.enter_context(store.turn(WallClock()))

@@ -16,7 +16,7 @@ from robofleet.core.folders import kernels_folder
 from robofleet.core.kernels import SHIPPED
 
 # What a process compiles where nothing is compiled yet, before it says so itself: by the beginning of its name.
-_COMPILING_S = {"tracker": 15.0, "controller": 13.0, "driver": 3.5, "supervisor": 3.0}
+_COMPILING_S = {"tracker": 15.0, "controller": 17.0, "driver": 3.5, "supervisor": 3.0}
 _MARK = "starting"
 _EXPECTED_S = 1.0  # of work at the expected speed: by so much is a machine known before it has done anything
 _SMOOTH_S = 2.0  # in which the shown time follows the estimated one

@@ -45,9 +45,16 @@ print(run.recording.trace_hash)
 
 @pytest.mark.slow
 def test_a_run_that_compiles_its_kernels_has_the_trace_of_one_that_loads_them(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", TRACE, str(tmp_path / "kernels"), str(CONFIGS / "platoon.yaml")]
-    compiled, loaded = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2))
+    compiled, loaded = _trace(tmp_path, "platoon"), _trace(tmp_path, "platoon")
     assert compiled == loaded
+    files = {file.name for file in (tmp_path / "kernels").iterdir()}
+    _trace(tmp_path, "obstacles")
+    assert {file.name for file in (tmp_path / "kernels").iterdir()} == files, "another behaviour compiles nothing more"
+
+
+def _trace(folder: Path, config: str) -> str:
+    command = [sys.executable, "-c", TRACE, str(folder / "kernels"), str(CONFIGS / f"{config}.yaml")]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 @pytest.mark.slow_after_first
