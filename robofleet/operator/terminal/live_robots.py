@@ -125,7 +125,7 @@ def _state(
     if status.latch:
         return Text(named(Latch, status.latch), "bold red")
     if own := own_state(state, row, item):
-        return Text(own, "yellow")
+        return Text(own, "" if starting and item.lost else "yellow")
     if status.gate == GateStatus.OPEN and item.filtered:
         return Text("open, kept apart", "cyan") if item.filtered == 1.0 else Text("no motion is safe", "yellow")
     return Text(named(GateStatus, status.gate), "green" if status.gate == GateStatus.OPEN else "yellow")
