@@ -15,7 +15,7 @@ from robofleet.core.valid_json import dumps
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import RecordingError
 from robofleet.recording.run import Recording, Run
-from robofleet.reports import after, junit
+from robofleet.reports import junit
 from robofleet.reports.bounds import complaints
 from robofleet.reports.metrics import summary
 from robofleet.reports.sampled import look
@@ -108,6 +108,8 @@ class Ending:
         if not self._summary["recording"]["messages"]:  # the operator ended it before it began
             return None
         try:
+            from robofleet.reports import after  # noqa: PLC0415 - matplotlib takes a second to load
+
             made = after.report(self._folder, imports=groups.own(self._config).__contains__, columns=self._columns)
         except OSError as error:
             self._lose(self._folder / "report.html", f"cannot be written: {error.strerror}: make room")

@@ -65,11 +65,6 @@ class Child:
             else:
                 self.progress = progress
 
-    @property
-    def compiles(self) -> bool:
-        """Whether it compiles, and is not ready for that reason."""
-        return self.progress is not None and not self.ready
-
     def last_lines(self) -> str:
         lines = self.log.read_text(errors="replace").strip().splitlines()[-_LAST_LINES:]
         return "".join(f"\n    {line}" for line in lines)
@@ -142,9 +137,6 @@ class Children:
                     child.hear(word)
                     if child.progress is not None:
                         deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
-
-    def compiling(self) -> tuple[Progress, ...]:
-        return tuple(child.progress for child in self.children if child.progress is not None and child.compiles)
 
     def check(self, spare: Collection[str] = ()) -> None:
         """Raise RunError with its name and last lines if a child has died.

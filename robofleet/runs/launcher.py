@@ -18,6 +18,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S, WallClock
 from robofleet.core.errors import RobofleetError
 from robofleet.core.files import write_text
+from robofleet.core.starting import Start
 from robofleet.nodes.machine import Silence
 from robofleet.recording.run import SHOWN, Recording, Watch
 from robofleet.recording.state_words import state_words
@@ -32,6 +33,8 @@ from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.faults import Schedule
 
+# Of a start, as measured on two cores: a process until it is there, on one of them; the checks, and more of each robot.
+_LOADING_S, _CHECKS_S, _CHECKS_OF_ROBOT_S = 1.1, 3.0, 0.09
 _HANDED_WITHIN_NS = 10 * S  # they join within a second of the router's start, and open their ports
 _REST_WITHIN_NS = S
 _SILENT_NS = 2 * S
@@ -93,6 +96,10 @@ class Launcher:
         self._silence = Silence(self._clock.now_ns())  # of the supervisor
         self._answer: Answer | None = None  # to what a key asked
         self._interrupts: Interrupts
+        self._begun = Start(
+            [process.name for process in started], loading_s=_LOADING_S,
+            checks_s=_CHECKS_S + _CHECKS_OF_ROBOT_S * len(self._robots),
+        )  # fmt: skip
         self._companions: list[Companion] = []
 
     def run(self) -> Outcome:
@@ -108,6 +115,7 @@ class Launcher:
                 self.recording.outcome, self.recording.cause = outcome
                 return outcome
             finally:
+                self._console.starting = None
                 for companion in self._companions:
                     companion.end()
                 fleet.reap(self._clock, but=len(self._first))
@@ -127,6 +135,7 @@ class Launcher:
             return "stopped", str(why)
 
     def _start(self, fleet: Children) -> None:
+        self._show_start()
         for process in self._first:
             if process.row is not table.RECORDER:
                 fleet.start(process.name, *process.command)
@@ -134,9 +143,12 @@ class Launcher:
 
         def wait() -> None:
             self._listen()
-            self._console.compiling = compiling = fleet.compiling()
-            words = ". ".join(progress.words() for progress in compiling) or "Starting the processes."
-            self._show("compiling" if compiling else "starting", words)
+            for child in fleet.children:
+                if child.ready:
+                    self._begun.ready(child.name)
+                elif child.progress is not None:
+                    self._begun.compiles(child.name, child.progress)
+            self._show_start()
 
         fleet.wait_ready(self._clock, wait)
         fleet.start(table.RECORDER.name, *table.RECORDER.command)  # it may compile kernels, too
@@ -159,12 +171,12 @@ class Launcher:
             gone = partial(console.viewers_gone, viewer, child.log)
             self._companions.append(Companion(child, partial(console.viewers_found, viewer), gone))
 
-    def _show(self, phase: str, words: str) -> None:
-        """Show what the launcher does before the supervisor speaks, on the page too."""
+    def _show_start(self, *, over: bool = False) -> None:
+        """Show how far the start is, on the page too."""
+        self._console.starting = None if over else self._begun.look()
         for companion in self._companions:
-            companion.tell(words)
-        self._phase = phase
-        self._watch(self.recording, phase)
+            companion.tell(self._console.starting.encode() if self._console.starting else "started")
+        self._watch(self.recording, self._phase)
 
     def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
@@ -201,6 +213,9 @@ class Launcher:
             self._ask(b"reset")
         self._phase = "waiting" if waits else "arming"
         if not waits:
+            self._begun.checks("the checks begin")
+        self._show_start(over=waits)
+        if not waits:
             self._ask(b"start")
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
         phases, began_ns, over = {Phase.IDLE: self._phase, **_PHASES}, 0, False
@@ -210,6 +225,7 @@ class Launcher:
                 if state is not None:
                     proved = state.phase == Phase.ARMED and state.stage == Stage.DONE
                     self._enter("armed" if proved else phases[Phase(state.phase)])
+                    self._look_at_checks(state)
                     phases = phases if state.phase in before else _PHASES
                 if self._phase == "running":
                     self._faults.begin()
@@ -226,6 +242,14 @@ class Launcher:
         if state.cause == Event.ACCOMPLISHED or (over and state.cause == Event.PARKED):
             return "completed", None
         return self._outcome(state)
+
+    def _look_at_checks(self, state: RunState) -> None:
+        """Show the checks as the end of the start, until wheels drive or the run waits for its operator."""
+        if self._phase == "arming":
+            self._begun.checks(state_words(state, None, self._robots).check if state.phase == Phase.ARMED else "checks")
+            self._show_start()
+        elif self._console.starting is not None:
+            self._show_start(over=True)
 
     def _wait_for_daemons(self) -> None:
         """Return when every robot's own computer has this run's configuration, or does not take it in time."""

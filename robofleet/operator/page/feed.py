@@ -16,6 +16,7 @@ from robofleet.bus.messages import RunState, TrackerNews
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
+from robofleet.core.starting import Starting
 from robofleet.core.valid_json import dumps
 from robofleet.operator.page import frames
 from robofleet.operator.page.frames import Frame, event
@@ -83,7 +84,7 @@ class Feed:
     """Hears the run, and wakes the pages when there is something to show."""
 
     def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, progress: Callable[[], str]) -> None:
-        """``progress`` says what the launcher does, for as long as the supervisor has not spoken."""
+        """``progress`` returns the newest line of the launcher: how far the start is."""
         self.config, self.bus, self.now_ns, self._progress = config, bus, clock.now_ns, progress
         self.folder = folder
         self.ended: Frame | None = None  # how the run did, once it has
@@ -122,7 +123,9 @@ class Feed:
         """Return the newest tick, made once for all pages."""
         if self._tick[0] != self.seq:
             now_ns = self.now_ns()
-            frame = frames.tick(self.hearing, self.config, self._groups, self.seq, now_ns, self._progress())
+            frame = frames.tick(
+                self.hearing, self.config, self._groups, self.seq, now_ns, Starting.decode(self._progress())
+            )
             self._tick = self.seq, dumps(frame, compact=True)
         return self._tick[1]
 

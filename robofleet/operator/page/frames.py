@@ -17,6 +17,7 @@ from robofleet.config import barrier, obstacles
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
+from robofleet.core.starting import Starting
 from robofleet.operator.hand import driven
 from robofleet.operator.page.hearing import Hearing, Shown
 from robofleet.operator.page.words import phase_name, what_next
@@ -120,10 +121,15 @@ def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -
     }
 
 
-def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, now_ns: int, launcher: str) -> Frame:
-    """Return the run as it stands; ``launcher``: what that one does before the supervisor speaks."""
+def tick(
+    hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, now_ns: int, starting: Starting | None
+) -> Frame:
+    """Return the run as it stands; ``starting``: how far its start is."""
     state, way = hearing.state, hearing.way
+    if starting and state and state.phase == Phase.IDLE:
+        state = None  # the supervisor is ready before the others are
     words = None if state is None else state_words(state, hearing.busy, config.ids)
+    check = words.check if state and words and state.phase == Phase.ARMED else None
     to_go_m = way.to_go_m(None if hearing.controller_silent() else hearing.record)
     return {
         "type": "tick",
@@ -133,7 +139,8 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "clock_s": _rounded(hearing.clock.clock_s, 3),
         "phase": phase_name(state),
         "cause": words and words.cause,
-        "stage": (words.check if state.phase == Phase.ARMED else None) if state and words else launcher or None,
+        "stage": starting.words() if starting else check,
+        "start_share": starting and starting.share,
         "what_next": what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
         "way": None if way.phase is None else named(Phase, way.phase),
         "health": _health(hearing),

@@ -48,7 +48,7 @@ class Way(NamedTuple):
 
 def tables(
     groups: Sequence[Group], tick: TickRecord, statuses: Sequence[RobotStatus | None], state: RunState | None,
-    way: Way | None = None,
+    way: Way | None = None, *, starting: bool = False,
 ) -> Iterator[str | Text | Fitting]:  # fmt: skip
     """Yield a table for each group, with its name where there are several; statuses: of the members.
 
@@ -67,7 +67,14 @@ def tables(
             item, status = tick.robots[row], statuses[row]
             texts = [live_figures.words(every[k], figures[row, k]) or _UNKNOWN for k in own]
             texts += [] if way is None else [_to_go(way, row)]
-            rows.append((robot.ljust(widest), *_common(item, status), *texts, _state(item, status, state, row)))
+            rows.append(
+                (
+                    robot.ljust(widest),
+                    *_common(item, status),
+                    *texts,
+                    _state(item, status, state, row, starting=starting),
+                )
+            )
             row += 1
         heads = {live_figures.title(every[k]): _head(every[k]) for k in own}
         yield _table(rows, heads | ({} if way is None else {_TO_GO: _TO_GO}))
@@ -108,12 +115,18 @@ def _common(item: RobotTick, status: RobotStatus | None) -> tuple[str, str, str]
     return _UNKNOWN if item.lost else pose, f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}", battery
 
 
-def _state(item: RobotTick, status: RobotStatus | None, state: RunState | None, row: int) -> Text:
+def _state(
+    item: RobotTick, status: RobotStatus | None, state: RunState | None, row: int, *, starting: bool
+) -> Text:  # fmt: skip
     """Why a robot may move, or why not: its latch, its own halt or its group's, its gate, the barrier."""
+    if starting and status is not None and status.latch == Latch.DRILL:
+        return Text(ROBOT_WORDS["drill"])
+    if starting and status is None:
+        return Text(ROBOT_WORDS["starting"])
     if status is not None and status.latch:
         return Text(ROBOT_WORDS["latched"].format(named(Latch, status.latch)), "bold red")
     if item.lost:
-        return Text(ROBOT_WORDS["lost"], "red")
+        return Text(ROBOT_WORDS["starting"]) if starting else Text(ROBOT_WORDS["lost"], "red")
     if own := own_state(state, row, item):
         out = state is not None and driven_out(state, row)
         return Text(own if out else ROBOT_WORDS["halted"].format(own), "yellow")

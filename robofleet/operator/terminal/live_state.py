@@ -1,13 +1,10 @@
 """What the supervisor says, drawn for the live view: the checks while arming, a hold, an emergency stop."""
 
 from rich.box import HEAVY
-from rich.console import Group
 from rich.panel import Panel
-from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from robofleet.bus.messages import RunState
-from robofleet.core.compiling import Progress
 from robofleet.operator.terminal.on_the_way import WAYS
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.causes import named
@@ -44,10 +41,6 @@ def banner(state: RunState, words: StateWords, *, by_key: bool, way: Phase | Non
     if state.phase == Phase.FAULT:
         return _panel("FAULT", cause, "Every robot stands.", "red")
     return None
-
-
-def compiling_line(progress: Progress) -> Group:
-    return Group(Text(progress.words(), "cyan"), ProgressBar(1.0, progress.share, width=50))
 
 
 def keys(terminal: Terminal, phase: str) -> Text:

@@ -13,6 +13,7 @@ from websockets.exceptions import ConnectionClosed
 from robofleet.bus import keys, messages
 from robofleet.bus.messages import Note, NoteKind, TagPose
 from robofleet.core.clock import MS, S
+from robofleet.core.starting import Starting
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.camera import CameraGeometry
@@ -350,11 +351,13 @@ def test_a_page_that_nobody_has_opened_ends_with_its_run(stand: WebStand) -> Non
     assert wait(lambda: not stand.serves(), 5)
 
 
-def test_before_the_supervisor_speaks_the_page_says_what_the_launcher_does(tmp_path: Path) -> None:
-    words = ["Compiling"]
-    with web_stand(tmp_path, TRUTH, console=lambda: words[0]) as stand, stand.page() as page:
-        page.next("tick", lambda tick: tick["stage"] == "Compiling")
-        words[0] = "Starting"
-        page.next("tick", lambda tick: tick["stage"] == "Starting")
+def test_until_wheels_drive_the_page_says_how_far_the_start_is(tmp_path: Path) -> None:
+    starting = Starting(0.32, 24.0, "compiling kernels, 31 of 61")
+    line = [starting.encode()]
+    with web_stand(tmp_path, TRUTH, console=lambda: line[0]) as stand, stand.page() as page:
+        page.next("tick", lambda tick: (tick["stage"], tick["start_share"]) == (starting.words(), 0.32))
+        stand.say_state(Phase.IDLE, Event.NOTHING)
+        page.next("tick", lambda tick: tick["phase"] == "starting")
+        line[0] = "started"
         stand.say_state(Phase.RUNNING, Event.PROVED)
-        page.next("tick", lambda tick: (tick["phase"], tick["stage"]) == ("running", None))
+        page.next("tick", lambda tick: (tick["phase"], tick["stage"], tick["start_share"]) == ("running", None, None))

@@ -87,12 +87,14 @@ function enter(tick) {
 }
 
 /** Of a run that has ended the banner says how; what latches the robots stays in sight. */
-function writePhase({ phase, cause, stage, what_next: next }) {
+function writePhase({ phase, cause, stage, start_share: share, what_next: next }) {
   const over = link.ended !== null && !ALARMS.includes(phase);
   document.body.dataset.phase = over ? "ended" : phase;
   write("phase-name", over ? ENDED : (PHASES[phase] ?? phase));
   write("phase-cause", over ? "" : (stage ?? (cause === "nothing" ? "" : (cause ?? ""))));
   write("phase-next", over ? "" : next);
+  id("start-progress").hidden = over || share === null;
+  id("start-progress").value = share ?? 0;
 }
 
 function draw(now) {

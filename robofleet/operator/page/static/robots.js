@@ -11,7 +11,8 @@ export function robotsOf(hello, tick) {
   return tick.robots.map((values, row) => {
     const robot = { ...hello.robots[row], row };
     hello.columns.forEach((column, k) => (robot[column] = values[k]));
-    [robot.trouble, robot.words] = assess(robot, hello.words);
+    const starts = tick.start_share !== null || tick.phase === "starting";
+    [robot.trouble, robot.words] = (starts && begins(robot, hello.words)) || assess(robot, hello.words);
     robot.place = hello.places[tick.way]?.[row] ?? null; // where it goes: x, y, psi
     if (robot.trouble === FINE && robot.to_go_m !== null) robot.words = onTheWay(robot, hello.ways[tick.way]);
     if (robot.reality === "simulated") robot.words += " (in no image: simulated)";
@@ -22,6 +23,12 @@ export function robotsOf(hello, tick) {
 function onTheWay({ gate, to_go_m: left }, way) {
   if (left === 0) return way.arrived;
   return `${gate === "open" ? "" : "stands, "}${left.toFixed(2)} m to ${way.goal}`;
+}
+
+/** What of a robot has not begun yet, or is tried, while the run starts: nothing is wrong with that. */
+function begins({ driven, latch, lost, gate, x_m: x }, words) {
+  if (driven && latch === "drill") return [FINE, words.drill];
+  return driven && (gate === null || (lost && x === null)) ? [FINE, words.starting] : null;
 }
 
 function assess({ driven, latch, lost, halted, gate, filtered }, words) {
