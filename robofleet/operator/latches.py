@@ -6,11 +6,14 @@ import sys
 from collections.abc import Sequence
 
 from robofleet.config.tree import Config
+from robofleet.core.clock import S, WallClock
 from robofleet.core.patterns import NAME_PATTERN
 from robofleet.core.refusal import RefusedError, unkept
 from robofleet.nodes.unit.state_store import FileStateStore, StoredLatch, latched_arenas
+from robofleet.operator.terminal.terminal import Terminal
 from robofleet.safety.latches import Latch
 
+_KEY_WITHIN_NS = 30 * S  # then the run's command ends
 _CAUSES = {
     Latch.EMERGENCY_STOP: "an emergency stop",
     Latch.WIRED_STOP: "the robot's own e-stop",
@@ -40,7 +43,28 @@ def refuse_latched(config: Config, command: Sequence[str] = ()) -> None:
     look = "" if are_simulated(latches) else "Look at the robots. "
     ways = [["robofleet", "reset", config.arena.name], *([[*command]] if command else [])]
     how = " or: ".join(f"`{shlex.join(way)}`" for way in ways)
-    raise RefusedError(f"{config.arena.name}: {_words(latches)}. {look}Clear it with: {how}")
+    raise RefusedError(f"{config.arena.name}: {latched_words(latches)}. {look}Clear it with: {how}")
+
+
+def tell_latched(config: Config, *, ask: bool) -> None:
+    """Say at the end of a run which robots are latched, and how that is cleared.
+
+    ``ask``: where nothing is real, a key of the run's terminal clears it at once.
+    """
+    if not (latches := of_run(config)):
+        return
+    arena, words = config.arena.name, latched_words(latches)
+    if ask and are_simulated(latches) and sys.stderr.isatty():
+        with Terminal() as terminal:
+            if terminal.present:
+                print(f"{words}.\n z  reset    any other key: leave it", file=sys.stderr)
+                clock = WallClock()
+                if "z" in terminal.keys(clock, clock.now_ns() + _KEY_WITHIN_NS):
+                    print(cleared(arena, latches)[1], file=sys.stderr)
+                    return
+                words = "It stays latched"
+    look = "" if are_simulated(latches) else "Look at the robots. "
+    print(f"{words}. {look}Clear it with: `robofleet reset {arena}`", file=sys.stderr)
 
 
 def reset_stored(arena: str | None, config: Config | None = None, *, confirmed: bool = False) -> tuple[bool, str]:
@@ -66,13 +90,22 @@ def reset_stored(arena: str | None, config: Config | None = None, *, confirmed: 
             return True, f"{arena}: no robot is latched on this computer: nothing to reset{elsewhere}"
         if not (confirmed or are_simulated(latches) or _confirmed(arena, latches)):
             return False, f"{arena}: nothing is reset"
+    except OSError as error:
+        raise unkept(error) from error
+    done, words = cleared(arena, latches)
+    return done, f"{words}{elsewhere}"
+
+
+def cleared(arena: str, latches: Sequence[StoredLatch]) -> tuple[bool, str]:
+    """Clear these latches, and no others; return whether it is done, and what happened."""
+    try:
         changed = FileStateStore(arena).clear(latches)
     except OSError as error:
         raise unkept(error) from error
     if changed:
         return False, f"{arena}: {', '.join(changed)}: latched anew meanwhile, and not reset: look at the robots"
     robots = ", ".join(stored.robot for stored in latches)
-    return True, f"{arena}: {robots}: reset; nothing has moved, and the next run can start{elsewhere}"
+    return True, f"{arena}: {robots}: reset; nothing has moved, and the next run can start"
 
 
 def are_simulated(latches: Sequence[StoredLatch]) -> bool:
@@ -80,7 +113,7 @@ def are_simulated(latches: Sequence[StoredLatch]) -> bool:
     return all(stored.simulated for stored in latches)
 
 
-def _words(latches: Sequence[StoredLatch]) -> str:
+def latched_words(latches: Sequence[StoredLatch]) -> str:
     """Return who is latched, by what and since when: robots with the same cause together."""
     by_cause: dict[Latch, list[StoredLatch]] = {}
     for stored in latches:
@@ -94,7 +127,7 @@ def _words(latches: Sequence[StoredLatch]) -> str:
 
 def _confirmed(arena: str, latches: Sequence[StoredLatch]) -> bool:
     """Ask whether real robots are at rest; RefusedError where nobody can be asked."""
-    words = f"{arena}: {_words(latches)}"
+    words = f"{arena}: {latched_words(latches)}"
     if not sys.stdin.isatty():
         raise RefusedError(
             f"{words}. Look at the robots. If they are at rest and may drive again: `robofleet reset {arena} --yes`"

@@ -75,6 +75,9 @@ def in_real_time(
             config, folder, view, terminal, reset=reset, take_over=take_over, web=web, viewers=viewers
         )  # fmt: skip
         outcome, cause = run.run()
-    columns = columns_of(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
-    columns.recording.elapsed_s = run.recording.elapsed_s
-    return result_of(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
+        view(run.recording, "summary")
+        columns = columns_of(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
+        columns.recording.elapsed_s = run.recording.elapsed_s
+        result = result_of(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
+        view(run.recording, outcome)
+    return result

@@ -24,7 +24,7 @@ from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.operator import viewer_address as viewers
 from robofleet.operator.config_commands import ConfigFile, Overrides
 from robofleet.operator.ending import Ending, Result
-from robofleet.operator.latches import local_robots, refuse_latched
+from robofleet.operator.latches import local_robots, refuse_latched, tell_latched
 from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.page_address import LOOPBACK, listening
 from robofleet.operator.run import in_lockstep, in_real_time
@@ -155,9 +155,11 @@ def run(
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
         result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     ending = Ending(tree, folder, result)
-    ending.tell(as_json=as_json)
+    ending.tell(as_json=as_json, quiet=quiet)
     if junit is not None:
         ending.write_junit(junit)
+    if not lockstep:
+        tell_latched(tree, ask=not (quiet or as_json))
     if ending.bad(strict=strict):
         raise typer.Exit(1)
 

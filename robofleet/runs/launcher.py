@@ -23,13 +23,13 @@ from robofleet.recording.run import SHOWN, Recording, Watch
 from robofleet.recording.state_words import state_words
 from robofleet.runs import table
 from robofleet.runs.children import Children, RunError
-from robofleet.runs.companion import Companion, PageWanted
-from robofleet.runs.console import EMERGENCY_KEYS, READY, Console, Interrupts
+from robofleet.runs.companion import ENDS, Companion, PageWanted
+from robofleet.runs.console import EMERGENCY_KEYS, ENDING, READY, Console, Interrupts
 from robofleet.runs.readiness import missing
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import GONE_NS, SPOILT
 from robofleet.safety.latches import Latch
-from robofleet.safety.supervisor import Event, Phase
+from robofleet.safety.supervisor import CAUSES, Event, Phase
 from robofleet.simulation.faults import Schedule
 
 _HANDED_WITHIN_NS = 10 * S  # they join within a second of the router's start, and open their ports
@@ -106,6 +106,9 @@ class Launcher:
             try:
                 outcome = self._outcome_of(fleet, held)
                 self.recording.outcome, self.recording.cause = outcome
+                self._tell_end(*outcome)
+                self._phase = ENDING
+                self._watch(self.recording, ENDING)
                 return outcome
             finally:
                 for companion in self._companions:
@@ -165,6 +168,14 @@ class Launcher:
             companion.tell(words)
         self._phase = phase
         self._watch(self.recording, phase)
+
+    def _tell_end(self, outcome: str, cause: str | None) -> None:
+        """Say on the page how the run ends: nobody has judged it yet."""
+        tick = self.recording.newest(TICK)
+        after = f" after {tick.run_tick * self._config.controller.tick_s:.1f} s" if tick and tick.run_tick > 0 else ""
+        words = f"{outcome}{after}" if cause is None else f"{outcome}: {cause.partition(chr(10))[0]}"
+        for companion in self._companions:
+            companion.tell(f"{ENDS}{words}")
 
     def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
@@ -283,6 +294,7 @@ class Launcher:
     def _ended(self, outcome: str, cause: str | None) -> Outcome:
         """Ask for the controlled stop and wait until every wheel is at rest; then it is over."""
         self._phase, self._ending = "stopping", True
+        self._tell_end(outcome, cause)
         try:
             asked(self._bus, self._clock, "supervisor", b"stop", self._listen)
             self._rest()
@@ -295,12 +307,11 @@ class Launcher:
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
         stopped = self._console.emergency_stop(self._bus, self._clock, self._config.units)
-        next_step = ""
         if not stopped.silent:
             with suppress(RunError):  # whoever is silent or gone: every gate is latched
                 self._rest()
-            next_step = ": look at the robots, then start with --reset"
-        return "stopped", f"emergency stop ({why}); {stopped.describe()}{next_step}"
+        by = "" if why == CAUSES[Event.ESTOP_REQUESTED] else f" ({why})"
+        return "stopped", f"emergency stop{by}; {stopped.describe()}"
 
     def _rest(self) -> None:
         deadline_ns = self._clock.now_ns() + _REST_WITHIN_NS
@@ -314,7 +325,9 @@ class Launcher:
             raise RunError(str(error)) from error
         if not answer.startswith(b"ok"):
             why = answer.decode(errors="replace").removeprefix("refused: ")
-            way_out = ": `robofleet run --reset` does it" if what == b"start" and why.endswith("then reset") else ""
+            way_out = (
+                ": the same command with --reset does it" if what == b"start" and why.endswith("then reset") else ""
+            )
             raise RunError(f"{what.decode()} was refused: {why}{way_out}")
 
     def _polled(self) -> RunState | None:

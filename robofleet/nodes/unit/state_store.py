@@ -6,12 +6,13 @@ import json
 import os
 import re
 import sys
+import weakref
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from robofleet.core.errors import BadInputError
 from robofleet.core.patterns import NAME_PATTERN
@@ -115,7 +116,7 @@ class FileStateStore:
     def __init__(self, arena: str, *, simulated: bool = False) -> None:
         """``simulated``: nothing is real in the run whose drivers write here."""
         self._arena, self._folder, self._simulated = arena, state_folder() / arena, simulated
-        self._lock: IO[bytes] | None = None  # held as long as this lives
+        self._holds = False  # the lock, as a driver, for as long as this lives
 
     def prove(self, robots: tuple[str, ...]) -> None:
         """Make room for what these robots must keep, and write it once; OSError, which names the place, if not.
@@ -124,7 +125,9 @@ class FileStateStore:
         """
         for robot in robots:
             try:
-                self._lock = self._lock or self._locked(fcntl.LOCK_SH)
+                if not self._holds:
+                    weakref.finalize(self, os.close, self._locked(fcntl.LOCK_SH))
+                    self._holds = True
                 self.save(robot, self.load(robot))
             except OSError as error:
                 raise OSError(error.errno, error.strerror, str(self._file(robot))) from error
@@ -168,17 +171,23 @@ class FileStateStore:
                 f"a driver of {self._arena} runs on this computer and keeps its latches: end it first, or reset while "
                 "its run is on"
             ) from None
-        with lock:
+        try:
             yield
+        finally:
+            os.close(lock)
 
-    def _locked(self, how: int) -> IO[bytes]:
-        self._folder.mkdir(parents=True, exist_ok=True)
-        lock = (self._folder / _LOCK).open("ab")
+    def _locked(self, how: int) -> int:
+        file = self._folder / _LOCK
+        try:
+            lock = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except FileNotFoundError:
+            self._folder.mkdir(parents=True)
+            return self._locked(how)
         try:
             fcntl.flock(lock, how)
         except OSError as error:
-            lock.close()
-            raise OSError(error.errno, error.strerror, lock.name) from error
+            os.close(lock)
+            raise OSError(error.errno, error.strerror, str(file)) from error
         return lock
 
     def _written(self, robot: str) -> datetime:

@@ -19,7 +19,7 @@ from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
 from robofleet.operator.hand import driven
 from robofleet.operator.page.hearing import Hearing, Shown
-from robofleet.operator.page.words import phase_name, what_next
+from robofleet.operator.page.words import ENDING, end_words, phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import WAYS, OnTheWay
 from robofleet.recording.causes import named, own_state
@@ -123,16 +123,22 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
     """Return the run as it stands; ``launcher``: what that one does before the supervisor speaks."""
     state, way = hearing.state, hearing.way
     words = None if state is None else state_words(state, hearing.busy, config.ids)
+    ends = end_words(launcher)
+    ending = bool(ends) and (state is None or state.phase not in (Phase.FAULT, Phase.ESTOP))
     to_go_m = way.to_go_m(None if hearing.controller_silent() else hearing.record)
     return {
         "type": "tick",
         "seq": seq,
         "tick": 0 if hearing.record is None else hearing.record.tick,
         "t_s": _rounded(hearing.t_s, 3),
-        "phase": phase_name(state),
+        "phase": "ending" if ending else phase_name(state),
         "cause": words and words.cause,
-        "stage": (words.check if state.phase == Phase.ARMED else None) if state and words else launcher or None,
-        "what_next": what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
+        "stage": ends
+        or ((words.check if state.phase == Phase.ARMED else None) if state and words else launcher)
+        or None,
+        "what_next": ENDING
+        if ending
+        else what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
         "way": None if way.phase is None else named(Phase, way.phase),
         "health": _health(hearing),
         "robots": _rows(hearing, groups, state, to_go_m, now_ns),

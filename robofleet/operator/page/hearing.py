@@ -99,6 +99,7 @@ class Hearing:
         self._parked = {robot.tag: driven + k for k, robot in enumerate(config.bystanders)}
         self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
         self.way = OnTheWay(config)
+        self.over = False  # the run: what was heard last stays in sight
         self.t_s: float | None = None  # of the run; stays while it is held
 
     def hear(self) -> bool:
@@ -134,7 +135,7 @@ class Hearing:
 
     def controller_silent(self) -> bool:
         """Whether what is known of the tick is of the past."""
-        return not self.run.alive(TICK, self.now_ns())
+        return not (self.over or self.run.alive(TICK, self.now_ns()))
 
     def _own_tick(self, payload: bytes) -> TickRecord | None:
         """Return a tick of this configuration's robots."""

@@ -74,15 +74,29 @@ export class Controls {
 
   /** Permit what the phase permits; nothing where `inert` says in words why not. */
   permit(phase, latched, inert) {
+    this.#enable((what, phases) => !inert && phases.includes(phase) && (what !== "reset" || phase !== "idle" || latched));
+    this.#sayInert(inert, "CANNOT STOP");
+  }
+
+  /** The run has ended: nothing is left to be stopped; `resets`: its latches can be cleared here. */
+  end(resets) {
+    this.#enable((what) => what === "reset" && resets);
+    this.#sayInert("nothing is left to stop", "The run has ended");
+    this.#notice.hidden = true;
+  }
+
+  #enable(permits) {
     for (const button of this.#buttons) {
-      const needless = button.dataset.do === "reset" && phase === "idle" && !latched;
-      const permitted = !inert && !needless && button.dataset.in.split(" ").includes(phase);
+      const permitted = permits(button.dataset.do, button.dataset.in.split(" "));
       if (button.disabled === permitted) button.disabled = !permitted;
     }
+  }
+
+  #sayInert(inert, label) {
     if (this.#inert === inert) return;
     this.#inert = inert;
     this.#estop.setAttribute("aria-disabled", `${Boolean(inert)}`); // not `disabled`: pressed all the same, it tries
-    this.#label.textContent = inert ? "CANNOT STOP" : "EMERGENCY STOP";
+    this.#label.textContent = inert ? label : "EMERGENCY STOP";
     this.#note.textContent = inert || this.#said;
   }
 

@@ -22,12 +22,12 @@ const PHASES = {
   positioning: "Going to start",
   running: "Running",
   parking: "Parking",
+  ending: "Ending",
   hold: "HOLD",
   fault: "FAULT",
   estop: "EMERGENCY STOP",
 };
 const ENDED = "Ended";
-const ALARMS = ["fault", "estop"];
 const id = (name) => document.getElementById(name);
 
 /** What the page shows now, for whoever looks at it from outside. */
@@ -86,9 +86,9 @@ function enter(tick) {
   look();
 }
 
-/** Of a run that has ended the banner says how; what latches the robots stays in sight. */
+/** Of a run that has ended the banner says how. */
 function writePhase({ phase, cause, stage, what_next: next }) {
-  const over = link.ended !== null && !ALARMS.includes(phase);
+  const over = link.ended !== null;
   document.body.dataset.phase = over ? "ended" : phase;
   write("phase-name", over ? ENDED : (PHASES[phase] ?? phase));
   write("phase-cause", over ? "" : (stage ?? (cause === "nothing" ? "" : (cause ?? ""))));
@@ -98,10 +98,12 @@ function writePhase({ phase, cause, stage, what_next: next }) {
 function draw(now) {
   drawing = false;
   const tick = state.tick;
-  state.robots = robotsOf(state.hello, tick);
+  state.robots = robotsOf(state.hello, tick, link.ended);
   arena.draw(state.robots);
-  charts.add(tick.health);
-  plots.add(state.robots, now);
+  if (link.ended === null) {
+    charts.add(tick.health);
+    plots.add(state.robots, now);
+  }
   if (now - writtenAt >= FIGURES_MS) {
     writtenAt = now;
     tables.draw(state.robots);
@@ -114,7 +116,7 @@ function draw(now) {
 }
 
 function writeFigures({ t_s: t, health }) {
-  if (t !== null || state.phase !== "idle") state.t_s = t; // what a run reached stays in sight when it is over
+  if (t !== null || !["idle", "ending"].includes(state.phase)) state.t_s = t; // what a run reached stays in sight when it is over
   const reached = state.t_s === null ? null : Math.min(state.t_s, state.hello.duration_s);
   write("time-now", reached === null ? "–" : reached.toFixed(1));
   id("time-progress").value = (reached ?? 0) / state.hello.duration_s;
@@ -150,12 +152,16 @@ function look() {
   if (link.ended !== null) writeEnd(link.ended);
   const title = `${lost ? "LINK LOST" : link.ended !== null ? ENDED : (PHASES[state.phase] ?? "robofleet")} – ${state.hello?.arena.name ?? ""}`;
   if (document.title !== title) document.title = title;
-  const inert = link.ended !== null ? "the run has ended" : lost || !state.tick ? "no link to the robots" : "";
-  controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
+  if (link.ended !== null) {
+    controls.end(link.ended.resets && link.isOpen);
+  } else {
+    const inert = lost || !state.tick ? "no link to the robots" : "";
+    controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
+  }
 }
 
 /** How the run ended, and its report: by a link while this page is served, and by its place in any case. */
-function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
+function writeEnd({ text, lines, good, report, report_due: due, latched_words: latched, folder, stays_min: stays }) {
   if (state.tick) writePhase(state.tick);
   write("ended-text", text);
   id("ended-banner").dataset.good = `${good}`;
@@ -167,8 +173,11 @@ function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
   const isServed = report !== null && link.isOpen;
   id("ended-report").hidden = !isServed;
   if (isServed) id("ended-report").href = link.address("report");
-  const place = report === null ? `The run is kept in ${folder}.` : `It is ${report}.`;
-  write("ended-place", isServed ? `It is served for ${stays} minutes while this page is open.` : place);
+  id("ended-report-due").hidden = !due;
+  const place = report === null ? `The run is kept in ${folder}.` : `The report is ${report}.`;
+  write("ended-place", isServed ? `This page shows it for ${stays} minutes.` : place);
+  id("ended-latched").hidden = latched === "";
+  write("ended-latched", latched);
 }
 
 function write(name, text) {
