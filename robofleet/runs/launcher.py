@@ -89,6 +89,7 @@ class Launcher:
         self._others = [process for process in started if not process.row.first]
         self._phase = "starting"
         self._ending = False
+        self._reached_ticks = 0  # of the run, which the holds do not count
         self._attended_ns = 0  # when the supervisor was told last that the operator is there
         self._silence = Silence(self._clock.now_ns())  # of the supervisor
         self._answer: Answer | None = None  # to what a key asked
@@ -171,9 +172,8 @@ class Launcher:
 
     def _tell_end(self, outcome: str, cause: str | None) -> None:
         """Say on the page how the run ends: nobody has judged it yet."""
-        tick = self.recording.newest(TICK)
-        after = f" after {tick.run_tick * self._config.controller.tick_s:.1f} s" if tick and tick.run_tick > 0 else ""
-        words = f"{outcome}{after}" if cause is None else f"{outcome}: {cause.partition(chr(10))[0]}"
+        reached_s = self._reached_ticks * self._config.controller.tick_s
+        words = f"{outcome} after {reached_s:.1f} s" if cause is None else f"{outcome}: {cause.splitlines()[0]}"
         for companion in self._companions:
             companion.tell(f"{ENDS}{words}")
 
@@ -226,7 +226,8 @@ class Launcher:
                     self._faults.begin()
                     began_ns = began_ns or self._clock.now_ns()
                     tick = self.recording.newest(TICK)
-                    if tick is not None and tick.run_tick >= last_tick and not over:
+                    self._reached_ticks = max(self._reached_ticks, -1 if tick is None else tick.run_tick)
+                    if self._reached_ticks >= last_tick and not over:
                         if self._config.run.end != "park":
                             return "completed", None
                         over = True

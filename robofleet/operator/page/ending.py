@@ -39,6 +39,7 @@ class Ending:
         self._looked_ns: int | None = None  # when somebody looked last
         self._reported = False
         self._latches: tuple[StoredLatch, ...] | None = None  # None: not known
+        self._cleared = ""  # what came of a reset
         self._latches_ns = 0  # when they were read
         self.verdict: Verdict | None = None
         self.frame: Frame | None = None  # what the pages are told; None while the run is on
@@ -65,14 +66,16 @@ class Ending:
 
     def reset(self) -> Outcome:
         """Clear the latches that the run has left, where nothing of it was real."""
-        self._latches_ns = 0  # the next look sees what came of it
         try:
             latches = of_run(self._served.config)
             if not are_simulated(latches):
                 return False, self._how_to_reset
-            return cleared(self._served.config.arena.name, latches)
+            done, self._cleared = cleared(self._served.config.arena.name, latches)
+            return done, self._cleared
         except (BadInputError, OSError) as error:
             return False, str(error)
+        finally:
+            self._latches_ns = 0  # the next look sees what came of it
 
     @property
     def _how_to_reset(self) -> str:
@@ -85,14 +88,14 @@ class Ending:
         if state is None:
             return Verdict(_UNKNOWN, (), None)
         if state.phase not in ENDED:
-            return Verdict(_KILLED, (), False)
+            return Verdict(_KILLED, (f"Its recording is completed by: robofleet repair {self._folder}",), False)
         where = "" if state.phase == Phase.IDLE else f"{phase_name(state)}: "
         return Verdict(f"{where}{run_cause(state, robots)}", (), None)
 
     def _frame(self, verdict: Verdict) -> Frame:
         latches, folder = self._latches, self._folder
         resets = bool(latches) and are_simulated(latches or ())
-        how = "Nothing of this run was real: Reset clears it." if resets else self._how_to_reset
+        how = "All of it was simulated." if resets else self._how_to_reset
         return {
             "type": "ended",
             "text": verdict.headline,
@@ -101,7 +104,7 @@ class Ending:
             "report": str(folder / REPORT) if self._reported else None,
             "report_due": not self._reported and self._served.launcher_lives(),
             "latched": None if latches is None else [stored.robot for stored in latches],
-            "latched_words": f"{latched_words(latches)}. {how}" if latches else "",
+            "latched_words": f"{latched_words(latches)}. {how}" if latches else self._cleared,
             "resets": resets,
             "folder": str(folder),
             "stays_min": STAYS_MIN,

@@ -130,7 +130,7 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "type": "tick",
         "seq": seq,
         "tick": 0 if hearing.record is None else hearing.record.tick,
-        "t_s": _rounded(hearing.t_s, 3),
+        "t_s": _rounded(hearing.reached_s if ending else hearing.t_s, 3),
         "phase": "ending" if ending else phase_name(state),
         "cause": words and words.cause,
         "stage": ends

@@ -99,6 +99,7 @@ class Hearing:
         self._parked = {robot.tag: driven + k for k, robot in enumerate(config.bystanders)}
         self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
         self.way = OnTheWay(config)
+        self.reached_s: float | None = None  # the same; stays also when the run is over
         self.over = False  # the run: what was heard last stays in sight
         self.t_s: float | None = None  # of the run; stays while it is held
 
@@ -148,4 +149,4 @@ class Hearing:
         self.overruns = record.overruns - self._overruns_before
         self.placed = [placed or not robot.lost for placed, robot in zip(self.placed, record.robots, strict=True)]
         if record.run_tick >= 0:
-            self.t_s = record.run_tick * self._tick_s
+            self.t_s = self.reached_s = record.run_tick * self._tick_s

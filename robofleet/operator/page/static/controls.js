@@ -6,7 +6,7 @@ const LET_GO_MS = 1000; // a click so soon after a press is the same press
 
 export class Controls {
   #link;
-  #buttons = [...document.querySelectorAll("#run-controls button")];
+  #buttons = [...document.querySelectorAll("[data-do]")];
   #estop = document.getElementById("estop-button");
   #label = document.getElementById("estop-label");
   #note = document.getElementById("estop-note");
@@ -80,6 +80,7 @@ export class Controls {
 
   /** The run has ended: nothing is left to be stopped; `resets`: its latches can be cleared here. */
   end(resets) {
+    document.getElementById("ended-reset").hidden = !resets;
     this.#enable((what) => what === "reset" && resets);
     this.#sayInert("nothing is left to stop", "The run has ended");
     this.#notice.hidden = true;

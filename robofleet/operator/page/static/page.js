@@ -116,7 +116,7 @@ function draw(now) {
 }
 
 function writeFigures({ t_s: t, health }) {
-  if (t !== null || !["idle", "ending"].includes(state.phase)) state.t_s = t; // what a run reached stays in sight when it is over
+  if (t !== null || state.phase !== "idle") state.t_s = t; // what a run reached stays in sight when it is over
   const reached = state.t_s === null ? null : Math.min(state.t_s, state.hello.duration_s);
   write("time-now", reached === null ? "–" : reached.toFixed(1));
   id("time-progress").value = (reached ?? 0) / state.hello.duration_s;
@@ -161,7 +161,9 @@ function look() {
 }
 
 /** How the run ended, and its report: by a link while this page is served, and by its place in any case. */
-function writeEnd({ text, lines, good, report, report_due: due, latched_words: latched, folder, stays_min: stays }) {
+function writeEnd(ended) {
+  const { text, lines, good, report, report_due: due, folder, stays_min: stays } = ended;
+  const { latched: robots, latched_words: latched } = ended;
   if (state.tick) writePhase(state.tick);
   write("ended-text", text);
   id("ended-banner").dataset.good = `${good}`;
@@ -177,7 +179,8 @@ function writeEnd({ text, lines, good, report, report_due: due, latched_words: l
   const place = report === null ? `The run is kept in ${folder}.` : `The report is ${report}.`;
   write("ended-place", isServed ? `This page shows it for ${stays} minutes.` : place);
   id("ended-latched").hidden = latched === "";
-  write("ended-latched", latched);
+  id("ended-latched").className = robots?.length ? "alarm" : "";
+  write("ended-latched-words", latched);
 }
 
 function write(name, text) {
