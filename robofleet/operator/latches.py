@@ -4,6 +4,7 @@ import re
 import shlex
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, WallClock
@@ -132,7 +133,9 @@ def _confirmed(arena: str, latches: Sequence[StoredLatch]) -> bool:
         raise RefusedError(
             f"{words}. Look at the robots. If they are at rest and may drive again: `robofleet reset {arena} --yes`"
         )
-    answer = input(f"{words}.\nLook at the robots. Are they at rest, and may they drive again? [y/N] ")
+    answer = ""
+    with suppress(EOFError):
+        answer = input(f"{words}.\nLook at the robots. Are they at rest, and may they drive again? [y/N] ")
     return answer.strip().lower() in ("y", "yes")
 
 

@@ -6,7 +6,8 @@ const LET_GO_MS = 1000; // a click so soon after a press is the same press
 
 export class Controls {
   #link;
-  #buttons = [...document.querySelectorAll("[data-do]")];
+  #buttons = [...document.querySelectorAll("#run-controls button")];
+  #reset = document.getElementById("ended-reset"); // beside the words that name the latches
   #estop = document.getElementById("estop-button");
   #label = document.getElementById("estop-label");
   #note = document.getElementById("estop-note");
@@ -19,6 +20,7 @@ export class Controls {
   constructor(link) {
     this.#link = link;
     for (const button of this.#buttons) button.addEventListener("click", () => this.#ask(button.dataset.do));
+    this.#reset.addEventListener("click", () => this.#ask("reset"));
     this.#estop.addEventListener("pointerdown", (event) => event.button === 0 && this.#emergency());
     this.#estop.addEventListener("click", () => this.#sincePressed() > LET_GO_MS && this.#emergency());
     addEventListener("keydown", (event) => this.#key(event), { capture: true });
@@ -80,7 +82,7 @@ export class Controls {
 
   /** The run has ended: nothing is left to be stopped; `resets`: its latches can be cleared here. */
   end(resets) {
-    document.getElementById("ended-reset").hidden = !resets;
+    this.#reset.hidden = !resets;
     this.#enable((what) => what === "reset" && resets);
     this.#sayInert("nothing is left to stop", "The run has ended");
     this.#notice.hidden = true;
