@@ -44,7 +44,7 @@ def stop(arena: ArenaName = None) -> None:
     $ robofleet stop
 
     Without ARENA every run of yours is stopped; as root, everybody's. It says who has acknowledged, and when. Look at
-    the robots; then robofleet reset, or robofleet run --reset.
+    the robots; then robofleet reset, or robofleet run CONFIG --reset.
     """
     raise typer.Exit(direct.stop(arena))
 
