@@ -14,7 +14,7 @@ from robofleet.nodes.unit.state_store import FileStateStore, StoredLatch, latche
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.safety.latches import Latch
 
-_KEY_WITHIN_NS = 30 * S  # then the run's command ends
+_KEY_WITHIN_S = 10  # then the run's command ends
 _CAUSES = {
     Latch.EMERGENCY_STOP: "an emergency stop",
     Latch.WIRED_STOP: "the robot's own e-stop",
@@ -58,9 +58,9 @@ def tell_latched(config: Config, *, ask: bool) -> None:
     if ask and are_simulated(latches) and sys.stderr.isatty():
         with Terminal() as terminal:
             if terminal.present:
-                print(f"{words}.\n z  reset    any other key: leave it", file=sys.stderr)
+                print(f"{words}.\n z  reset    any other key, or {_KEY_WITHIN_S} s: leave it", file=sys.stderr)
                 clock = WallClock()
-                if "z" in terminal.keys(clock, clock.now_ns() + _KEY_WITHIN_NS):
+                if "z" in terminal.keys(clock, clock.now_ns() + _KEY_WITHIN_S * S):
                     print(cleared(arena, latches)[1], file=sys.stderr)
                     return
                 words = "It stays latched"
@@ -74,25 +74,25 @@ def reset_stored(arena: str | None, config: Config | None = None, *, confirmed: 
     ``arena``: None means the only one with latches; ``config``: its configuration, if that was named; ``confirmed``:
     real robots are at rest, and nobody need be asked.
     """
-    latched = latched_arenas() if arena is None or config is None else ()
-    if arena is None:
-        if len(latched) > 1:
-            raise RefusedError(f"several arenas have latched robots: name one of {', '.join(latched)}")
-        if not latched:
-            return True, "no robot is latched on this computer: nothing to reset"
-        arena = latched[0]
-    elif config is None and not (re.fullmatch(NAME_PATTERN, arena) and FileStateStore(arena).known):
-        found = f"arenas with latched robots: {', '.join(latched)}" if latched else "no robot is latched here"
-        raise RefusedError(f"{arena}: no run of such an arena was on this computer; {found}")
-    elsewhere = "" if config is None else _elsewhere(config)
     try:
+        latched = latched_arenas() if config is None else ()
+        if arena is None:
+            if len(latched) > 1:
+                raise RefusedError(f"several arenas have latched robots: name one of {', '.join(latched)}")
+            if not latched:
+                return True, "no robot is latched on this computer: nothing to reset"
+            arena = latched[0]
+        elif config is None and not (re.fullmatch(NAME_PATTERN, arena) and FileStateStore(arena).known):
+            found = f"arenas with latched robots: {', '.join(latched)}" if latched else "no robot is latched here"
+            raise RefusedError(f"{arena}: no run of such an arena was on this computer; {found}")
         latches = FileStateStore(arena).latches()
-        if not latches:
-            return True, f"{arena}: no robot is latched on this computer: nothing to reset{elsewhere}"
-        if not (confirmed or are_simulated(latches) or _confirmed(arena, latches)):
-            return False, f"{arena}: nothing is reset"
     except OSError as error:
         raise unkept(error) from error
+    elsewhere = "" if config is None else _elsewhere(config)
+    if not latches:
+        return True, f"{arena}: no robot is latched on this computer: nothing to reset{elsewhere}"
+    if not (confirmed or are_simulated(latches) or _confirmed(arena, latches)):
+        return False, f"{arena}: nothing is reset"
     done, words = cleared(arena, latches)
     return done, f"{words}{elsewhere}"
 

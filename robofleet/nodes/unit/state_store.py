@@ -102,7 +102,7 @@ def _names(folder: Path) -> list[str]:
     """Return what is in a folder, r2 before r10; nothing where there is none."""
     try:
         return sorted((entry.name for entry in folder.iterdir()), key=lambda name: (len(name), name))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return []
 
 
