@@ -49,6 +49,7 @@ _PHASES = {
     Phase.HOLD: "held",
 }
 _EMERGENCY = "emergency stop"
+_ENDS = {"fault": "ended by a fault"}
 _TWICE = 2
 _REQUESTS_BY_KEY = {"a": b"arm", "s": b"start", "h": b"hold", "r": b"resume"}
 
@@ -173,7 +174,7 @@ class Launcher:
     def _tell_end(self, outcome: str, cause: str | None) -> None:
         """Say on the page how the run ends: nobody has judged it yet."""
         reached_s = self._reached_ticks * self._config.controller.tick_s
-        words = f"{outcome} after {reached_s:.1f} s" if cause is None else f"{outcome}: {cause.splitlines()[0]}"
+        words = f"{outcome} after {reached_s:.1f} s" if cause is None else f"{_ENDS.get(outcome, outcome)}: {cause.splitlines()[0]}"
         for companion in self._companions:
             companion.tell(f"{ENDS}{words}")
 
