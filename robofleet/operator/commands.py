@@ -89,14 +89,34 @@ def park(arena: ArenaName = None) -> None:
     raise typer.Exit(direct.request("park", arena))
 
 
-def reset(arena: ArenaName = None) -> None:
+def reset(
+    arena: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="ARENA",
+            help="arena.name of its configuration, or a configuration (.yaml).",
+            autocompletion=running_names,
+            show_default=False,
+        ),
+    ] = None,
+    overrides: Annotated[
+        list[str],
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the configuration. Repeatable."),
+    ] = [],  # noqa: B006 - typer copies it
+    yes: Annotated[
+        bool, typer.Option("--yes", help="The robots are at rest, and may drive again: do not ask.")
+    ] = False,
+) -> None:
     """Clear an emergency stop or a fault; nothing moves.
 
     All robots must be at rest.
 
     $ robofleet reset
+
+    It asks the run of ARENA. Where no run is on, it clears what the drivers of this computer have kept: for real robots
+    it asks you first whether they are at rest.
     """
-    raise typer.Exit(direct.request("reset", arena))
+    raise typer.Exit(direct.reset(arena, overrides, confirmed=yes))
 
 
 def status(

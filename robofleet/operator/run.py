@@ -87,6 +87,9 @@ def in_real_time(
         )  # fmt: skip
         threading.Thread(target=import_module, args=("robofleet.reports.after",), daemon=True).start()  # takes a second
         outcome, cause = run.run()
-    columns = columns_of(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
-    columns.recording.elapsed_s = run.recording.elapsed_s
-    return result_of(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
+        view(run.recording, "summary")
+        columns = columns_of(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
+        columns.recording.elapsed_s = run.recording.elapsed_s
+        result = result_of(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
+        view(run.recording, outcome)
+    return result

@@ -22,6 +22,7 @@ from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.operator import viewer_address as viewers
 from robofleet.operator.config_commands import ConfigFile, Overrides
 from robofleet.operator.ending import Ending, Result
+from robofleet.operator.latches import local_robots, refuse_latched, tell_latched
 from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.page_address import LOOPBACK, listening
 from robofleet.operator.run import in_lockstep, in_real_time
@@ -161,6 +162,9 @@ def run(
             if tree.run.attended and not sys.stdin.isatty():
                 raise RefusedError("run.attended: stdin is not a terminal: start the run in one, or set it to false")
             _refuse_forgetful(tree)
+            if not reset and tree.run.start == "auto":  # else the operator resets before the start
+                typed = sys.argv[1:] if sys.argv[1:2] == ["run"] else ()  # not of a command that calls this one
+                refuse_latched(tree, ["robofleet", *typed, "--reset"] if typed else ())
             network(tree)  # refuses keys that are missing, before anything starts
             tree = settled(tree, listen=True)
             held.enter_context(claimed(tree, folder))
@@ -169,9 +173,11 @@ def run(
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
         result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     ending = Ending(tree, folder, result)
-    ending.tell(as_json=as_json)
+    ending.tell(as_json=as_json, quiet=quiet)
     if junit is not None:
         ending.write_junit(junit)
+    if not lockstep:
+        tell_latched(tree, ask=not (quiet or as_json))
     if ending.bad(strict=strict):
         raise typer.Exit(1)
 
@@ -238,12 +244,10 @@ def _refuse_viewers(shown: dict[str, str], tree: Config, *, lockstep: bool) -> N
 
 def _refuse_forgetful(tree: Config) -> None:
     """Refuse a run whose drivers could not keep what they must remember."""
-    here = tuple(robot for robot in tree.ids if tree.unit_of[robot] not in tree.daemons)
-    if tree.drivers.started_by != "systemd":
-        try:
-            FileStateStore(tree.arena.name).try_place(here)
-        except OSError as error:
-            raise unkept(error) from error
+    try:
+        FileStateStore(tree.arena.name).try_place(local_robots(tree))
+    except OSError as error:
+        raise unkept(error) from error
 
 
 def _result(tree: Config, name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> Result:

@@ -10,6 +10,7 @@ from robofleet.core.clock import Clock
 from robofleet.core.starting import Starting
 
 EMERGENCY_KEYS = frozenset("e ")
+ENDING = "ending"  # a phase: how the run ended is known, and its processes end
 READY = "ready"  # a phase: every process is ready, and the run has not begun
 
 

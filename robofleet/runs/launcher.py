@@ -24,13 +24,13 @@ from robofleet.recording.run import SHOWN, Recording, Watch
 from robofleet.recording.state_words import state_words
 from robofleet.runs import table
 from robofleet.runs.children import Children, RunError
-from robofleet.runs.companion import Companion, PageWanted
-from robofleet.runs.console import EMERGENCY_KEYS, READY, Console, Interrupts
+from robofleet.runs.companion import ENDS, Companion, PageWanted
+from robofleet.runs.console import EMERGENCY_KEYS, ENDING, READY, Console, Interrupts
 from robofleet.runs.readiness import missing
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import GONE_NS, SPOILT
 from robofleet.safety.latches import Latch
-from robofleet.safety.supervisor import Event, Phase
+from robofleet.safety.supervisor import CAUSES, Event, Phase
 from robofleet.simulation.faults import Schedule
 
 # Of a start, as measured on two cores: a process until it is there, on one of them; the checks, and more of each robot.
@@ -52,6 +52,7 @@ _PHASES = {
     Phase.HOLD: "held",
 }
 _EMERGENCY = "emergency stop"
+_ENDS = {"fault": "ended by a fault"}
 _TWICE = 2
 _REQUESTS_BY_KEY = {"a": b"arm", "s": b"start", "h": b"hold", "r": b"resume"}
 
@@ -92,6 +93,7 @@ class Launcher:
         self._others = [process for process in started if not process.row.first]
         self._phase = "starting"
         self._ending = False
+        self._reached_ticks = 0  # of the run, which the holds do not count
         self._attended_ns = 0  # when the supervisor was told last that the operator is there
         self._silence = Silence(self._clock.now_ns())  # of the supervisor
         self._answer: Answer | None = None  # to what a key asked
@@ -113,6 +115,9 @@ class Launcher:
             try:
                 outcome = self._outcome_of(fleet, held)
                 self.recording.outcome, self.recording.cause = outcome
+                self._tell_end(*outcome)
+                self._phase = ENDING
+                self._watch(self.recording, ENDING)
                 return outcome
             finally:
                 self._console.starting = None
@@ -178,6 +183,13 @@ class Launcher:
             companion.tell(self._console.starting.encode() if self._console.starting else "started")
         self._watch(self.recording, self._phase)
 
+    def _tell_end(self, outcome: str, cause: str | None) -> None:
+        """Say on the page how the run ends: nobody has judged it yet."""
+        reached_s = self._reached_ticks * self._config.controller.tick_s
+        why = f" after {reached_s:.1f} s" if cause is None else f": {cause.splitlines()[0]}"
+        for companion in self._companions:
+            companion.tell(f"{ENDS}{_ENDS.get(outcome, outcome)}{why}")
+
     def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
         held.callback(bus.close)  # after the router has ended: leaving one that is stopped takes many seconds
@@ -231,7 +243,8 @@ class Launcher:
                     self._faults.begin()
                     began_ns = began_ns or self._clock.now_ns()
                     tick = self.recording.newest(TICK)
-                    if tick is not None and tick.run_tick >= last_tick and not over:
+                    self._reached_ticks = max(self._reached_ticks, -1 if tick is None else tick.run_tick)
+                    if self._reached_ticks >= last_tick and not over:
                         if self._config.run.end != "park":
                             return "completed", None
                         over = True
@@ -307,6 +320,7 @@ class Launcher:
     def _ended(self, outcome: str, cause: str | None) -> Outcome:
         """Ask for the controlled stop and wait until every wheel is at rest; then it is over."""
         self._phase, self._ending = "stopping", True
+        self._tell_end(outcome, cause)
         try:
             asked(self._bus, self._clock, "supervisor", b"stop", self._listen)
             self._rest()
@@ -319,12 +333,11 @@ class Launcher:
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
         stopped = self._console.emergency_stop(self._bus, self._clock, self._config.units)
-        next_step = ""
         if not stopped.silent:
             with suppress(RunError):  # whoever is silent or gone: every gate is latched
                 self._rest()
-            next_step = ": look at the robots, then start with --reset"
-        return "stopped", f"emergency stop ({why}); {stopped.describe()}{next_step}"
+        by = "" if why == CAUSES[Event.ESTOP_REQUESTED] else f" ({why})"
+        return "stopped", f"emergency stop{by}; {stopped.describe()}"
 
     def _rest(self) -> None:
         deadline_ns = self._clock.now_ns() + _REST_WITHIN_NS
@@ -338,7 +351,9 @@ class Launcher:
             raise RunError(str(error)) from error
         if not answer.startswith(b"ok"):
             why = answer.decode(errors="replace").removeprefix("refused: ")
-            way_out = ": `robofleet run --reset` does it" if what == b"start" and why.endswith("then reset") else ""
+            way_out = (
+                ": the same command with --reset does it" if what == b"start" and why.endswith("then reset") else ""
+            )
             raise RunError(f"{what.decode()} was refused: {why}{way_out}")
 
     def _polled(self) -> RunState | None:

@@ -11,6 +11,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import RefusedError, new_folder
+from robofleet.operator.latches import refuse_latched
 from robofleet.operator.requests import NoArenaError, chosen, joined_arena
 from robofleet.runs import folder as folders
 from robofleet.runs.check import load_checked
@@ -32,6 +33,8 @@ def opened(
                 raise FleetError(f"{where}: the run of an arena is as it is: name a configuration, {where}.yaml")
             return _joined(str(where), group, copy)
         config = load_checked(file, changes, lockstep=lockstep, change=lambda tree: scripted(first(tree, robots)))
+        if not lockstep:
+            refuse_latched(config)
         mine, folder = group_of(config, group), _folder(out, file.stem)
         link: Link
         if lockstep:

@@ -16,7 +16,7 @@ from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, FleetPoses, RunStat
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.operator.terminal import live_robots
-from robofleet.operator.terminal.live_state import UNDER_WAY, WAITING, banner, keys
+from robofleet.operator.terminal.live_state import ENDED, ENDS, UNDER_WAY, WAITING, banner, keys
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.operator.terminal.qr_code import qr_code
 from robofleet.operator.terminal.start_view import StartLines, start_bar
@@ -31,8 +31,14 @@ from robofleet.tracking.events import describe
 _REFRESH_NS = S // 5
 _PLAIN_NS = 10 * S
 _NEWS_SHOWN_NS = 5 * S
-_DOING = WAITING | UNDER_WAY
-_COLOURS = {"running": "bold green", "positioning": "bold green", "parking": "bold green", "emergency stop": "bold red"}
+_DOING = WAITING | UNDER_WAY | ENDS
+_COLOURS = {
+    "running": "bold green",
+    "positioning": "bold green",
+    "parking": "bold green",
+    "completed": "bold green",
+    "emergency stop": "bold red",
+}
 _WINDOW_TICKS = 300  # for the percentiles
 _TIME_COLUMNS, _BAR_END_COLUMN, _LEAST_BAR_COLUMNS = 23, 79, 10
 
@@ -157,7 +163,7 @@ class LiveView:
             parts += ["", seen]
         elif (busy := recording.newest(BUSY)) is not None:
             parts += ["", Text(busy_notice(busy, self._ids), "yellow")]
-        if tick is not None:
+        if tick is not None and phase not in ENDED:  # then the summary follows
             statuses = [recording.newest_status(robot.id) for robot in self._config.members]
             way = live_robots.Way(self._way, to_go_m) if self._way.phase is not None else None
             robots = live_robots.tables(recording.groups, tick, statuses, state, way, starting=starting is not None)

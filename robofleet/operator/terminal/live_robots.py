@@ -115,18 +115,23 @@ def _common(item: RobotTick, status: RobotStatus | None) -> tuple[str, str, str]
     return _UNKNOWN if item.lost else pose, f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}", battery
 
 
+def _begins(item: RobotTick, status: RobotStatus | None) -> str:
+    """Return what of a robot has not begun yet, or is tried, while the run starts; an empty string for anything else."""
+    if status is not None and status.latch:
+        return ROBOT_WORDS["drill"] if status.latch == Latch.DRILL else ""
+    return ROBOT_WORDS["starting"] if status is None or item.lost else ""
+
+
 def _state(
     item: RobotTick, status: RobotStatus | None, state: RunState | None, row: int, *, starting: bool
 ) -> Text:  # fmt: skip
     """Why a robot may move, or why not: its latch, its own halt or its group's, its gate, the barrier."""
-    if starting and status is not None and status.latch == Latch.DRILL:
-        return Text(ROBOT_WORDS["drill"])
-    if starting and status is None:
-        return Text(ROBOT_WORDS["starting"])
+    if starting and (words := _begins(item, status)):
+        return Text(words)
     if status is not None and status.latch:
         return Text(ROBOT_WORDS["latched"].format(named(Latch, status.latch)), "bold red")
     if item.lost:
-        return Text(ROBOT_WORDS["starting"]) if starting else Text(ROBOT_WORDS["lost"], "red")
+        return Text(ROBOT_WORDS["lost"], "red")
     if own := own_state(state, row, item):
         out = state is not None and driven_out(state, row)
         return Text(own if out else ROBOT_WORDS["halted"].format(own), "yellow")

@@ -22,12 +22,12 @@ const PHASES = {
   positioning: "Going to start",
   running: "Running",
   parking: "Parking",
+  ending: "Ending",
   hold: "HOLD",
   fault: "FAULT",
   estop: "EMERGENCY STOP",
 };
 const ENDED = "Ended";
-const ALARMS = ["fault", "estop"];
 const id = (name) => document.getElementById(name);
 
 /** What the page shows now, for whoever looks at it from outside. */
@@ -86,9 +86,9 @@ function enter(tick) {
   look();
 }
 
-/** Of a run that has ended the banner says how; what latches the robots stays in sight. */
+/** Of a run that has ended the banner says how. */
 function writePhase({ phase, cause, stage, start_share: share, what_next: next }) {
-  const over = link.ended !== null && !ALARMS.includes(phase);
+  const over = link.ended !== null;
   document.body.dataset.phase = over ? "ended" : phase;
   write("phase-name", over ? ENDED : (PHASES[phase] ?? phase));
   write("phase-cause", over ? "" : (stage ?? (cause === "nothing" ? "" : (cause ?? ""))));
@@ -100,10 +100,12 @@ function writePhase({ phase, cause, stage, start_share: share, what_next: next }
 function draw(now) {
   drawing = false;
   const tick = state.tick;
-  state.robots = robotsOf(state.hello, tick);
+  state.robots = robotsOf(state.hello, tick, link.ended);
   arena.draw(state.robots);
-  charts.add(tick.health);
-  plots.add(state.robots, now);
+  if (link.ended === null) {
+    charts.add(tick.health);
+    plots.add(state.robots, now);
+  }
   if (now - writtenAt >= FIGURES_MS) {
     writtenAt = now;
     tables.draw(state.robots);
@@ -156,12 +158,18 @@ function look() {
   if (link.ended !== null) writeEnd(link.ended);
   const title = `${lost ? "LINK LOST" : link.ended !== null ? ENDED : (PHASES[state.phase] ?? "robofleet")} – ${state.hello?.arena.name ?? ""}`;
   if (document.title !== title) document.title = title;
-  const inert = link.ended !== null ? "the run has ended" : lost || !state.tick ? "no link to the robots" : "";
-  controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
+  if (link.ended !== null) {
+    controls.end(link.ended.resets && link.isOpen);
+  } else {
+    const inert = lost || !state.tick ? "no link to the robots" : "";
+    controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
+  }
 }
 
 /** How the run ended, and its report: by a link while this page is served, and by its place in any case. */
-function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
+function writeEnd(ended) {
+  const { text, lines, good, report, report_due: due, folder, stays_min: stays } = ended;
+  const { latched: robots, latched_words: latched } = ended;
   if (state.tick) writePhase(state.tick);
   write("ended-text", text);
   id("ended-banner").dataset.good = `${good}`;
@@ -173,8 +181,12 @@ function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
   const isServed = report !== null && link.isOpen;
   id("ended-report").hidden = !isServed;
   if (isServed) id("ended-report").href = link.address("report");
-  const place = report === null ? `The run is kept in ${folder}.` : `It is ${report}.`;
-  write("ended-place", isServed ? `It is served for ${stays} minutes while this page is open.` : place);
+  id("ended-report-due").hidden = !due;
+  const place = report === null ? `The run is kept in ${folder}.` : `The report is ${report}.`;
+  write("ended-place", isServed ? `This page shows it for ${stays} minutes.` : place);
+  id("ended-latched").hidden = latched === "";
+  id("ended-latched").className = robots?.length ? "alarm" : "";
+  write("ended-latched-words", latched);
 }
 
 function write(name, text) {
