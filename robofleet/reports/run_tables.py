@@ -25,7 +25,7 @@ from robofleet.safety.supervisor import Phase
 
 Library = Literal["pandas", "polars", "numpy"]
 
-_TOGETHER = 4 << 20  # [bytes] of messages that are looked at together
+_TOGETHER = 1 << 20  # [bytes] of messages that are looked at together
 _OF_COMMANDS = {
     "u_x_m_s", "u_y_m_s", "left_commanded_rad_s", "right_commanded_rad_s", "left_measured_rad_s",
     "right_measured_rad_s", "saturated", "filtered", "blocked", "failed", "exposure_to_wheel_ms",
@@ -73,11 +73,26 @@ def parts(
 
 def joined(parts: Iterable[Columns]) -> Columns:
     """Return the parts of a table together."""
-    found: dict[str, list[Any]] = {}
+    first: Columns = {}
+    grown: dict[str, bytearray] = {}  # it grows in place: no column is in memory twice
+    texts: dict[str, list[str]] = {}
     for part in parts:
+        first = first or part
         for name, values in part.items():
-            found.setdefault(name, []).append(values)
-    return {name: _concatenated(found.pop(name)) for name in list(found)}  # no column is twice in memory but one
+            column = values.codes if isinstance(values, Words) else values
+            if column.dtype == object:
+                texts.setdefault(name, []).extend(column)
+            else:
+                grown.setdefault(name, bytearray()).extend(column.data.cast("B") if len(column) else b"")
+        del part
+    return {
+        name: Words(np.frombuffer(grown[name], np.int16), values.words)
+        if isinstance(values, Words)
+        else np.array(texts[name], object)
+        if name in texts
+        else np.frombuffer(grown[name], values.dtype)
+        for name, values in first.items()
+    }
 
 
 def chosen(library: Library | None) -> Library:
@@ -122,12 +137,6 @@ def _polars(polars: Any, values: NDArray[Any] | Words) -> Any:
 
 def _spelled(column: Words) -> NDArray[Any]:
     return np.array([*column.words, ""])[column.codes]
-
-
-def _concatenated(parts: list[Any]) -> NDArray[Any] | Words:
-    if isinstance(parts[0], Words):
-        return Words(np.concatenate([part.codes for part in parts]), parts[0].words)
-    return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
 
 def _groups(groups: Sequence[described.Group]) -> dict[str, int]:
