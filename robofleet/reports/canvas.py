@@ -65,7 +65,7 @@ class RunView:
     @property
     def span(self) -> tuple[float, float]:
         """From the run's first tick to its last [s]."""
-        return 0.0, float(self.run.since_start_s.max(initial=self.config.controller.tick_s))
+        return 0.0, float(self.run.clock_time_s.max(initial=self.config.controller.tick_s))
 
     def counted(self, settle_s: float) -> NDArray[np.bool_]:
         """Which ticks count after a settling time; all, where none does."""

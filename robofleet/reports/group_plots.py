@@ -64,11 +64,11 @@ def _draw(part: GroupColumns, curve: Curve, view: RunView) -> Figure | None:
         return figure
     settle_s, bound, words = _judged(view, curve)
     figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
-    lines(whole, view.run.since_start_s, curve.values, view.span, colours(view, part, curve))
+    lines(whole, view.run.clock_time_s, curve.values, view.span, colours(view, part, curve))
     level(whole, curve.asked, f"asked: {curve.asked:g} {curve.unit}")
     deviation = curve.values - curve.asked
     settling(off, settle_s)
-    lines(off, view.run.since_start_s, deviation, view.span, colours(view, part, curve))
+    lines(off, view.run.clock_time_s, deviation, view.span, colours(view, part, curve))
     zoomed(off, deviation[view.counted(settle_s)], bound, bound and -bound)
     level(off, bound, words)
     level(off, bound and -bound)
@@ -95,7 +95,7 @@ def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s
     counted = curve.values[view.counted(settle_s)]
     lowest = wide(curve.values, counted) if curve.is_figure else None
     values = curve.values if lowest is None else np.maximum(curve.values, lowest)
-    lines(axes, view.run.since_start_s, values, view.span, colours(view, part, curve))
+    lines(axes, view.run.clock_time_s, values, view.span, colours(view, part, curve))
     if lowest is not None:
         logarithmic(axes, lowest)
     else:

@@ -44,7 +44,7 @@ def of_run(view: RunView) -> Figure:
             (axes,) = over_time(below, heights[1], view, ["faster wheel, rad/s"])
             items = view.run.items
             faster = np.maximum(abs(items["left_rad_s"]), abs(items["right_rad_s"]))
-            lines(axes, view.run.since_start_s, faster, view.span, view.colours)
+            lines(axes, view.run.clock_time_s, faster, view.span, view.colours)
         else:
             labels = [curve.label for _, curve in curves]
             for axes, (part, curve) in zip(over_time(below, heights[1], view, labels), curves, strict=True):

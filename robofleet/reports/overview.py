@@ -47,7 +47,7 @@ def draw_paths(axes: Axes, view: RunView) -> None:
     _bodies(axes, view)
     for entry in view.timeline.entries:
         if entry.stop and entry.who in view.run.robots:
-            at = min(int(np.searchsorted(view.run.since_start_s, entry.t_s)), len(points) - 1)
+            at = min(int(np.searchsorted(view.run.clock_time_s, entry.t_s)), len(points) - 1)
             axes.plot(*points[at, view.run.robots.index(entry.who)], "x", color=ALARM, ms=7, mew=1.8, zorder=6)
 
 

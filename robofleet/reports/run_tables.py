@@ -30,6 +30,7 @@ _OF_COMMANDS = {
     "u_x_m_s", "u_y_m_s", "left_commanded_rad_s", "right_commanded_rad_s", "left_measured_rad_s",
     "right_measured_rad_s", "saturated", "filtered", "blocked", "failed", "exposure_to_wheel_ms",
 }  # fmt: skip
+KEYS = "t_s", "run_time_s", "tick", "counts"  # the first columns of all tables but ``stops``
 _UNKNOWN = -1  # a flag that is not known
 
 
@@ -145,6 +146,7 @@ def _groups(groups: Sequence[described.Group]) -> dict[str, int]:
 
 
 def _ticks(run: Run) -> Columns:
+    run = run.whole()
     ticks = run.ticks
     phases = ticks["phase"].astype(np.int16)
     return {
@@ -159,6 +161,7 @@ def _ticks(run: Run) -> Columns:
 
 
 def _of_robots(columns: Sequence[Column], run: Run) -> Columns:
+    run = run.whole()
     robots = [(robot, k) for k, group in enumerate(run.groups) for robot in group.robots]
     group_names = tuple(group.name for group in run.groups)
     group_of = np.tile(np.array([k for _, k in robots], np.int16), len(run.ticks))
@@ -174,9 +177,10 @@ def _column(column: Column, run: Run) -> NDArray[Any]:
 
 
 def _group(k: int, run: Run) -> Columns:
+    run = run.whole()
     part = run.parts[k]
     own = own_names([part.gauge])
-    values = own_table(part, own)
+    values = own_table(part, own, counted=True)
     robots = part.group.robots
     return _rows(run, robots) | {name: values[..., column].ravel() for column, name in enumerate(own)}
 
@@ -205,12 +209,8 @@ def _rows(run: Run, robots: Sequence[str]) -> Columns:
 
 def _when(run: Run, repeats: int) -> Columns:
     """Return which tick each row is of, and whether the figures count there."""
-    counts = run.running & run.after(run.config.run.settle_s)
-    ticks = run.ticks["tick"].astype(np.int64)
-    return {
-        name: np.repeat(values, repeats)
-        for name, values in (("t_s", run.since_start_s), ("tick", ticks), ("counts", counts))
-    }
+    columns = run.clock_time_s, run.run_time_s, run.ticks["tick"].astype(np.int64), run.counts
+    return dict(zip(KEYS, (np.repeat(column, repeats) for column in columns), strict=True))
 
 
 _TABLES = {
