@@ -179,7 +179,7 @@ class RecordedRun:
             self.trouble and f"the file {self.trouble}",
         ]
         return Card(
-            title=str(self._run),
+            title=self._run.resolve().name,
             state=": ".join(filter(None, state)),
             colour={"completed": GOOD, "fault": BAD}.get(outcome, WAITING),
             arena=self._end,
