@@ -26,6 +26,7 @@ from robofleet.tracking.pictures import jpeg
 from tests.recording import recorded
 from tests.reports import hostile
 
+GUIDE = Path(__file__).parents[2] / "configs" / "NOTEBOOKS.md"
 RECORDINGS = Path(__file__).parents[1] / "recordings"
 PLATOON, HELD, LOST = (RECORDINGS / f"{name}.mcap" for name in ("platoon", "held", "lost"))
 UNITS = ("_m", "_rad", "_s", "_mm", "_deg", "_ms")
@@ -206,3 +207,16 @@ def test_a_plot_has_the_floor_and_the_errors_over_time(run_file: Path) -> None:
     assert {"r1", "r2", "0.5 m"} <= {text.get_text() for text in floor.texts}
     assert [axes.get_ylabel() for axes in errors] == ["control error, mm", "timed error, mm", "path error, mm"]
     assert figure._repr_png_().startswith(b"\x89PNG")
+
+
+def test_the_guide_works_as_it_stands(run_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    guide = GUIDE.read_text()
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for code in re.findall(r"```python\n(.*?)```", guide, re.DOTALL):
+        exec(code.replace("runs/20260102T030405Z-platoon", str(run_file)), names)
+    assert (tmp_path / "run.pdf").is_file()
+    for name in re.findall(r"`run\.(\w+)", " ".join(re.findall(r"^\| `run\..*? \|", guide, re.MULTILINE))):
+        assert hasattr(names["run"], name), name
+    listed = {row.split("`")[1] for row in guide.splitlines() if row.startswith("| `")}
+    assert {"poses", "commands", "ticks", "stops", *run_tables.KEYS} <= listed

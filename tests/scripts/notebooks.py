@@ -45,8 +45,8 @@ def _shrink(cell: nbformat.NotebookNode) -> None:
 
 if __name__ == "__main__":
     for file in NOTEBOOKS:
-        with tempfile.TemporaryDirectory() as place:
-            notebook = executed(file, Path(place))
+        with tempfile.TemporaryDirectory() as folder:
+            notebook = executed(file, Path(folder))
         for each in notebook.cells:
             _shrink(each)
         nbformat.write(notebook, file)
