@@ -116,7 +116,7 @@ def _common(item: RobotTick, status: RobotStatus | None) -> tuple[str, str, str]
 
 
 def _begins(item: RobotTick, status: RobotStatus | None) -> str:
-    """Return what of a robot has not begun yet, or is tried, while the run starts; an empty string for anything else."""
+    """Return what has not begun of a robot, or is tried, while the run starts; an empty string for all else."""
     if status is not None and status.latch:
         return ROBOT_WORDS["drill"] if status.latch == Latch.DRILL else ""
     return ROBOT_WORDS["starting"] if status is None or item.lost else ""
@@ -137,8 +137,6 @@ def _state(
         return Text(own if out else ROBOT_WORDS["halted"].format(own), "yellow")
     if status is None:
         return Text(ROBOT_WORDS["silent"], "red")
-    if status.gate == GateStatus.OPEN and item.filtered:
-        apart = item.filtered == 1.0
-        return Text(ROBOT_WORDS["kept_apart" if apart else "unsafe"], "cyan" if apart else "yellow")
-    drives = status.gate == GateStatus.OPEN
-    return Text(ROBOT_WORDS["drives" if drives else "stands"], "green" if drives else "yellow")
+    moves = "drives" if not item.filtered else "kept_apart" if item.filtered == 1.0 else "unsafe"
+    word = moves if status.gate == GateStatus.OPEN else "stands"
+    return Text(ROBOT_WORDS[word], {"drives": "green", "kept_apart": "cyan"}.get(word, "yellow"))
