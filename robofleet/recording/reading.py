@@ -132,6 +132,20 @@ def about(run: Path, imports: Imports = nothing_imported) -> Recording:
     return content.recording
 
 
+def messages(run: Path) -> Iterator[tuple[str, Message]]:
+    """Yield every message of a run with its key, in the order in which they came.
+
+    Raises:
+        RecordingError: if nothing can be read.
+    """
+    file = file_of(run)
+    with opened(file) as stream:
+        content = _Content(scanned(stream), file)
+        yield from content.messages()
+        if content.recording is None:
+            raise nothing(content.scan, file)
+
+
 def file_of(run: Path) -> Path:
     return run / FILE if os.path.isdir(run) else run  # noqa: PTH112 - it raises nothing
 
