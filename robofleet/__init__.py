@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from robofleet.control.prediction import Plant
     from robofleet.core.errors import RobofleetError
     from robofleet.drivers.serial_port import SerialPort
+    from robofleet.reports.recorded_run import RecordedImage, RecordedRun, load
     from robofleet.safety.supervisor import Event
     from robofleet.scripts.fleet import Fleet
     from robofleet.scripts.script_link import FleetError
@@ -75,10 +76,10 @@ __all__ = [
     "ConfigError", "Decision", "DifferentialDrive", "Dots", "Driver", "DriverContext", "DriverError",
     "DriverReading", "Event", "Exposure", "ExposureLimits", "Figure", "Fleet", "FleetError", "Flow", "FlowError",
     "FlowSettings", "Frame", "Line", "Measure", "MemorylessFlow", "NewtonRaphsonFlow", "Notice", "Observation",
-    "Past", "Plant", "PoseContext", "PoseSource", "Refusal", "RobofleetError", "RobotFault", "ScheduledCamera",
-    "SensorReading", "SerialPort", "Settings", "Shape", "SimulatedDriver", "Situation", "Start", "TagPose", "Team",
-    "TrackerEvent", "TruePose", "WheelSpeeds", "Wish", "WishKind", "World", "WorldObstacle", "WorldRobot",
-    "__version__", "load_config",
+    "Past", "Plant", "PoseContext", "PoseSource", "RecordedImage", "RecordedRun", "Refusal", "RobofleetError",
+    "RobotFault", "ScheduledCamera", "SensorReading", "SerialPort", "Settings", "Shape", "SimulatedDriver",
+    "Situation", "Start", "TagPose", "Team", "TrackerEvent", "TruePose", "WheelSpeeds", "Wish", "WishKind", "World",
+    "WorldObstacle", "WorldRobot", "__version__", "load", "load_config",
 ]  # fmt: skip
 
 _ROOMS = {
@@ -93,6 +94,7 @@ _ROOMS = {
     "robofleet.core.errors": "RobofleetError",
     "robofleet.behaviours": "Settings",
     "robofleet.drivers.serial_port": "SerialPort",
+    "robofleet.reports.recorded_run": "RecordedImage RecordedRun load",
     "robofleet.safety.supervisor": "Event",
     "robofleet.scripts.fleet": "Fleet",
     "robofleet.scripts.script_link": "FleetError",

@@ -36,6 +36,15 @@ class Column(NamedTuple):
     whole: bool = False  # whether it is a flag or a count
     csv: str = ""  # its name in metrics.csv where that is another one
 
+    def values(self, run: Run) -> Array:
+        """Return the figure (K, N); NaN where it is not known."""
+        values = self.of(run)
+        if values is None:
+            return np.full(run.items.shape, np.nan)
+        return (
+            np.where(run.running[:, None], values, np.nan) if self.running else np.broadcast_to(values, run.items.shape)
+        )
+
 
 def _recorded(name: str, meaning: str, *, running: bool = False, whole: bool = False, csv: str = "") -> Column:
     return Column(name, meaning, lambda run: run.items[csv or name], running, whole, csv)
@@ -103,7 +112,8 @@ COLUMNS = (
 )
 
 
-_TAKEN = {column.name for column in COLUMNS} | {column.csv for column in COLUMNS}
+KEYS = ("t_s", "tick", "run_tick", "robot", "group")  # of a row of metrics.csv
+_TAKEN = {*KEYS, "counts", *(column.name for column in COLUMNS), *(column.csv for column in COLUMNS)}
 
 
 def own_name(name: str) -> str:
@@ -117,12 +127,7 @@ def own_names(gauges: Iterable[Gauge]) -> list[str]:
 
 def table(run: Run) -> Array:
     """Return every robot's columns (K, N, C); NaN where a value is not known."""
-    running = run.running[:, None]
-    values = np.full((*run.items.shape, len(COLUMNS)), np.nan)
-    for index, column in enumerate(COLUMNS):
-        if (column_values := column.of(run)) is not None:
-            values[..., index] = np.where(running, column_values, np.nan) if column.running else column_values
-    return values
+    return np.stack([column.values(run) for column in COLUMNS], axis=-1)
 
 
 def own_table(part: GroupColumns, names: Sequence[str]) -> Array:
@@ -146,7 +151,7 @@ def write_csv(parts: Iterable[Run], file: Path) -> None:
     with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
         own = own_names(group.gauge for group in part.parts)
         names = [*(column.csv or column.name for column in COLUMNS), *own]
-        out.write(",".join(["t_s", "tick", "run_tick", "robot", "group", *names]) + "\n")
+        out.write(",".join([*KEYS, *names]) + "\n")
         _write_rows(part, own, out)
         del part  # before the next one is read
         for part in remaining:

@@ -7,22 +7,25 @@ A file may come from a stranger, so it decides nothing about which code runs her
 import os
 import re
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from mcap.records import Attachment, Channel, Header, Metadata
 from pydantic import ValidationError
 
+from robofleet.bus.keys import Topic, named
 from robofleet.bus.layouts import VERSION
+from robofleet.config import groups
 from robofleet.config.faults import cross_checks
 from robofleet.config.files.yamlfile import Source, parse_bytes
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.core.errors import RobofleetError
 from robofleet.core.files import open_plain
-from robofleet.core.plugins import PluginError
+from robofleet.core.plugins import PluginError, reach
 from robofleet.recording.channels import ENCODING
 from robofleet.recording.chunks import Content, Message
 from robofleet.recording.log import CONFIG, COUNT, DROPPED, ENDING, FILE, GROUPS, LIBRARY, PROFILE, PROVENANCE
@@ -60,6 +63,17 @@ def nothing_imported(_: str) -> bool:
     return False
 
 
+def imported(folder: Path | None, name: str) -> bool:
+    """Import a behaviour whose module stands in the user's folder; False: it does not.
+
+    PluginError where a module in that folder cannot be used.
+    """
+    if folder is None or not reach(folder, name):
+        return False
+    groups.load_kind(name)
+    return True
+
+
 def read(run: Path, imports: Imports = nothing_imported) -> Recording:
     """Return the messages of a run: its folder, or its file; ``imports``: whether to import a ``module:Class``.
 
@@ -74,12 +88,16 @@ def read(run: Path, imports: Imports = nothing_imported) -> Recording:
 
 
 def parts(
-    run: Path, imports: Imports = nothing_imported, *, together: int = TOGETHER
+    run: Path,
+    imports: Imports = nothing_imported,
+    *,
+    together: int = TOGETHER,
+    topics: Collection[Topic] | None = None,
 ) -> Iterator[tuple[Recording, Own]]:
     """Yield a run part by part, each with what came shortly before and after it: it may be larger than memory.
 
     ``imports``: as of ``read``; ``together``: so many bytes of messages are one part. A short run is one. What a file
-    says at its end only the last part knows.
+    says at its end only the last part knows. ``topics``: only messages of these; None: of all.
 
     Raises:
         RecordingError: if there is none that can be read.
@@ -90,6 +108,8 @@ def parts(
         cut: _Instant | None = None  # where the next part begins
         instants: deque[_Instant] = deque()  # of what comes before it
         for full, message in content.messages():
+            if topics is not None and _topic(full) not in topics:
+                continue
             recording = content.recording
             assert recording is not None
             at = _Instant(recording.count + 1, message.log_ns, size)
@@ -107,7 +127,7 @@ def parts(
                 size, first, cut = size - cut.size, cut.place, None
             recording.add(full, message.data)
         recording = content.recording
-        if recording is None or not recording.count:
+        if recording is None or not (recording.count or topics is not None):
             raise nothing(content.scan, file)
         _know_groups(recording, file, imports)
         recording.trouble = content.scan.trouble
@@ -144,6 +164,18 @@ def messages(run: Path) -> Iterator[tuple[str, Message]]:
         yield from content.messages()
         if content.recording is None:
             raise nothing(content.scan, file)
+
+
+def trouble_of(run: Path) -> str | None:
+    """Return what is wrong with the file of a run; None: it is whole.
+
+    Raises:
+        RecordingError: if it cannot be read at all.
+    """
+    with opened(file_of(run)) as stream:
+        scan = scanned(stream)
+        deque(scan.items(), maxlen=0)
+    return scan.trouble
 
 
 def file_of(run: Path) -> Path:
@@ -201,6 +233,12 @@ def own(contents: list[Content], channels: dict[int, str]) -> Iterator[tuple[str
                 yield channels[content.channel], content
         elif isinstance(content, Channel) and content.message_encoding == ENCODING:
             channels[content.id] = content.topic
+
+
+@lru_cache(4096)
+def _topic(full: str) -> Topic | None:
+    found = named(full)
+    return None if found is None else found[0]
 
 
 class _Content:

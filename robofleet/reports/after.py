@@ -1,5 +1,6 @@
 """Reports from the files that runs left."""
 
+import json
 import os
 from datetime import UTC, datetime
 from pathlib import Path
@@ -74,6 +75,20 @@ def compare(first: Path, second: Path, out: Path | None, imports: Imports = noth
 def _side(run: Path, imports: Imports) -> comparison.Side:
     columns = look(run, imports)
     return comparison.Side(_name(run), RunView(columns, _summary(run, columns)))
+
+
+def stored(run: Path) -> Summary | None:
+    """Return what a run's ``summary.json`` holds; None where there is none that can be believed."""
+    try:
+        found = json.loads(read_plain(_folder(run) / SUMMARY, _LARGEST_SUMMARY_BYTES))
+        return found if isinstance(found, dict) and found.get("version") == metrics.VERSION else None
+    except (OSError, ValueError, RecursionError):
+        return None
+
+
+def summary(run: Path, imports: Imports = nothing_imported) -> Summary:
+    """Return the figures of a run, worked out anew from its recording."""
+    return _summary(run, look(run, imports))
 
 
 def _summary(run: Path, columns: Run) -> Summary:

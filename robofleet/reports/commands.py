@@ -19,10 +19,10 @@ from robofleet.config.files.yamlfile import printable
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.files import write_bytes
-from robofleet.core.plugins import PluginError, reach
+from robofleet.core.plugins import PluginError
 from robofleet.core.refusal import RefusedError, how_to_install, new_file, new_place
 from robofleet.nodes.controller import compile_kernels
-from robofleet.recording.reading import Imports, RecordingError, about, file_of, read
+from robofleet.recording.reading import Imports, RecordingError, about, file_of, imported, read
 from robofleet.recording.repair import repair as mend
 from robofleet.reports import after
 from robofleet.reports import junit as xml
@@ -228,12 +228,9 @@ def _needed(run: Path, folder: Path | None, name: str) -> bool:
 def _imported(folder: Path | None, name: str) -> bool:
     """Import a behaviour whose module stands in the user's folder; False: it does not."""
     try:
-        if folder is None or not reach(folder, name):
-            return False
-        groups.load_kind(name)
+        return imported(folder, name)
     except PluginError as error:
         raise RefusedError(f"--behaviours: {error}") from error
-    return True
 
 
 def _left_out(folder: Path | None, name: str, effect: str) -> str:

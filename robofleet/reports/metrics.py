@@ -31,6 +31,8 @@ from robofleet.vehicles.solids import distances
 
 Figures = dict[str, Any]
 
+VERSION = 1  # of summary.json
+
 
 def summary(
     recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None, began: str | None = None,
@@ -45,7 +47,7 @@ def summary(
     duration_s = float(run.t[-1]) if len(run.t) else 0.0
     groups = _groups(run, recording)
     figures = {
-        "version": 1,
+        "version": VERSION,
         "config": name,
         "seed": config.run.seed,
         "mode": mode,

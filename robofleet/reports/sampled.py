@@ -1,14 +1,14 @@
 """A run that is too long for memory: some of its ticks in columns, and the figures of all its ticks."""
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.bus.keys import BUSY, NOTE, SENSORS, named
+from robofleet.bus.keys import BUSY, NOTE, SENSORS, Topic, named
 from robofleet.bus.messages import RunState
 from robofleet.core.arrays import Array
 from robofleet.recording.reading import TOGETHER, Imports, nothing_imported, parts
@@ -132,11 +132,16 @@ def look(run: Path, imports: Imports = nothing_imported, together: int = TOGETHE
     return sampled.run()
 
 
-def looks(run: Path, imports: Imports = nothing_imported, together: int = TOGETHER) -> Iterator[Run]:
-    """Yield a run in columns part by part: every tick of it."""
+def looks(
+    run: Path,
+    imports: Imports = nothing_imported,
+    together: int = TOGETHER,
+    topics: Collection[Topic] | None = None,
+) -> Iterator[Run]:
+    """Yield a run in columns part by part: every tick of it. ``topics``: only what these say; None: all."""
     start_ns: int | None = None
     began: tuple[int, ...] = ()
-    for recording, own in parts(run, imports, together=together):
+    for recording, own in parts(run, imports, together=together, topics=topics):
         part = Run(recording, own=own._replace(start_ns=start_ns, began=began))
         start_ns, began = part.start_ns, part.began
         yield part
