@@ -63,6 +63,7 @@ COMMANDS = (
     Row("rerun", "gateways.viewers.command", "rerun", _RUNNING),
     Row("teleop", "gateways.gamepad.command", "teleop", _RUNNING),
     *(Row(name, "reports.commands", name, _AFTERWARDS) for name in ("replay", "repair", "report", "layout")),
+    *(Row(name, "gateways.exports.command", name, _AFTERWARDS) for name in ("export", "film")),
     *(Row(name, "operator.commands", name, _PROCESSES) for name in ("supervisor", "recorder", "twins", "controller")),
     *(Row(name, "operator.commands", name, _PROCESSES) for name in ("tracker", "driver", "router")),
     Row("keys", "hosts.keys_commands", panel=_HOSTS),

@@ -57,7 +57,7 @@ def replay(run: RunFolder, behaviours: ReplayedModules = None) -> None:
     $ robofleet replay runs/20260102T030405Z-swirl --behaviours configs
     """
     times_ns = [stopwatch_ns()]
-    with _readable():
+    with readable():
         recording = read(run, partial(_needed, run, behaviours))
         _load_behaviours(run, recording.config)
         times_ns.append(stopwatch_ns())
@@ -89,7 +89,7 @@ def repair(run: RunFolder) -> None:
 
     $ robofleet repair runs/20260102T030405Z-platoon
     """
-    with _readable():
+    with readable():
         try:
             done = mend(run)
         except OSError as error:
@@ -127,10 +127,10 @@ def report(
 
     $ robofleet report runs/20260102T030405Z-platoon --figures paper/figures --junit bounds.xml
     """
-    with _without_garbage_collection(), _readable():
+    with _without_garbage_collection(), readable():
         _refuse_misplaced(other, out, figures, junit)
         try:
-            with _importing(behaviours) as imports:
+            with importing(behaviours) as imports:
                 if other is None:
                     page, lines = _made(run, figures, junit, imports)
                 else:
@@ -154,12 +154,12 @@ def layout(
 
     $ robofleet layout foxglove runs/20260102T030405Z-platoon
     """
-    with _readable():
+    with readable():
         if viewer not in VIEWERS:
             raise RefusedError(f"VIEWER: {viewer!r} is not known: take one of {', '.join(VIEWERS)}")
         chosen, file = VIEWERS[viewer], file_of(run)
         try:
-            with _importing(behaviours) as imports:
+            with importing(behaviours) as imports:
                 written = chosen.make(about(run, imports), file)
         except ModuleNotFoundError as error:
             if not (error.name or "").startswith("rerun"):
@@ -200,7 +200,7 @@ def _made(run: Path, figures: Path | None, junit: Path | None, imports: "Imports
 
 
 @contextmanager
-def _importing(folder: Path | None) -> Iterator["Imports"]:
+def importing(folder: Path | None) -> Iterator["Imports"]:
     """Yield what imports a behaviour whose module stands in the user's folder; any other is told of at the end.
 
     RefusedError where a module in that folder cannot be used.
@@ -249,7 +249,7 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 @contextmanager
-def _readable() -> Iterator[None]:
+def readable() -> Iterator[None]:
     try:
         yield
     except RecordingError as error:

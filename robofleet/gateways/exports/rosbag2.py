@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.interfaces.typing import Nodetype
+from rosbags.interfaces import Nodetype, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -31,7 +30,6 @@ from robofleet.recording.reading import about, messages
 from robofleet.recording.scenes.scene import Scene
 from robofleet.vehicles.differential_drive import body_from_wheels
 
-_VERSION = 9  # of rosbag2's metadata: Jazzy's
 _TIME_END_S = 2**31 - 1  # of ROS's time
 _FOREVER = QosTime(2**31 - 1, 999_999_999)
 _LOG = Topic("/rosout", "rcl_interfaces/msg/Log", "", topics.MANY, "what happened, in words")
@@ -83,7 +81,7 @@ class _Bag:
         self.store = get_typestore(Stores.ROS2_JAZZY)
         self.messages = Messages(partial(_with_defaults, self.store))
         self._epoch_ns = epoch_ns
-        self.writer = Writer(folder, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self.writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         self.writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self.writer.open()
 
@@ -201,7 +199,7 @@ def _with_defaults(store: Any, name: str) -> Any:
             value = single(value)
         object.__setattr__(self, field, value)
 
-    own = {"__init__": begin}
+    own: dict[str, Any] = {"__init__": begin}
     if singles or any(arrays.values()):
         own["__setattr__"] = assign
     return type(kind.__name__, (kind,), own)
@@ -213,7 +211,7 @@ def _numbers(description: Any) -> np.dtype[Any] | None:
     if node not in (Nodetype.ARRAY, Nodetype.SEQUENCE) or value[0][0] != Nodetype.BASE or value[0][1][0] == "string":
         return None
     element = value[0][1][0]
-    return np.dtype(_NUMBERS.get(element, element))
+    return np.dtype(str(_NUMBERS.get(element, element)))
 
 
 def _default(store: Any, description: Any) -> Any:

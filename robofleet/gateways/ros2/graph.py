@@ -58,9 +58,12 @@ class Graph(Protocol):
     """Where a run is published."""
 
     frames: Frames
-    clock: Clock
     messages: Messages
     has_transforms: bool  # whether frames can be published
+
+    @property
+    def clock(self) -> Clock:
+        """The run's clock."""
 
     def publisher(self, topic: Topic, *names: object) -> Any:
         """Return the publisher of a row, of a robot or camera; of a distance sensor by its number, too."""
