@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image as Pictures
 from PIL import ImageDraw, ImageFont
 
+from robofleet.behaviours.interface import Line
 from robofleet.core.arrays import Array
 from robofleet.core.figures import FAINT, INK, QUIET
 from robofleet.reports.canvas import WIDTH, RunView
@@ -22,11 +23,12 @@ from robofleet.reports.overview import floor
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
-TRAIL_S = 8.0
+_TRAIL_S, _TRAIL_SHOWN_S = 8.0, 2.0  # of the run, and of the film: the longer of the two
 _SHIFT = 4  # sub-pixel bits of OpenCV's drawing
 _TRAIL_PIECES = 16  # of a trail, each paler and thinner than the next one
 _HEADER = 0.05  # [widths]: title and time
 _WHITE: Colour = (255, 255, 255)
+_PALE: Colour = (235, 235, 235)
 
 
 class Artist:
@@ -34,12 +36,19 @@ class Artist:
 
     def __init__(self, view: RunView, title: str, speed: float, width: int) -> None:
         self._view, self.width = view, width
+        self._trail_s = max(_TRAIL_S, _TRAIL_SHOWN_S * speed)
         self._pace = "" if speed == 1 else f"  ×{speed:g}"
         self._colours = [_rgb(colour) for colour in view.colours]
         self._names = [_text(robot, round(width / 52), bold=True) for robot in view.run.robots]
         self._heading = _text(title, round(width * 0.021), bold=True)
         self._t, self._poses, self._points = view.run.since_start_s, view.run.poses(), view.run.points()
         self._references = view.run.references
+        self._lines = [
+            np.concatenate([shape.points, shape.points[:1]]) if shape.closed else shape.points
+            for group in view.run.groups
+            for shape in group.shapes
+            if isinstance(shape, Line)
+        ]
         self._radii = [robot.vehicle.body_radius_m for robot in view.config.members]
 
     @property
@@ -54,8 +63,13 @@ class Artist:
         figure.set_dpi(self.width / WIDTH)
         canvas: Any = FigureCanvasAgg(figure)
         canvas.draw()
-        image = np.asarray(canvas.buffer_rgba())[..., :3]
-        return np.ascontiguousarray(image[: image.shape[0] // 2 * 2, : self.width])
+        image = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        image = image[: image.shape[0] // 2 * 2, : self.width].copy()
+        legend, y = _text("reference", round(self.width / 64)), image.shape[0] - round(self.width * 0.05 / 3.4)
+        x = self.width - round(self.width * 0.1 / 3.4) - legend.shape[1]
+        _blend(image, legend, x, y - legend.shape[0] // 2, _rgb(INK))
+        _ring(image, np.array([x - self.width / 60, y]), _rgb(INK), self.width / 180)
+        return image
 
     def on_arena(self, points: Array) -> Array:
         """Return the pixels (n, 2) of points (n, 2) [m] of the floor."""
@@ -73,8 +87,10 @@ class Artist:
         image[self.header :] = background
         self._head(image, t)
         on = image[self.header :]
+        for line in () if solid else self._lines:
+            self._line(on, pixels(line), _PALE, max(1, round(self.width / 900)))
         k = min(max(int(np.searchsorted(self._t, t, "right")) - 1, 0), len(self._t) - 1)
-        first = int(np.searchsorted(self._t, self._t[k] - TRAIL_S))
+        first = int(np.searchsorted(self._t, self._t[k] - self._trail_s))
         for row, colour in enumerate(self._colours):
             self._trail(on, pixels(_finite(self._points[first : k + 1, row])), colour, solid=solid)
         for row, colour in enumerate(self._colours):
@@ -85,7 +101,7 @@ class Artist:
                 _body(on, pixels, pose, self._radii[row], colour)
             if np.isfinite(reference).all():
                 _ring(on, pixels(reference[None])[0], colour, self.width / 180)
-            self._name(on, pixels, row, pose)
+            self._name(on, pixels, row, pose, solid=solid)
         return image
 
     def _head(self, image: Image, t: float) -> None:
@@ -104,15 +120,22 @@ class Artist:
         for piece, (start, end) in enumerate(pairwise(edges)):
             age = 1.0 - (piece + 1) / (len(edges) - 1)
             shade = _mixed(colour, _WHITE, 0.85 * age) if solid else colour
-            line = np.round(pixels[start : end + 1] * (1 << _SHIFT)).astype(np.int32).reshape(-1, 1, 2)
-            width = max(1, round(self.width / 280 * (1.0 - 0.7 * age)))
-            cv2.polylines(image, [line], False, shade, width, cv2.LINE_AA, _SHIFT)
+            self._line(image, pixels[start : end + 1], shade, max(1, round(self.width / 280 * (1.0 - 0.7 * age))))
 
-    def _name(self, image: Image, pixels: Callable[[Array], Array], row: int, pose: Array) -> None:
+    def _line(self, image: Image, pixels: Array, colour: Colour, width: int) -> None:
+        line = np.round(pixels * (1 << _SHIFT)).astype(np.int32).reshape(-1, 1, 2)
+        cv2.polylines(image, [line], False, colour, width, cv2.LINE_AA, _SHIFT)
+
+    def _name(self, image: Image, pixels: Callable[[Array], Array], row: int, pose: Array, *, solid: bool) -> None:
         """Write a robot's name to its right, where no other robot of a platoon is."""
         aside = 2.0 * self._radii[row] * np.array([np.sin(pose[2]), -np.cos(pose[2])])
         (x, y), name = pixels((pose[:2] - aside)[None])[0], self._names[row]
-        _blend(image, name, round(x - name.shape[1] / 2), round(y - name.shape[0] / 2), self._colours[row])
+        left, top = round(x - name.shape[1] / 2), round(y - name.shape[0] / 2)
+        if not solid:
+            edge = max(2, round(self.width / 400))
+            halo = cv2.dilate(np.pad(name, edge), np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
+            _blend(image, np.asarray(halo, np.uint8), left - edge, top - edge, _WHITE)
+        _blend(image, name, left, top, self._colours[row])
 
 
 def _finite(points: Array) -> Array:
@@ -135,7 +158,7 @@ def _body(image: Image, pixels: Callable[[Array], Array], pose: Array, radius: f
     disc = outline(*zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True))
     cv2.fillPoly(image, [disc], colour, cv2.LINE_AA, _SHIFT)
     cv2.polylines(image, [disc], True, _mixed(colour, (0, 0, 0), 0.35), 2, cv2.LINE_AA, _SHIFT)
-    arrow = outline((0.65, 0.0), (-0.4, 0.5), (-0.15, 0.0), (-0.4, -0.5))
+    arrow = outline((0.8, 0.0), (-0.55, 0.42), (-0.3, 0.0), (-0.55, -0.42))
     cv2.fillPoly(image, [arrow], _WHITE, cv2.LINE_AA, _SHIFT)
 
 

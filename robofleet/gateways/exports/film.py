@@ -23,7 +23,7 @@ from robofleet.tracking.camera import CameraGeometry
 
 Image = NDArray[np.uint8]
 
-RATES_HZ = {".mp4": 30, ".gif": 20}  # images a second, by the file's ending
+RATES_HZ = {".mp4": 25, ".gif": 20}  # images a second, by the file's ending
 _LONGEST_GIF = 2000  # images
 
 
