@@ -126,9 +126,9 @@ class Formation(Behaviour):
     def measures(self, past: Past) -> list[Measure]:
         """Return how far the true points are from where they are to be."""
         off = past.points - self._at(past.t).transpose(1, 0, 2)
-        error = np.where(past.known & past.spaced[:, None], np.linalg.norm(off, axis=-1), np.nan)
+        error = np.where(past.known, np.linalg.norm(off, axis=-1), np.nan)
         meaning = "Distance of the true point from its reference at the same instant."
-        return [Measure("timed_error", "m", error, self.team.robots, "mm", meaning)]
+        return [Measure("timed_error", "m", error, self.team.robots, "mm", meaning, counts=past.spaced)]
 
     def _at(self, t: Array) -> Array:
         """Return every robot's place at instants (M,), shape (N, M, 2) [m]."""

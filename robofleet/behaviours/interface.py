@@ -331,7 +331,7 @@ class Past:
         points: (K, N, 2) the points ahead of the same poses [m; world].
         known: (N,) whose true poses are known.
         settled: (K,) ticks after ``run.settle_s``: of these the figures count.
-        spaced: (K,) ticks after ``run.spacing_settle_s``: of these the true errors count.
+        spaced: (K,) of these, those after ``run.spacing_settle_s``: of these the true errors count.
         references: (K, N, 2) as decided [m; world]. NaN: none.
         figures: (K, N) by the figures' names. NaN: not decided.
     """
@@ -357,6 +357,7 @@ class Measure(NamedTuple):
         shown: The unit for people, as a Figure's.
         meaning: A sentence for the report.
         asked: What the values should be. None: nothing certain.
+        counts: (K,) at which ticks the values count. None: after ``run.settle_s``.
     """
 
     name: str
@@ -366,6 +367,7 @@ class Measure(NamedTuple):
     shown: str = ""
     meaning: str = ""
     asked: float | None = None
+    counts: Flags | None = None
 
 
 class Behaviour:
@@ -497,14 +499,17 @@ class Behaviour:
             past: K ticks of the run.
 
         Returns:
-            By default mean, ``max`` and each robot's mean of all figures and measures, by their names. ``max`` is the
-            largest magnitude: a figure may have a sign. A figure that was not measured is None.
+            By default mean, ``max`` and each robot's mean of all figures and measures, of the ticks that count, by
+            their names. ``max`` is the largest magnitude: a figure may have a sign. A figure that was not measured is
+            None.
         """
         own = [
             Measure(f.name, f.unit, past.figures[f.name], self.team.robots, f.shown, f.meaning) for f in self.figures
         ]
         return {
-            with_unit(m.name, m.shown or m.unit): statistics(m.values[past.settled] * scale(m.unit, m.shown))
+            with_unit(m.name, m.shown or m.unit): statistics(
+                m.values[past.settled if m.counts is None else m.counts] * scale(m.unit, m.shown)
+            )
             for m in [*own, *self.measures(past)]
         }
 

@@ -256,7 +256,7 @@ class Platoon(Behaviour):
             path = np.where(past.known, self._off(past.points, at), np.nan)
             timed = np.where(self._followed(past), self._timed(past, at), np.nan)
             centre = np.where(past.known, self._off(past.poses[..., :2], self._nearest(past.poses[..., :2])), np.nan)
-        return (
+        errors = (
             Measure("timed_error", "m", timed, robots, "mm", "true distance of p from where it should be now"),
             Measure("path_error", "m", path, robots, "mm", "true distance of p from the path"),
             Measure("centre_error", "m", centre, robots, "mm", "true distance of the centre from the path"),
@@ -265,6 +265,7 @@ class Platoon(Behaviour):
                 asked=self.settings.spacing_m,
             ),
         )  # fmt: skip
+        return tuple(measure._replace(counts=past.spaced) for measure in errors)
 
     def summary(self, past: Past) -> dict[str, Any]:
         """Return the errors as the paper states them; true errors and the spacing count after a longer time."""

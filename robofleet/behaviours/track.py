@@ -117,9 +117,9 @@ class Track(Behaviour):
         """Return how far what follows was in truth from where it was to be at that instant."""
         followed = past.points if self._ahead else past.poses[:, :, :2]
         off = followed - self._at(past.t).transpose(1, 0, 2)
-        error = np.where(past.known & past.spaced[:, None], np.linalg.norm(off, axis=-1), np.nan)
+        error = np.where(past.known, np.linalg.norm(off, axis=-1), np.nan)
         meaning = "Distance of the true robot from its reference at the same instant."
-        return [Measure("timed_error", "m", error, self.team.robots, "mm", meaning)]
+        return [Measure("timed_error", "m", error, self.team.robots, "mm", meaning, counts=past.spaced)]
 
     def _at(self, t: Array) -> Array:
         """Return every robot's reference at instants (M,), shape (N, M, 2) [m]."""

@@ -112,8 +112,9 @@ COLUMNS = (
 )
 
 
-KEYS = ("t_s", "tick", "run_tick", "robot", "group")  # of a row of metrics.csv
-_TAKEN = {*KEYS, "counts", *(column.name for column in COLUMNS), *(column.csv for column in COLUMNS)}
+_FIRST = "t_s", "tick", "run_tick", "robot", "group"  # of a row of metrics.csv
+_LAST = "run_time_s", "clock_time_s", "counts"
+_TAKEN = {*_FIRST, *_LAST, *(column.name for column in COLUMNS), *(column.csv for column in COLUMNS)}
 
 
 def own_name(name: str) -> str:
@@ -130,19 +131,35 @@ def table(run: Run) -> Array:
     return np.stack([column.values(run) for column in COLUMNS], axis=-1)
 
 
-def own_table(part: GroupColumns, names: Sequence[str]) -> Array:
-    """Return columns of a group's own (K, n, C) by their names; NaN where the group has none of this name."""
+def own_table(part: GroupColumns, names: Sequence[str], *, counted: bool = False) -> Array:
+    """Return columns of a group's own (K, n, C) by their names; NaN where the group has none of this name.
+
+    ``counted``: of a measure that counts later than others, only what counts.
+    """
     values = np.full((len(part.group.robots), len(names), len(part.running)), np.nan)
     places = {name: index for index, name in enumerate(names)}
     for curve in part.curves:
         for name, (rows, columns) in curve.columns.items():
             if (index := places.get(own_name(name))) is not None:
-                values[rows, index] = curve.values.T[list(columns)]
+                values[rows, index] = (curve.counted if counted else curve.values).T[list(columns)]
     return values.transpose(2, 0, 1)
 
 
+def ticks_table(run: Run, own: Sequence[str]) -> tuple[Run, Array]:
+    """Return a run with every tick since its start (K), and each robot's columns (K, N, C): ``COLUMNS``, then ``own``.
+
+    The mean of a group's own column over the ticks at which ``Run.counts``, without NaN, is the summary's.
+    """
+    whole = run.whole()
+    values = np.full((*whole.items.shape, len(COLUMNS) + len(own)), np.nan)
+    values[..., : len(COLUMNS)] = table(whole)
+    own_values = np.concatenate([own_table(part, own, counted=True) for part in run.parts], axis=1)
+    values[whole.running, :, len(COLUMNS) :] = own_values[run.running]
+    return whole, values
+
+
 def write_csv(parts: Iterable[Run], file: Path) -> None:
-    """Write one row a tick and robot, of a run part by part; a value that is not known is empty.
+    """Write a row for each robot at every tick since the start, of a run part by part; what is not known is empty.
 
     Where no part can be read, nothing is written.
     """
@@ -151,7 +168,7 @@ def write_csv(parts: Iterable[Run], file: Path) -> None:
     with replaced(file) as stream, TextIOWrapper(BufferedWriter(stream), encoding="ascii") as out:
         own = own_names(group.gauge for group in part.parts)
         names = [*(column.csv or column.name for column in COLUMNS), *own]
-        out.write(",".join([*KEYS, *names]) + "\n")
+        out.write(",".join([*_FIRST, *names, *_LAST]) + "\n")
         _write_rows(part, own, out)
         del part  # before the next one is read
         for part in remaining:
@@ -160,12 +177,13 @@ def write_csv(parts: Iterable[Run], file: Path) -> None:
 
 
 def _write_rows(run: Run, own: Sequence[str], out: TextIO) -> None:
-    parts, ticks = run.parts, run.ticks
-    values = np.concatenate([table(run), np.concatenate([own_table(part, own) for part in parts], axis=1)], axis=2)
-    robots = [f"{robot},{part.group.name}" for part in parts for robot in part.group.robots]
+    robots = [f"{robot},{group.name}" for group in run.groups for robot in group.robots]
+    run, values = ticks_table(run, own)
     row = "".join(",%.0f" if column.whole else ",%.6g" for column in COLUMNS) + ",%.6g" * len(own)
-    whens = zip(run.since_start_s.tolist(), ticks["tick"].tolist(), ticks["run_tick"].tolist(), strict=True)
-    for (t, tick, run_tick), of_tick in zip(whens, values, strict=True):  # Python's own floats are quickly written
-        when = f"{t:.3f},{tick},{run_tick},"
+    heads = (run.clock_time_s, run.ticks["tick"], run.ticks["run_tick"], run.run_time_s, run.counts)
+    whens = zip(*(head.tolist() for head in heads), strict=True)
+    for (clock_s, tick, run_tick, run_s, counts), of_tick in zip(whens, values, strict=True):  # Python's own floats are
+        when = f"{clock_s:.3f},{tick},{run_tick},"  # quickly written
+        last = f",{run_s:.3f},{clock_s:.3f},{counts:d}\n"
         for robot, robot_row in zip(robots, of_tick.tolist(), strict=True):
-            out.write(when + robot + (row % tuple(robot_row)).replace("nan", "") + "\n")
+            out.write(when + robot + (row % tuple(robot_row)).replace("nan", "") + last)

@@ -16,7 +16,7 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Behaviour, Measure, Past, Team, scale, with_unit
 from robofleet.config import groups
 from robofleet.config.tree import Config
-from robofleet.core.arrays import Array
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.valid_json import dumps
 
 Figures = dict[str, Any]
@@ -33,6 +33,7 @@ class Curve(NamedTuple):
     unit: str
     meaning: str
     values: Array  # (K, n); NaN: not known
+    counts: Flags | None  # (K,) at which ticks they count in the summary; None: at those that count in the run
     of: tuple[str, ...]  # what each column is about: robots' ids, or pairs of them
     rows: tuple[int | None, ...]  # which of the group's robots each column is about; None: none of them alone
     asked: float | None  # what the values should be
@@ -43,6 +44,11 @@ class Curve(NamedTuple):
     @property
     def title(self) -> str:
         return self.name.replace("_", " ").capitalize()
+
+    @property
+    def counted(self) -> Array:
+        """What a table has: of a measure that counts later than others, what counts."""
+        return self.values if self.counts is None else np.where(self.counts[:, None], self.values, np.nan)
 
     @property
     def label(self) -> str:
@@ -106,6 +112,8 @@ class Gauge:
             if measure.values.shape != (len(past.t), len(measure.of)):
                 wanted = len(past.t), len(measure.of)
                 raise ValueError(f"{measure.name}: values of shape {measure.values.shape}, not {wanted}")
+            if measure.counts is not None and measure.counts.shape != past.t.shape:
+                raise ValueError(f"{measure.name}: counts of shape {measure.counts.shape}, not {past.t.shape}")
         return found
 
     def _summary(self, past: Past) -> Figures:
@@ -186,7 +194,7 @@ def _curve(measure: Measure, robots: tuple[str, ...], *, live: bool, is_figure: 
     target = None if measure.asked is None else measure.asked * factor
     return Curve(
         measure.name, with_unit(measure.name, unit), unit, measure.meaning.rstrip("."), measure.values * factor,
-        measure.of, tuple(_rows(measure.of, robots)), target, live, is_figure,
+        measure.counts, measure.of, tuple(_rows(measure.of, robots)), target, live, is_figure,
         len(robots),
     )  # fmt: skip
 

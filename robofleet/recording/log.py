@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from mcap.records import Attachment, Metadata
 
@@ -20,8 +20,9 @@ from robofleet.core.valid_json import dumps
 from robofleet.recording.channels import Channel, keys, of_key
 from robofleet.recording.container import Container
 from robofleet.recording.provenance import Provenance
-from robofleet.recording.scenes.drawn import Drawn, DrawnMessages
-from robofleet.recording.scenes.robot_ticks import BATCH, LARGE_BATCH
+
+if TYPE_CHECKING:
+    from robofleet.recording.scenes.drawn import DrawnMessages
 
 FILE = "run.mcap"
 PROFILE, LIBRARY = "robofleet", "robofleet {} wire {}"  # who wrote the file: robofleet's version, the messages'
@@ -65,6 +66,10 @@ class RunLog:
         self._kept: list[Attachment | Metadata] = []  # until they are in the file
         self._waiting = 0  # messages that are not in the file yet
         self._undeclared = 0  # messages that were dropped, and the file does not say so yet
+        # They load OpenCV and protobuf, and who reads a file needs neither.
+        from robofleet.recording.scenes.drawn import Drawn  # noqa: PLC0415
+        from robofleet.recording.scenes.robot_ticks import BATCH, LARGE_BATCH  # noqa: PLC0415
+
         descriptions = groups.descriptions(config)
         batch = LARGE_BATCH if batched else BATCH
         self._drawn = Drawn(config, descriptions, epoch_ns=epoch_ns, batch=batch) if drawn else None
@@ -138,7 +143,7 @@ class RunLog:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _add_drawn(self, messages: DrawnMessages) -> None:
+    def _add_drawn(self, messages: "DrawnMessages") -> None:
         for topic, log_ns, message in messages:
             self._container.add_message(self._channels[topic], self.messages & 0xFFFFFFFF, log_ns, message)
 

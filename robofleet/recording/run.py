@@ -6,6 +6,7 @@ from array import array
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, NamedTuple
@@ -27,6 +28,7 @@ from robofleet.core.valid_json import dumps
 from robofleet.recording.gauge import Curve, Figures, Gauge, gauges, peaked
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.reduced import Reduced
+from robofleet.recording.run_clock import RunClock
 
 SHOWN = 512  # messages of a key, for a live view
 _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing
@@ -242,6 +244,7 @@ class Own(NamedTuple):
     until: int = 1 << 62
     start_ns: int | None = None  # the run's first tick, where it was before this part
     began: tuple[int, ...] = ()  # the numbers of the images, of each camera, that it knew
+    newest: tuple[int, float] | None = None  # stamp and run time of the run's newest tick before this part
     last: bool = True  # nothing follows
 
 
@@ -265,13 +268,19 @@ class GroupColumns:
         curves = self.gauge.curves(self.past) if len(self.past.t) else ()
         if self.running.all():
             return curves
-        return tuple(curve._replace(values=self._spread(curve.values)) for curve in curves)
+        return tuple(
+            curve._replace(
+                values=self._spread(curve.values, np.nan),
+                counts=None if curve.counts is None else self._spread(curve.counts, False),
+            )
+            for curve in curves
+        )
 
     def summary(self) -> Figures:
         return peaked(self.gauge.summary(self.past), self.peaks)
 
-    def _spread(self, values: Array) -> Array:
-        spread = np.full((len(self.running), *values.shape[1:]), np.nan)
+    def _spread(self, values: NDArray[Any], otherwise: float) -> NDArray[Any]:
+        spread = np.full((len(self.running), *values.shape[1:]), otherwise, values.dtype)
         spread[self.running] = values
         return spread
 
@@ -297,9 +306,8 @@ class Run:
         self.near = records  # ticks, with those shortly before and after this part
         self.before = records[:first][-1:]  # (1,) the tick before these; (0,) where there is none
         self.all_ticks, places = records[first:until], places[first:until]
-        counted = (self.all_ticks["run_tick"] >= 0) | every_tick
-        self._tick_places = places[counted]
-        self._take(self.all_ticks[counted])
+        self._places = places
+        self._choose((self.all_ticks["run_tick"] >= 0) | every_tick)
         statuses = [recording.of_robot(STATUS, r.id) for r in robots]
         self.statuses = [status[_can_be(status)] for status in statuses]
         of_units = {unit: np.array(recording.places(key(arena, STATUS, unit)), np.uint64) for unit in config.units}
@@ -307,9 +315,8 @@ class Run:
             of_units[config.unit_of[robot.id]][status["message"]]
             for robot, status in zip(robots, self.statuses, strict=True)
         ]
-        truths = [true[_can_be(true)] for true in (recording.of_robot(TRUTH, r.id) for r in config.bodies)]
-        known = np.array([len(truth) > 0 for truth in truths])
-        self._know(self._at_ticks(truths) if known.any() and len(self.t) else None, known)
+        self._truths = [true[_can_be(true)] for true in (recording.of_robot(TRUTH, r.id) for r in config.bodies)]
+        self._know_truths()
         news = [recording.measured(key(arena, NEWS, camera), TRACKER_NEWS, own) for camera in config.camera_names]
         self.news = np.concatenate(news)  # of all cameras
         self.news_of = np.repeat(
@@ -326,6 +333,23 @@ class Run:
         }
         self.frames = [frame for images in self.images.values() for frame in images]
 
+    def whole(self) -> "Run":
+        """Return the run with every tick since its first one: those of its holds, and those after its end."""
+        since = np.maximum.accumulate(self.all_ticks["run_tick"] >= 0) | (self.own.start_ns is not None)
+        if since.sum() == len(self.ticks):
+            return self
+        found = copy(self)
+        for name in [name for name in found.__dict__ if isinstance(getattr(Run, name, None), cached_property)]:
+            del found.__dict__[name]
+        found._choose(since)
+        found._know_truths()
+        return found
+
+    def _choose(self, ticks: NDArray[np.bool_]) -> None:
+        """Take some of all ticks."""
+        self._tick_places = self._places[ticks]
+        self._take(self.all_ticks[ticks])
+
     def _take(self, ticks: NDArray[Any]) -> None:
         self.ticks = ticks
         self.running = self.ticks["run_tick"] >= 0  # (K,)
@@ -335,6 +359,10 @@ class Run:
         numbers = self.ticks["figures"]
         numbers = np.where(np.abs(numbers) < _BEYOND, numbers, np.nan)
         self.group_figures = described.told(self.groups, numbers)  # of each group
+
+    def _know_truths(self) -> None:
+        known = np.array([len(truth) > 0 for truth in self._truths])
+        self._know(self._at_ticks(self._truths) if known.any() and len(self.t) else None, known)
 
     def _know(self, bodies: Array | None, known: NDArray[np.bool_]) -> None:
         """Take the true poses of all bodies, and of which they are known (M,)."""
@@ -360,7 +388,7 @@ class Run:
     def parts(self) -> tuple[GroupColumns, ...]:
         config, running = self.config, self.running
         t, poses, points = self.t[running], self.poses()[running], self.points()[running]
-        settled, spaced = (t >= after_s for after_s in (config.run.settle_s, config.run.spacing_settle_s))
+        settled, spaced = self.counts[running], self.counts_spacing[running]
         parts = []
         peaks = self.reduced.peaks if self.reduced else {}
         rows_of = groups.rows(config.groups)
@@ -433,9 +461,38 @@ class Run:
         return np.where(self.known[:, None], true, estimates)
 
     @cached_property
-    def since_start_s(self) -> Array:
-        """Instants of the ticks (K,) since the first of these, on the controller's grid [s]."""
-        return np.asarray((self.ticks["stamp_ns"] - (self.start_ns or 0)) / 1e9)
+    def clock(self) -> RunClock:
+        """The two times of the run."""
+        stamps, run_s = self.ticks["stamp_ns"][self.running], self.t[self.running]
+        if (newest := self.own.newest) is not None:
+            stamps, run_s = np.append(newest[0], stamps), np.append(newest[1], run_s)
+        return RunClock(self.start_ns or 0, stamps, run_s, self.every * self.config.controller.tick_s)
+
+    @property
+    def newest(self) -> tuple[int, float] | None:
+        """Stamp and run time of the newest tick of the run up to the end of this part; None: it has not begun."""
+        clock = self.clock
+        return (int(clock.stamps_ns[-1]), float(clock.run_s[-1])) if len(clock.stamps_ns) else None
+
+    @cached_property
+    def clock_time_s(self) -> Array:
+        """Clock times of the ticks (K,): they go on in a hold [s]."""
+        return self.clock.clock_time_s(self.ticks["stamp_ns"])
+
+    @cached_property
+    def run_time_s(self) -> Array:
+        """Run times of the ticks (K,): they stand still in a hold; NaN before the start [s]."""
+        return self.clock.run_time_s(self.ticks["stamp_ns"])
+
+    @property
+    def counts(self) -> NDArray[np.bool_]:
+        """At which ticks (K,) the groups' figures count: while the fleet is running, after ``run.settle_s``."""
+        return self.running & self.after(self.config.run.settle_s)
+
+    @property
+    def counts_spacing(self) -> NDArray[np.bool_]:
+        """At which of these a spacing and a true error of the groups that come with robofleet count (K,)."""
+        return self.counts & self.after(self.config.run.spacing_settle_s)
 
     @cached_property
     def pose_errors(self) -> tuple[Array, Array] | None:
@@ -486,8 +543,14 @@ def _can_be(rows: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _with_gaps(items: NDArray[Any]) -> NDArray[Any]:
-    """Return the robots of ticks (K, N) with NaN in place of every figure that is not finite, or beyond any arena."""
+    """Return the robots of ticks (K, N) with NaN in place of every figure that is not finite, or beyond any arena.
+
+    The same in place of the pose of a robot that no image has shown yet: its filter stands at zero.
+    """
     wrong = {name: ~(np.abs(items[name]) < _BEYOND) for name in items.dtype.names or ()}
+    unseen = (items["lost"] > 0) & np.all([items[name] == 0.0 for name in ("x_m", "y_m", "psi_rad")], axis=0)
+    for name in ("x_m", "y_m", "psi_rad", "point_x_m", "point_y_m"):
+        wrong[name] |= unseen
     if not any(where.any() for where in wrong.values()):
         return items
     items = items.copy()

@@ -73,8 +73,7 @@ def compare(first: Path, second: Path, out: Path | None, imports: Imports = noth
 
 
 def _side(run: Path, imports: Imports) -> comparison.Side:
-    columns = look(run, imports)
-    return comparison.Side(_name(run), RunView(columns, _summary(run, columns)))
+    return comparison.Side(_name(run), viewed(run, imports))
 
 
 def stored(run: Path) -> Summary | None:
@@ -86,9 +85,10 @@ def stored(run: Path) -> Summary | None:
         return None
 
 
-def summary(run: Path, imports: Imports = nothing_imported) -> Summary:
-    """Return the figures of a run, worked out anew from its recording."""
-    return _summary(run, look(run, imports))
+def viewed(run: Path, imports: Imports = nothing_imported) -> RunView:
+    """Return a run as it is drawn, with its figures worked out anew."""
+    columns = look(run, imports)
+    return RunView(columns, _summary(run, columns))
 
 
 def _summary(run: Path, columns: Run) -> Summary:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
@@ -65,7 +65,7 @@ class RunView:
     @property
     def span(self) -> tuple[float, float]:
         """From the run's first tick to its last [s]."""
-        return 0.0, float(self.run.since_start_s.max(initial=self.config.controller.tick_s))
+        return 0.0, float(self.run.clock_time_s.max(initial=self.config.controller.tick_s))
 
     def counted(self, settle_s: float) -> NDArray[np.bool_]:
         """Which ticks count after a settling time; all, where none does."""
@@ -76,22 +76,33 @@ class RunView:
 def sheet(height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
     """Return a figure of so many inches and its axes, row by row."""
     figure = Figure(figsize=(WIDTH, height))
+    return figure, _grid(figure, height, rows, columns)
+
+
+def _grid(figure: FigureBase, height: float, rows: int, columns: int = 1) -> list[Axes]:
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col" if rows > 1 else False)
     right = 1 - _RIGHT / WIDTH
     top = 1 - (_TOP if columns == 1 else _TITLE_INCH) / height
     figure.subplots_adjust(_LEFT / WIDTH, _BOTTOM / height, right, top, wspace=0.22, hspace=0.12)
-    return figure, list(grid.flat)
+    return list(grid.flat)
 
 
 def strips(view: RunView, labels: Sequence[str], height: float = 1.9) -> tuple[Figure, list[Axes]]:
     """Return axes over the run's time, one below the other, with what interrupted the run behind them."""
-    figure, axes = sheet(height * len(labels) + 0.3, len(labels))
+    whole = height * len(labels) + 0.3
+    figure = Figure(figsize=(WIDTH, whole))
+    return figure, over_time(figure, whole, view, labels)
+
+
+def over_time(figure: FigureBase, height: float, view: RunView, labels: Sequence[str]) -> list[Axes]:
+    """Return axes as those of ``strips``, in a figure of so many inches, or a part of one."""
+    axes = _grid(figure, height, len(labels))
     for each, label in zip(axes, labels, strict=True):
         each.set_ylabel(label)
         each.yaxis.set_label_coords(-_LABEL_INCH / (WIDTH - _LEFT - _RIGHT), 0.5)
         interruptions(each, view.timeline)
     axes[-1].set(xlabel="time since the start, s", xlim=view.span)
-    return figure, axes
+    return axes
 
 
 def interruptions(axes: Axes, timeline: Timeline) -> None:

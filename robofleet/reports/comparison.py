@@ -69,7 +69,7 @@ def write(first: Side, second: Side, file: Path) -> None:
     page.section("Plots", "Both from their own start.")
     legend = [(side.name, colour) for side, colour in zip(sides, _COLOURS, strict=True)]
     with mpl.rc_context(STYLE):
-        if all(len(side.view.run.since_start_s) for side in sides):
+        if all(len(side.view.run.clock_time_s) for side in sides):
             page.figure(_paths(sides), "The dashed line is the first one's path.", title="Paths", legend=legend)
         for overlay in overlays(sides):
             if (figure := _overlaid(sides, overlay)) is not None:
@@ -216,7 +216,7 @@ def _overlaid(sides: tuple[Side, Side], overlay: OverlaidPlot) -> Figure | None:
     for side, column, colour in zip(sides, overlay.columns, _COLOURS, strict=True):
         if column is not None and len(column):
             shown = column if lowest is None else np.maximum(column, lowest)
-            lines(axes, side.view.run.since_start_s, shown[:, None], span, [colour])
+            lines(axes, side.view.run.clock_time_s, shown[:, None], span, [colour])
     if lowest is not None:
         logarithmic(axes, lowest)
     axes.set(xlabel="time since the start, s", ylabel=overlay.label, xlim=span)

@@ -25,15 +25,19 @@ NO_TRUTH = "true poses are known of simulated robots only."
 
 def of_group(part: GroupColumns, *, alone: bool) -> list[Plot]:
     """Return a plot for each figure and each measure; ``alone``: no other group has figures."""
-    better = {f"{_ESTIMATED}{curve.name}" for curve in part.curves if not curve.is_figure}
     return [
         Plot(
-            curve.title if alone else f"{curve.title} of {part.group.name}", partial(_draw, part, k), _caption(curve),
-            partial(_legend, part, k), _missing(part, curve),
+            curve.title if alone else f"{curve.title} of {part.group.name}", partial(_draw, part, curve),
+            _caption(curve), partial(_legend, part, curve), _missing(part, curve),
         )
-        for k, curve in enumerate(part.curves)
-        if curve.live and curve.name not in better
+        for curve in shown(part)
     ]  # fmt: skip
+
+
+def shown(part: GroupColumns) -> list[Curve]:
+    """Return the curves that are drawn."""
+    better = {f"{_ESTIMATED}{curve.name}" for curve in part.curves if not curve.is_figure}
+    return [curve for curve in part.curves if curve.live and curve.name not in better]
 
 
 def colours(view: RunView, part: GroupColumns, curve: Curve) -> list[str]:
@@ -51,31 +55,39 @@ def wide(values: Array, counted: Array) -> float | None:
     return float(10.0 ** np.floor(np.log10(middle / 10.0))) if known.max() > _WIDE_RATIO * middle else None
 
 
-def _draw(part: GroupColumns, k: int, view: RunView) -> Figure | None:
-    curve = part.curves[k]
+def _draw(part: GroupColumns, curve: Curve, view: RunView) -> Figure | None:
     if not np.isfinite(curve.values).any():
         return None
-    run = view.config.run
-    settle_s = run.settle_s if curve.is_figure else run.spacing_settle_s
-    key, words = _BOUNDS.get(curve.key, ("", ""))
-    bound = getattr(view.bounds, key, None)
     if curve.asked is None:
         figure, (axes,) = strips(view, [curve.label], 2.4)
-        settling(axes, settle_s)
-        _lines(axes, view, part, curve, settle_s, bound)
-        level(axes, bound, words)
-        level(axes, papers_mean(view.config, curve.key), "the paper's mean, on hardware")
+        draw_curve(axes, view, part, curve)
         return figure
+    settle_s, bound, words = _judged(view, curve)
     figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
-    lines(whole, view.run.since_start_s, curve.values, view.span, colours(view, part, curve))
+    lines(whole, view.run.clock_time_s, curve.values, view.span, colours(view, part, curve))
     level(whole, curve.asked, f"asked: {curve.asked:g} {curve.unit}")
     deviation = curve.values - curve.asked
     settling(off, settle_s)
-    lines(off, view.run.since_start_s, deviation, view.span, colours(view, part, curve))
+    lines(off, view.run.clock_time_s, deviation, view.span, colours(view, part, curve))
     zoomed(off, deviation[view.counted(settle_s)], bound, bound and -bound)
     level(off, bound, words)
     level(off, bound and -bound)
     return figure
+
+
+def draw_curve(axes: Axes, view: RunView, part: GroupColumns, curve: Curve) -> None:
+    settle_s, bound, words = _judged(view, curve)
+    settling(axes, settle_s)
+    _lines(axes, view, part, curve, settle_s, bound)
+    level(axes, bound, words)
+    level(axes, papers_mean(view.config, curve.key), "the paper's mean, on hardware")
+
+
+def _judged(view: RunView, curve: Curve) -> tuple[float, float | None, str]:
+    """Return from when a curve counts [s], the bound that judges it, and which that is in words."""
+    run = view.config.run
+    key, words = _BOUNDS.get(curve.key, ("", ""))
+    return run.settle_s if curve.is_figure else run.spacing_settle_s, getattr(view.bounds, key, None), words
 
 
 def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s: float, bound: float | None) -> None:
@@ -83,7 +95,7 @@ def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s
     counted = curve.values[view.counted(settle_s)]
     lowest = wide(curve.values, counted) if curve.is_figure else None
     values = curve.values if lowest is None else np.maximum(curve.values, lowest)
-    lines(axes, view.run.since_start_s, values, view.span, colours(view, part, curve))
+    lines(axes, view.run.clock_time_s, values, view.span, colours(view, part, curve))
     if lowest is not None:
         logarithmic(axes, lowest)
     else:
@@ -108,7 +120,6 @@ def _caption(curve: Curve) -> str:
     return f"{meaning}Measured after the run. The axis shows what counts: the start, which is grey, may lie above it."
 
 
-def _legend(part: GroupColumns, k: int, view: RunView) -> Legend:
-    curve = part.curves[k]
+def _legend(part: GroupColumns, curve: Curve, view: RunView) -> Legend:
     known = np.atleast_1d(np.isfinite(curve.values).any(axis=0))
     return few([(owner, c) for owner, c, seen in zip(curve.of, colours(view, part, curve), known, strict=True) if seen])

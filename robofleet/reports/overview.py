@@ -1,5 +1,7 @@
 """The two pictures that say most of a run: where every point was on the arena, and what happened when."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,9 +11,11 @@ from matplotlib.patheffects import withStroke
 from robofleet.behaviours.interface import Dots, Shape
 from robofleet.config import obstacles
 from robofleet.config.robots import Robot
+from robofleet.config.tree import Config
 from robofleet.core.arrays import Array
 from robofleet.core.figures import INK, QUIET, robot_colours
 from robofleet.recording import notes
+from robofleet.recording.run import Run
 from robofleet.reports.canvas import ALARM, WIDTH, RunView, phase_colour, sheet
 from robofleet.reports.timeline import CONTROLLER, FAULTS, TRACKER, Entry
 
@@ -26,6 +30,12 @@ _MOST_ROWS = 12  # of faults, and of robots that have a row whatever happened to
 def paths(view: RunView) -> Figure:
     """Draw every point's trail over the arena, the bodies at the end, and where a robot was stopped."""
     figure, axes = floor(view)
+    draw_paths(axes, view)
+    return figure
+
+
+def draw_paths(axes: Axes, view: RunView) -> None:
+    """Draw them over a floor."""
     points = view.run.points()
     ranks = [1 - k / max(len(group.robots) - 1, 1) for group in view.run.groups for k in range(len(group.robots))]
     references = view.run.references
@@ -37,32 +47,47 @@ def paths(view: RunView) -> Figure:
     _bodies(axes, view)
     for entry in view.timeline.entries:
         if entry.stop and entry.who in view.run.robots:
-            at = min(int(np.searchsorted(view.run.since_start_s, entry.t_s)), len(points) - 1)
+            at = min(int(np.searchsorted(view.run.clock_time_s, entry.t_s)), len(points) - 1)
             axes.plot(*points[at, view.run.robots.index(entry.who)], "x", color=ALARM, ms=7, mew=1.8, zorder=6)
-    return figure
 
 
 def floor(view: RunView) -> tuple[Figure, Axes]:
     """Draw the arena with its obstacles, and what the groups' behaviours have on its floor."""
-    width, height = view.config.arena.size_m
-    x, y = width / 2 + _ARENA_MARGIN_M, height / 2 + _ARENA_MARGIN_M
-    figure = Figure(figsize=(WIDTH, WIDTH * y / x))
+    figure = Figure(figsize=(WIDTH, floor_inch(view.config)))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal")
-    axes.axis("off")
-    axes.add_patch(Rectangle((-width / 2, -height / 2), width, height, fc="none", ec=QUIET, lw=1.0))
-    _solids(axes, view)
-    for group in view.run.groups:
-        for shape in (*group.shapes, *notes.marks(view.run.recording, group.name)):
-            _shape(axes, shape, dict(zip(view.run.robots, view.colours, strict=True)))
-    below = -height / 2 - _ARENA_MARGIN_M / 2
-    axes.plot([-width / 2, -width / 2 + 0.5], [below] * 2, color=QUIET, lw=2)
-    axes.text(-width / 2 + 0.54, below, "0.5 m", va="center", color=INK, fontsize=8)
+    draw_floor(axes, view.config, floor_shapes(view.run))
     return figure, axes
 
 
-def _solids(axes: Axes, view: RunView) -> None:
-    for solid in obstacles.every(view.config.arena):
+def floor_shapes(run: Run) -> list[Shape]:
+    """Return what the groups' behaviours and their scripts have on the floor."""
+    return [shape for group in run.groups for shape in (*group.shapes, *notes.marks(run.recording, group.name))]
+
+
+def floor_inch(config: Config) -> float:
+    """Return how high an arena is that is as wide as a plot [inch]."""
+    width, height = config.arena.size_m
+    return WIDTH * (height + 2 * _ARENA_MARGIN_M) / (width + 2 * _ARENA_MARGIN_M)
+
+
+def draw_floor(axes: Axes, config: Config, shapes: Iterable[Shape]) -> None:
+    width, height = config.arena.size_m
+    x, y = width / 2 + _ARENA_MARGIN_M, height / 2 + _ARENA_MARGIN_M
+    axes.set(xlim=(-x, x), ylim=(-y, y), aspect="equal")
+    axes.axis("off")
+    axes.add_patch(Rectangle((-width / 2, -height / 2), width, height, fc="none", ec=QUIET, lw=1.0))
+    _solids(axes, config)
+    robots = [robot.id for robot in config.members]
+    colours = dict(zip(robots, robot_colours(len(robots)), strict=True))
+    for shape in shapes:
+        _shape(axes, shape, colours)
+    below = -height / 2 - _ARENA_MARGIN_M / 2
+    axes.plot([-width / 2, -width / 2 + 0.5], [below] * 2, color=QUIET, lw=2)
+    axes.text(-width / 2 + 0.54, below, "0.5 m", va="center", color=INK, fontsize=8)
+
+
+def _solids(axes: Axes, config: Config) -> None:
+    for solid in obstacles.every(config.arena):
         axes.add_patch(
             Polygon(solid.outline, fc="none" if solid.floor else _OBSTACLE_GREY, ec=QUIET, lw=1.0, zorder=1.5)
         )
@@ -90,13 +115,13 @@ def _shape(axes: Axes, shape: Shape, robots: dict[str, str]) -> None:
 def _bodies(axes: Axes, view: RunView) -> None:
     poses = view.run.poses()
     for row, (robot, colour) in enumerate(zip(view.config.members, view.colours, strict=True)):
-        _body(axes, robot, poses[-1, row], colour)
+        draw_body(axes, robot, poses[-1, row], colour)
     for robot, pose in zip(view.config.bystanders, view.run.standing(), strict=True):
         if np.isfinite(pose).all():
-            _body(axes, robot, pose, QUIET)
+            draw_body(axes, robot, pose, QUIET)
 
 
-def _body(axes: Axes, robot: Robot, pose: Array, colour: str) -> None:
+def draw_body(axes: Axes, robot: Robot, pose: Array, colour: str) -> None:
     x, y, psi = pose
     radius = robot.vehicle.body_radius_m
     axes.add_patch(Circle((x, y), radius, fc=colour, ec=colour, alpha=0.35, zorder=3))

@@ -21,7 +21,7 @@ from robofleet.reports.overview import happened, paths
 
 
 def _robots_lines(axes: Axes, view: RunView, values: Array) -> None:
-    lines(axes, view.run.since_start_s, values, view.span, view.colours)
+    lines(axes, view.run.clock_time_s, values, view.span, view.colours)
 
 
 def wheels(view: RunView) -> Figure | None:

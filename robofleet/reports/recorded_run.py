@@ -4,22 +4,27 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property, partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.bus.keys import PICTURE, TICK, key
+from robofleet.bus.keys import NOTE, PICTURE, TICK, key
 from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.config.faults import did_you_mean
 from robofleet.config.tree import Config
 from robofleet.core.refusal import RefusedError
+from robofleet.recording import notes
+from robofleet.recording.notes import Marks
 from robofleet.recording.reading import about, file_of, imported, trouble_of
 from robofleet.recording.reading import parts as recording_parts
-from robofleet.reports import after, run_tables
+from robofleet.reports import run_tables
+from robofleet.reports.arena_card import BAD, GOOD, TRAIL_POINTS, TRAIL_S, WAITING, ArenaView, Card
 from robofleet.reports.run_tables import Library
 from robofleet.reports.sampled import looks
-from robofleet.tracking.pictures import picture_size
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _BEGINNING = 1 << 16  # [bytes] of messages among which the run's first tick is looked for
 
@@ -88,7 +93,9 @@ class RecordedRun:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """What ``summary.json`` holds. Where it is missing, as after a kill, it is made anew from the recording."""
-        return after.stored(self._run) or after.summary(self._run, self._imports)
+        from robofleet.reports import after  # noqa: PLC0415 - it loads what reports are drawn with
+
+        return after.stored(self._run) or after.viewed(self._run, self._imports).summary
 
     @property
     def duration_s(self) -> float:
@@ -132,6 +139,8 @@ class RecordedRun:
         )
 
     def _images(self, cameras: Mapping[str, str]) -> Iterator[RecordedImage]:
+        from robofleet.tracking.pictures import picture_size  # noqa: PLC0415 - it loads OpenCV
+
         start_ns = self._start_ns
         sizes = {
             view.camera.name: picture_size(view.camera.model.width, view.camera.model.height)
@@ -148,6 +157,54 @@ class RecordedRun:
                 picture = PICTURE_LAYOUT.decode(payload)
                 if picture is not None and (image := _decoded(picture.jpeg, sizes[name])) is not None:
                     yield RecordedImage((picture.exposure_ns - start_ns) / 1e9, name, image)
+
+    def plot(self) -> "Figure":
+        """Draw the floor with every robot's path, and the groups' errors over time.
+
+        Returns:
+            A matplotlib figure; ``figure.axes`` has the floor, then one for each error.
+        """
+        from robofleet.reports import after, notebook_figures  # noqa: PLC0415 - they load matplotlib
+
+        return notebook_figures.of_run(after.viewed(self._run, self._imports))
+
+    def _repr_html_(self) -> str:
+        """Return where the robots were at the end, and the figures at a glance."""
+        from robofleet.reports.report import tiles  # noqa: PLC0415 - it loads matplotlib
+
+        summary, outcome = self.summary, self.summary["outcome"]
+        state = [
+            f"{outcome} after {self.duration_s:.1f} s",
+            summary["cause"],
+            self.trouble and f"the file {self.trouble}",
+        ]
+        return Card(
+            title=str(self._run),
+            state=": ".join(filter(None, state)),
+            colour={"completed": GOOD, "fault": BAD}.get(outcome, WAITING),
+            arena=self._end,
+            heads=("figure", "value", "unit", "bound"),
+            rows=[(tile.label, tile.value, tile.unit, tile.note.text) for tile in tiles(summary) if tile.value != "–"],
+        ).html()
+
+    @cached_property
+    def _end(self) -> ArenaView:
+        """Where everything was when the run ended."""
+        step = max(1, round(TRAIL_S / TRAIL_POINTS / self.config.controller.tick_s))
+        robots = len(self.robots)
+        trails, pose, references = (np.full(shape, np.nan) for shape in ((1, robots, 2), (robots, 3), (robots, 2)))
+        marks = {name: Marks() for name in self.groups}
+        for part in looks(self._run, self._imports, topics=(TICK, NOTE)):
+            for name, of_group in marks.items():
+                for note in notes.of_group(part.recording, name, part.own):
+                    if note.mark is not None:
+                        of_group.take(note.mark)
+            if len(part.ticks):
+                poses = part.poses()
+                trails = np.concatenate([trails, poses[::step, :, :2]])[-TRAIL_POINTS:]
+                pose, references = poses[-1], part.references[-1]
+        shapes = [shape for group in self._about.groups for shape in (*group.shapes, *marks[group.name].shapes)]
+        return ArenaView(config=self.config, shapes=shapes, poses=pose, trails=trails, references=references)
 
     @cached_property
     def _start_ns(self) -> int:

@@ -81,7 +81,7 @@ def write(run: Run, summary: Summary, folder: Path, figures: Path | None = None)
     page = Page(summary["config"], _subtitle(summary))
     _verdict(page, recording, summary)
     if summary["ticks"]:
-        page.tiles(_tiles(summary))
+        page.tiles(tiles(summary))
         if summary["estimated"]:
             page.note(
                 f"No truth is known of {', '.join(summary['estimated'])}: their places are the filter's estimates."
@@ -145,9 +145,10 @@ def _stopped(summary: Summary) -> Iterator[str]:
     yield from (f"The operator stopped {line}." for line in together(summary["stops"]))
 
 
-def _tiles(summary: Summary) -> list[Tile]:
+def tiles(summary: Summary) -> list[Tile]:
+    """Return the figures that are to be seen at a glance."""
     verdicts = {bound["figure"]: bound for bound in summary["bounds"]}
-    tiles = []
+    found = []
     for name, figure in JUDGED.items():
         value, bound = figure.value_of(summary), verdicts.get(name)
         if figure.own and value is None and bound is None:
@@ -158,8 +159,8 @@ def _tiles(summary: Summary) -> list[Tile]:
             good = bound["pass"] if is_judged(summary, bound) else None
             note = Marked({True: "✓ ", False: "✗ ", None: ""}[good] + limit, good)
         shown = "–" if value is None else _short(value)
-        tiles.append(Tile(figure.label, shown, figure.unit if value is not None else "not measured", note))
-    return [*tiles, *_own_tiles(summary)]
+        found.append(Tile(figure.label, shown, figure.unit if value is not None else "not measured", note))
+    return [*found, *_own_tiles(summary)]
 
 
 def _own_tiles(summary: Summary) -> Iterator[Tile]:

