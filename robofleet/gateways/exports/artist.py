@@ -41,7 +41,7 @@ class Artist:
         self._colours = [_rgb(colour) for colour in view.colours]
         self._names = [_text(robot, round(width / 52), bold=True) for robot in view.run.robots]
         self._heading = _text(title, round(width * 0.021), bold=True)
-        self._t, self._poses, self._points = view.run.since_start_s, view.run.poses(), view.run.points()
+        self._t, self._poses, self._points = view.run.clock_time_s, view.run.poses(), view.run.points()
         self._references = view.run.references
         self._lines = [
             np.concatenate([shape.points, shape.points[:1]]) if shape.closed else shape.points

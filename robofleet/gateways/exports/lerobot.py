@@ -147,7 +147,7 @@ def _episodes(run: RecordedRun, task: str | None) -> Iterator[Episode]:
     """Yield the stretches of a run; a tick that the controller missed repeats the one before."""
     columns = {column.name: column for column in COLUMNS}
     parts = [
-        (part.ticks["tick"].astype(np.int64), part.since_start_s, *(
+        (part.ticks["tick"].astype(np.int64), part.clock_time_s, *(
             np.stack([columns[name].values(part) for name in names], axis=-1).reshape(len(part.ticks), -1)
             for names in (STATE, ACTION)
         ))
