@@ -3,7 +3,6 @@
 The run's messages are published again, on a bus in memory, to the same publication that a node has.
 """
 
-from contextlib import closing
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -50,7 +49,10 @@ def write(run: Path, folder: Path) -> None:
     config, provenance = recording.config, recording.provenance
     clock = SimulatedClock()
     bus = MemoryBus(config.arena.name, clock, 0)
-    with closing(_Bag(folder, clock, 0 if provenance is None else provenance.epoch_ns)) as bag:
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        bag = _Bag(writer, clock, 0 if provenance is None else provenance.epoch_ns)
         publication, pending = None, list[int]()
         commanded, happened = None, _Log(bag, Scene(config, recording.groups))
         for full, message in messages(run):
@@ -76,14 +78,11 @@ class _Bag:
 
     has_transforms = True
 
-    def __init__(self, folder: Path, clock: SimulatedClock, epoch_ns: int) -> None:
-        self.clock, self.frames = clock, Frames()
+    def __init__(self, writer: Writer, clock: SimulatedClock, epoch_ns: int) -> None:
+        self.writer, self.clock, self.frames = writer, clock, Frames()
         self.store = get_typestore(Stores.ROS2_JAZZY)
         self.messages = Messages(partial(_with_defaults, self.store))
         self._epoch_ns = epoch_ns
-        self.writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
-        self.writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-        self.writer.open()
 
     def publisher(self, topic: Topic, *names: object) -> "_Publisher":
         return _Publisher(self, topic, "/" + topic.name.format(*names).lstrip("/"))
@@ -94,9 +93,6 @@ class _Bag:
     def stamp(self, instant_ns: int) -> Any:
         seconds, nanoseconds = divmod(max(0, instant_ns + self._epoch_ns), S)
         return self.messages.Time(sec=min(seconds, _TIME_END_S), nanosec=nanoseconds)
-
-    def close(self) -> None:
-        self.writer.close()
 
 
 class _Publisher:

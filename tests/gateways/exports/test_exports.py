@@ -143,6 +143,7 @@ def test_frames_of_a_bag_are_one_tree_and_its_log_says_what_happened(topics: Top
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of ROS's own packages
 def test_ros_itself_reads_the_messages_and_has_the_same_types(seen: Path, tmp_path: Path) -> None:
     pytest.importorskip("rclpy", reason="NO ROS 2: pip install -e '.[ros2]' on Python 3.11, or source your own")
     from rclpy.serialization import deserialize_message
