@@ -189,8 +189,8 @@ def _blend(image: Image, text: Image, x: int, y: int, colour: Colour) -> None:
     bottom, right = min(text.shape[0], image.shape[0] - y), min(text.shape[1], image.shape[1] - x)
     if top < bottom and left < right:
         dark = text[top:bottom, left:right, None] / 255.0
-        place = image[y + top : y + bottom, x + left : x + right]
-        place[:] = np.round(place * (1.0 - dark) + np.array(colour) * dark).astype(np.uint8)
+        region = image[y + top : y + bottom, x + left : x + right]
+        region[:] = np.round(region * (1.0 - dark) + np.array(colour) * dark).astype(np.uint8)
 
 
 def _rgb(colour: str) -> Colour:

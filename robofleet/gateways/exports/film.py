@@ -86,10 +86,10 @@ class Film:
             at = geometry.project(np.column_stack([points, np.full(len(points), height_m)]))
             return np.asarray((at + 0.5) * scale - 0.5)
 
-        def drawn(of: RecordedImage) -> Image:
-            grey = cv2.resize(of.image, (artist.width, height), interpolation=cv2.INTER_AREA)
+        def drawn(recorded: RecordedImage) -> Image:
+            grey = cv2.resize(recorded.image, (artist.width, height), interpolation=cv2.INTER_AREA)
             background = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
-            return artist.frame(of.t_s, background, pixels, solid=False)
+            return artist.frame(recorded.t_s, background, pixels, solid=False)
 
         coming = RecordedRun(self._run).images(camera.camera.name)
         newest, following = next(coming, None), next(coming, None)

@@ -265,7 +265,7 @@ def _statistics(columns: dict[str, NDArray[Any]]) -> dict[str, dict[str, Any]]:
             "std": np.nanstd(values, axis=0),
         }  # fmt: skip
         quantiles = np.nanquantile(values, _QUANTILES, axis=0)
-        figures |= {f"q{round(100 * q):02d}": of for q, of in zip(_QUANTILES, quantiles, strict=True)}
+        figures |= {f"q{round(100 * q):02d}": row for q, row in zip(_QUANTILES, quantiles, strict=True)}
         shape = (3, 1, 1) if key.startswith("observation.images.") else None
         found[key] = {
             name: (np.atleast_1d(figure) if shape is None else np.broadcast_to(figure, shape)).astype(float).tolist()
@@ -275,7 +275,7 @@ def _statistics(columns: dict[str, NDArray[Any]]) -> dict[str, dict[str, Any]]:
 
 
 def _flat(statistics: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    return {f"stats/{key}/{name}": of for key, figures in statistics.items() for name, of in figures.items()}
+    return {f"stats/{key}/{name}": value for key, figures in statistics.items() for name, value in figures.items()}
 
 
 def _tasks(tasks: Sequence[str]) -> pa.Table:
