@@ -62,6 +62,7 @@ COMMANDS = (
     *(Row(name, "operator.commands", name, _RUNNING) for name in ("stop", "reset", "hold", "resume", "park")),
     *(Row(name, "operator.commands", name, _RUNNING) for name in ("status", "web")),
     *(Row(name, "reports.commands", name, _AFTERWARDS) for name in ("report", "replay", "repair")),
+    *(Row(name, "gateways.exports.command", name, _AFTERWARDS) for name in ("export", "film")),
     Row("sheet", "calibration.commands.sheet", heading=_LABORATORY),
     *(Row(f"sheet {name}", "calibration.commands.sheet", name) for name in ("tags", "floor", "board")),
     Row("calibrate", "calibration.commands", heading=_LABORATORY),

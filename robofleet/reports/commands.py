@@ -61,7 +61,7 @@ def replay(run: RunFolder = None, behaviours: ReplayedModules = None) -> None:
     """
     run = chosen(run)
     times_ns = [stopwatch_ns()]
-    with _readable():
+    with readable():
         recording = read(run, partial(_needed, run, behaviours))
         _load_behaviours(run, recording.config)
         times_ns.append(stopwatch_ns())
@@ -96,7 +96,7 @@ def repair(run: RunFolder = None) -> None:
     $ robofleet repair runs/20260102T030405Z-platoon
     """
     run = chosen(run)
-    with _readable():
+    with readable():
         try:
             done = mend(run)
         except OSError as error:
@@ -140,10 +140,10 @@ def report(
     $ robofleet report runs/20260102T030405Z-platoon --figures paper/figures --junit bounds.xml
     """
     run = chosen(run)
-    with _without_garbage_collection(), _readable():
+    with _without_garbage_collection(), readable():
         _refuse_misplaced(other, out, figures, junit)
         try:
-            with _importing(behaviours) as imports:
+            with importing(behaviours) as imports:
                 if other is None:
                     page, lines = _made(run, figures, junit, imports)
                 else:
@@ -171,13 +171,13 @@ def layout(
 
     $ robofleet layout foxglove runs/20260102T030405Z-platoon
     """
-    with _readable():
+    with readable():
         if viewer not in VIEWERS:
             raise RefusedError(f"VIEWER: {viewer!r} is not known: take one of {', '.join(VIEWERS)}")
         run = chosen(run)
         layout_kind, file = VIEWERS[viewer], file_of(run)
         try:
-            with _importing(behaviours) as imports:
+            with importing(behaviours) as imports:
                 written = layout_kind.make(about(run, imports), file)
         except ModuleNotFoundError as error:
             if not (error.name or "").startswith("rerun"):
@@ -218,7 +218,7 @@ def _made(run: Path, figures: Path | None, junit: Path | None, imports: "Imports
 
 
 @contextmanager
-def _importing(folder: Path | None) -> Iterator["Imports"]:
+def importing(folder: Path | None) -> Iterator["Imports"]:
     """Yield what imports a behaviour whose module stands in the user's folder; any other is told of at the end.
 
     RefusedError where a module in that folder cannot be used.
@@ -268,7 +268,7 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 @contextmanager
-def _readable() -> Iterator[None]:
+def readable() -> Iterator[None]:
     try:
         yield
     except RecordingError as error:
