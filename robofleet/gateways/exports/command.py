@@ -34,7 +34,7 @@ def export(
     ] = None,
     behaviours: Modules = None,
 ) -> None:
-    """Write a recorded run as tables, as a ROS 2 bag, or as a LeRobot dataset.
+    """Write a run as tables, ROS 2 bag or LeRobot dataset.
 
     Several runs become one LeRobot dataset, each with its episodes. Also of a run that was killed.
 
@@ -96,7 +96,9 @@ def film(
         str | None, typer.Option(metavar="TEXT", help="Words above it; default: the arena's name.")
     ] = None,
 ) -> None:
-    """Make a film of a recorded run: the camera's images, or the arena, with robots, trails and references.
+    """Make a film of a run: MP4 or GIF.
+
+    It shows the camera's images, or the arena, with robots, trails and references.
 
     A camera's film is fluent if the run recorded enough images: `--set camera.picture_rate_hz=15`.
 
