@@ -1,5 +1,6 @@
 """A gamepad's stick, on the page and at a computer: what is wished, by which tick, and what happens at the release."""
 
+import itertools
 import math
 import threading
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from robofleet.bus.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STA
 from robofleet.bus.permissions import PAGE
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
+from robofleet.core.clock import MS
 from robofleet.gateways.gamepad import command
 from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
 from robofleet.operator.hand import Hand, Hands, Stick
@@ -80,14 +82,14 @@ def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
 
 def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
-    page.becomes(lambda: "Press a button of a gamepad" in page.text("gamepad-words"))
+    page.becomes(lambda: "press any button" in page.text("drive-gamepad"))
     page.run("pads = [pad]; pad.axes = [-0.5, -1, 0, 0]")
-    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
-    page.becomes(lambda: wished.is_(WishKind.STAND))
-    assert len(wished.all) == 1, "without the button nothing is said, but once that it is up"
+    page.becomes(lambda: "hold L1 or R1" in page.text("drive-gamepad"))
+    assert wished.newest() is None, "without the button nothing is said"
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V, 0.5 * MOST_OMEGA))
-    assert page.text("gamepad-words") == "r1 is driven."
+    assert [wish.kind for wish in wished.all[:2]] == [WishKind.STAND, WishKind.BODY], "but that it was up"
+    assert page.text("drive-words") == "You drive r1."
     before = wished.all[-1].echo_tick
     page.becomes(lambda: (wished.newest() or wished.all[-1]).echo_tick > before)
     assert wished.all[-1].echo_tick <= stand._seq, "of a tick that it has seen"
@@ -98,7 +100,7 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
     page.becomes(lambda: wished.is_(WishKind.STAND))
     page.run("pad.axes = [0, -1, 0, 0]")
     count = len(wished.all)
-    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+    page.becomes(lambda: page.text("drive-words").startswith("Hold the stick to drive r1."))
     wished.newest()
     assert len(wished.all) == count, "the release is said once, and nothing after it"
 
@@ -106,31 +108,32 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
 def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_go(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
     page.run("pads = [pad]; pad.axes = [0, -1, 0, 0]")
-    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.becomes(lambda: "hold L1 or R1" in page.text("drive-gamepad"))
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
-    assert not page.shown("gamepad-out")
+    assert not page.shown("drive-robot")
     page.fleet.phase, page.fleet.cause = Phase.HOLD, Event.DEADLOCKED
     page.becomes(lambda: wished.is_(WishKind.STAND))
-    page.becomes(lambda: page.shown("gamepad-out"))
-    page.run("document.getElementById('gamepad-out').value = 'r3'")
-    page.becomes(lambda: page.text("gamepad-words") == "r3 is driven out, at a crawl.")
+    page.becomes(lambda: page.shown("drive-robot"))
+    page.run("document.getElementById('drive-robot').value = 'r3'")
+    page.becomes(lambda: page.text("drive-words") == "Let go, then press again.")
     count = len(wished.all)
     page.becomes(lambda: page.run("return window.robofleet.state.tick.phase") == "hold")
     wished.newest()
     assert len(wished.all) == count, "it was held for something else, and not let go since"
     page.run("pad.buttons[5].pressed = false")
-    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words") and "r3" in page.text("gamepad-words"))
+    page.becomes(lambda: "Hold the stick to drive r3 out" in page.text("drive-words"))
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: (wish := wished.newest()) is not None and wish.kind == WishKind.RESCUE)
     newest = wished.all[-1]
+    assert page.text("drive-words") == "You drive r3 out, at a crawl."
     assert [robot.told for robot in newest.robots] == [0, 0, 1, 0]
     assert newest.robots[2].first == pytest.approx(CRAWL)
     assert wished.roles == {PAGE}, "who commands is known by the key"
     page.fleet.phase, page.fleet.cause = Phase.RUNNING, Event.RESUME_REQUESTED
     page.becomes(lambda: wished.is_(WishKind.STAND))
     page.run("pad.buttons[5].pressed = false")
-    page.becomes(lambda: not page.shown("gamepad-out"))
+    page.becomes(lambda: not page.shown("drive-robot"))
 
 
 def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_stand(page: Seen, stand: WebStand) -> None:
@@ -138,7 +141,7 @@ def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_sta
     for ending in ("pads = []", "location.href = 'about:blank'"):
         wished.all.clear()
         page.run("pad.buttons[4].pressed = false; pad.axes = [0, -1, 0, 0]; pads = [pad]")
-        page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+        page.becomes(lambda: "hold L1 or R1" in page.text("drive-gamepad"))
         page.run("pad.buttons[4].pressed = true")
         page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
         page.browser.execute_script(ending)
@@ -150,7 +153,7 @@ def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> 
     config = load_config(TELEOP)
     bus, kinds = Lockstep(config).bus, list[WishKind]()
     bus.tap(lambda message: kinds.append(WishKind(wish.kind)) if (wish := SCRIPT_WISH.decode(message[1])) else None)
-    hands = Hands(bus, config)
+    hands, instants = Hands(bus, config, lambda: next(instants)), itertools.count(0, 10 * MS)
     for tick, stick, out in ((0, HELD, None), (1, HELD, None), (2, HELD, "r2"), (3, HELD, "r2")):
         assert hands.drive(GROUP, stick, tick, out)
     assert not kinds
@@ -167,7 +170,10 @@ def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> 
     [
         {"drive": "nobody", "stick": [0, 0, True], "tick": 1},
         {"drive": GROUP, "stick": [math.nan, 0, True], "tick": 1},
+        {"drive": GROUP, "stick": [0, math.nan, True], "tick": 1},
         {"drive": GROUP, "stick": [math.inf, 0, True], "tick": 1},
+        {"drive": GROUP, "stick": [0, -1.01, True], "tick": 1},
+        {"drive": GROUP, "stick": [10**300, 0, True], "tick": 1},
         {"drive": GROUP, "stick": [0, 0, 1], "tick": 1},
         {"drive": GROUP, "stick": [0, 0, True], "tick": -1},
         {"drive": GROUP, "stick": [0, 0, True], "tick": 1 << 40},
@@ -176,7 +182,7 @@ def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> 
         {"drive": GROUP, "stick": [0, 0, True], "tick": 1, "out": 3},
     ],
 )
-def test_what_no_gamepad_says_drives_nothing_and_closes_the_page(stand: WebStand, message: dict[str, object]) -> None:
+def test_what_no_stick_says_drives_nothing_and_closes_the_page(stand: WebStand, message: dict[str, object]) -> None:
     wished = Wished(stand)
     with stand.page() as page:
         page.say(**message)
@@ -313,5 +319,5 @@ def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand
 
 def test_a_group_that_nobody_drives_by_hand_has_no_hand() -> None:
     config = load_config(SHIPPED / "platoon.yaml")
-    hands = Hands(Lockstep(config).bus, config)
+    hands = Hands(Lockstep(config).bus, config, lambda: 0)
     assert not hands.drive("platoon", HELD, 1)
