@@ -126,7 +126,7 @@ def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_g
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: (wish := wished.newest()) is not None and wish.kind == WishKind.RESCUE)
     newest = wished.all[-1]
-    assert page.text("drive-words") == "You drive r3 out, at a crawl."
+    assert page.text("drive-words") == "You drive r3 out at a crawl."
     assert [robot.told for robot in newest.robots] == [0, 0, 1, 0]
     assert newest.robots[2].first == pytest.approx(CRAWL)
     assert wished.roles == {PAGE}, "who commands is known by the key"

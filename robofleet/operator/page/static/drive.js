@@ -21,8 +21,8 @@ const WORDS = {
   taken: (robot) => `Another person drives ${robot}. Wait until that person lets go.`,
 };
 const WORDS_OUT = {
-  ready: (robot) => `The run is held. Hold the stick to drive ${robot} out, at a crawl. All others stand.`,
-  driving: (robot) => `You drive ${robot} out, at a crawl.`,
+  ready: (robot) => `Hold the stick to drive ${robot} out at a crawl. All others stand.`,
+  driving: (robot) => `You drive ${robot} out at a crawl.`,
 };
 const PAD_WORDS = {
   false: "Gamepad: press any button of it, then the page sees it.",

@@ -48,7 +48,7 @@ export class Stick {
   #press(event) {
     if (event.button !== 0 || event.ctrlKey || this.#finger !== null) return;
     event.preventDefault();
-    this.#ring.focus({ preventScroll: true });
+    this.#ring.focus({ preventScroll: true, focusVisible: false });
     this.#keys.clear();
     this.#finger = event.pointerId;
     this.#ring.setPointerCapture(event.pointerId);
