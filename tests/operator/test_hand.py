@@ -1,14 +1,16 @@
-"""A gamepad's stick, on the page and at a computer: what is wished, by which tick, and what happens at the release."""
+"""A person's stick, a gamepad's and the page's own: what is wished, by which tick, and what happens at the release."""
 
 import itertools
 import math
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from selenium.webdriver import Chrome
+from selenium.webdriver import ActionChains, Chrome, Keys
+from selenium.webdriver.common.by import By
 
 from robofleet.behaviours.interface import WishKind
 from robofleet.bus import keys
@@ -16,12 +18,13 @@ from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import STATE, STATUS, TICK, key, split
 from robofleet.bus.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, RunState, ScriptWish
 from robofleet.bus.permissions import PAGE
+from robofleet.config import groups
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS
 from robofleet.gateways.gamepad import command
 from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
-from robofleet.operator.hand import Hand, Hands, Stick
+from robofleet.operator.hand import Hand, Hands, Stick, drivers
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.gateways.piped_pad import PipedDevice
@@ -56,9 +59,9 @@ class Wished:
                 self.roles.add(split(full)[1].partition("/")[0])
         return self.all[-1] if self.all else None
 
-    def is_(self, kind: WishKind, v: float = 0.0, omega: float = 0.0) -> bool:
+    def is_(self, kind: WishKind, v: float = 0.0, omega: float = 0.0, within: float = 1e-6) -> bool:
         wish = self.newest()
-        return wish is not None and wish.kind == kind and wish.robots[0][1:3] == pytest.approx((v, omega), abs=1e-6)
+        return wish is not None and wish.kind == kind and wish.robots[0][1:3] == pytest.approx((v, omega), abs=within)
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +151,49 @@ def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_sta
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0), ending
 
 
+def test_a_mouse_and_keys_drive_while_they_hold_the_pages_stick(page: Seen, stand: WebStand) -> None:
+    wished, acts = Wished(stand), ActionChains(page.browser, duration=0)
+    ring = page.browser.find_element(By.ID, "drive-stick")
+    acts.move_to_element_with_offset(ring, 0, -44).click_and_hold().perform()
+    page.becomes(lambda: wished.is_(WishKind.BODY, 0.5 * MOST_V, within=0.02))  # a pixel
+    acts.reset_actions()
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    assert page.run("return document.activeElement") == ring
+    acts.key_down("s").key_down(Keys.ARROW_RIGHT).perform()
+    page.becomes(lambda: wished.is_(WishKind.BODY, -MOST_V, -MOST_OMEGA))
+    acts.reset_actions()
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+
+
+@pytest.mark.parametrize("cut", [True, False], ids=["cut", "closed"])
+def test_a_page_whose_link_ends_lets_the_robots_stand(stand: WebStand, cut: bool) -> None:
+    wished = Wished(stand)
+    with stand.page() as page:
+        for held in False, True:
+            page.say(drive=GROUP, stick=[1, 0, held], tick=3)
+        assert wait(lambda: wished.is_(WishKind.BODY, MOST_V), 5.0)
+        if cut:
+            page.socket.socket.shutdown(socket.SHUT_RDWR)
+        else:
+            page.socket.close()
+        assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+
+
+def test_a_page_that_floods_drives_no_oftener_and_delays_no_stop(stand: WebStand) -> None:
+    wished, count = Wished(stand), 3000
+    with stand.page() as page, stand.page() as other:
+        page.say(drive=GROUP, stick=[0, 0, False], tick=3)
+        began_ns = CLOCK.now_ns()
+        for k in range(count):
+            page.say(drive=GROUP, stick=[k / count, 0, True], tick=3)
+        other.say(do="estop")
+        assert wait(lambda: b"estop" in stand.requests, 1.0)
+        page.say(drive=GROUP, stick=[0, 0, False], tick=4)
+        assert wait(lambda: wished.is_(WishKind.STAND) and wished.all[-1].echo_tick == 4, 5.0)
+        took_ns = CLOCK.now_ns() - began_ns
+    assert 1 < len(wished.all) <= 3 + took_ns / (4 * MS)
+
+
 def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> None:
     """As where a page's link breaks and opens again under a finger that was never lifted."""
     config = load_config(TELEOP)
@@ -201,7 +247,7 @@ def _closed(receive: Callable[[float], object]) -> bool:
 
 
 @contextmanager
-def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tuple[PipedDevice, Wished]]:
+def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tuple[PipedDevice, Wished, Fleet]]:
     """Drive by a gamepad of this computer, or the robot ``out`` of a held run; it stands when that is ended."""
     wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
     arguments = EventPad(pad), stand.config, stand._bus, CLOCK, GROUP, over.is_set, out
@@ -209,7 +255,7 @@ def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tupl
     with Fleet(stand).alive() as fleet:
         fleet.phase = phase
         thread.start()
-        yield pad, wished
+        yield pad, wished, fleet
         over.set()
     thread.join(10.0)  # the supervisor is silent now
     assert not thread.is_alive()
@@ -218,7 +264,7 @@ def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tupl
 
 @pytest.mark.slow
 def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(stand: WebStand) -> None:
-    with at_a_computer(stand, Phase.RUNNING) as (pad, wished):
+    with at_a_computer(stand, Phase.RUNNING) as (pad, wished, _):
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
         pad.happens((EV_ABS, ABS_Y, -32768), (EV_ABS, ABS_X, 0))
         pad.happens((EV_KEY, BTN_TR, 1))
@@ -227,6 +273,29 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
         pad.happens((EV_KEY, BTN_TR, 1))
         assert wait(lambda: wished.is_(WishKind.BODY, MOST_V, MOST_OMEGA), 5.0)
+
+
+@pytest.mark.slow
+def test_a_gamepad_at_a_computer_is_told_that_another_person_drives(
+    stand: WebStand, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with at_a_computer(stand, Phase.RUNNING) as (pad, wished, fleet):
+        fleet.figures = {"wish_epoch": [77.0] * 4, "command_age": [0.033] * 4}
+        pad.happens((EV_ABS, ABS_Y, -32768), (EV_KEY, BTN_TR, 0))
+        assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+
+        def pressed() -> None:
+            for value in 0, 1:
+                pad.happens((EV_KEY, BTN_TR, value))
+
+        def refused() -> bool:
+            """Press again where the tick was not known yet."""
+            pressed()
+            return "another person drives teleop: let go, wait, then press again" in capsys.readouterr().err
+
+        assert wait(refused, 5.0)
+        fleet.figures = {}
+        assert wait(lambda: pressed() or wished.is_(WishKind.BODY, MOST_V), 5.0)
 
 
 def test_a_gamepad_at_a_computer_drives_no_robot_of_the_arenas_next_run() -> None:
@@ -280,6 +349,27 @@ def driven(stick_of: Callable[[int], Stick | None]) -> np.ndarray:
     return np.array(found)
 
 
+def test_the_second_person_waits_and_everybody_sees_who_drives() -> None:
+    config = load_config(TELEOP, ["run.duration_s=3", "tracker.source=truth"])
+    run, described = Lockstep(config), groups.descriptions(config)
+    first, second = (Hand(run.bus, config, GROUP) for _ in range(2))
+    seen: dict[int, int | None] = {}
+
+    def tap(message: tuple[str, bytes]) -> None:
+        if message[0] == key(config.arena.name, TICK) and (record := TICK_RECORD.decode(message[1])) is not None:
+            tick = record.run_tick
+            seen[tick] = drivers(described, record).get(GROUP)
+            first.drive(HELD if 5 <= tick < 20 else LET_GO, record.tick)
+            second.drive(HELD if 10 <= tick < 40 else LET_GO, record.tick)
+
+    run.bus.tap(tap)
+    run.run()
+    names = {first.epoch: 1, second.epoch: 2, None: 0}
+    turns = [names[seen[tick]] for tick in range(60)]
+    assert [number for number, _ in itertools.groupby(turns)] in ([0, 1, 2, 0], [0, 1, 0, 2, 0])
+    assert turns[15] == 1 and turns[30] == 2
+
+
 HELD, LET_GO, TICK_S = Stick(1.0, 0.0, True), Stick(1.0, 0.0, False), 0.033
 
 
@@ -302,7 +392,7 @@ def test_without_the_button_nothing_is_driven() -> None:
 
 @pytest.mark.slow
 def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand: WebStand) -> None:
-    with at_a_computer(stand, Phase.HOLD, "r2") as (pad, wished):
+    with at_a_computer(stand, Phase.HOLD, "r2") as (pad, wished, _):
         pad.happens((EV_ABS, ABS_Y, 32767), (EV_ABS, ABS_X, 128), (EV_KEY, BTN_TR, 0))
 
         def out() -> bool:
