@@ -47,8 +47,8 @@ WHEELS_WITHIN_S, STANDS_WITHIN_S = 0.060, 0.150
 class Wished:
     """What was wished of the group, in order."""
 
-    def __init__(self, stand: WebStand) -> None:
-        self._stream = stand._bus.stream(key(stand.config.arena.name, keys.TELEOP, GROUP), capacity=4096)
+    def __init__(self, stand: WebStand, group: str = GROUP) -> None:
+        self._stream = stand._bus.stream(key(stand.config.arena.name, keys.TELEOP, group), capacity=4096)
         self.all: list[ScriptWish] = []
         self.roles: set[str] = set()  # of the senders, as their keys say
 

@@ -1,4 +1,4 @@
-"""The stick on the page in a real browser: whatever ends its hold lets the robots stand, and who may not drive reads so."""
+"""The page's stick in a real browser: whatever ends its hold lets the robots stand, and who may not drive reads so."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +14,7 @@ from tests.operator.page.browser import DESKTOP, LYING, PHONE, show_as, show_in
 from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.secureweb import HOST, keys_in
 from tests.operator.page.webstand import WebStand, web_stand
-from tests.operator.test_hand import CRAWL, GROUP, MOST_OMEGA, MOST_V, TELEOP, Wished
+from tests.operator.test_hand import CRAWL, MOST_OMEGA, MOST_V, TELEOP, Wished
 
 pytestmark = pytest.mark.slow
 
@@ -54,7 +54,9 @@ def middle(page: Seen) -> tuple[float, float, float]:
     return x, y, width / 2
 
 
-def mouse(page: Seen, kind: str, forward: float = 0.0, turn: float = 0.0, buttons: int = 1, button: str = "left") -> None:
+def mouse(
+    page: Seen, kind: str, forward: float = 0.0, turn: float = 0.0, buttons: int = 1, button: str = "left"
+) -> None:
     """Do something with the mouse at a place of the ring, in its radii."""
     x, y, radius = middle(page)
     event = {"type": kind, "x": x - turn * radius, "y": y - forward * radius, "buttons": buttons, "clickCount": 1}
@@ -116,7 +118,8 @@ ENDINGS: dict[str, Callable[[Seen], None]] = {
 
 
 @pytest.mark.parametrize(
-    ("ending", "how"), [*((ending, "pointer") for ending in OF_POINTERS | ENDINGS), *((name, "key") for name in ENDINGS)]
+    ("ending", "how"),
+    [*((ending, "pointer") for ending in OF_POINTERS | ENDINGS), *((name, "key") for name in ENDINGS)],
 )
 def test_whatever_ends_the_hold_lets_the_robots_stand_until_a_new_press(
     page: Seen, wished: Wished, ending: str, how: str
@@ -204,6 +207,23 @@ def test_in_a_held_run_the_chosen_robot_is_driven_out(page: Seen, wished: Wished
     stands_for_good(page, wished)
 
 
+def test_of_several_groups_the_chosen_ones_first_robot_is_driven(browser: Chrome, tmp_path: Path) -> None:
+    file, other = tmp_path / "two.yaml", "robots: [r1, r2]\n  - {name: other, behaviour: teleop, robots: [r3, r4]}\n#"
+    file.write_text(TELEOP.read_text().replace("robots: [r1, r2, r3, r4]", other).replace("    settings: {max", "# {"))
+    with web_stand(tmp_path, "tracker.source=truth", file=file) as stand, opened(browser, stand) as page:
+        page.becomes(lambda: page.shown("drive-robot"))
+        wished = Wished(stand, "other")
+        assert page.run("return [...document.getElementById('drive-robot').options].map(({ text }) => text)") == [
+            "r1", "r3",
+        ]  # fmt: skip
+        page.browser.find_element(By.CSS_SELECTOR, "#drive-robot option:nth-child(2)").click()
+        mouse(page, "mousePressed", 1.0)
+        page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
+        page.run("document.getElementById('drive-robot').value = 'r1'")
+        stands_for_good(page, wished)
+        mouse(page, "mouseReleased", 1.0, buttons=0)
+
+
 def test_a_viewer_has_no_stick_and_drives_nothing(browser: Chrome, tmp_path: Path) -> None:
     secure = web_stand(
         tmp_path, "tracker.source=truth", "arena.name=hall", file=TELEOP, host=HOST, keys=keys_in(tmp_path / "keys")
@@ -216,7 +236,8 @@ def test_a_viewer_has_no_stick_and_drives_nothing(browser: Chrome, tmp_path: Pat
         browser.delete_all_cookies()
 
 
-BOXES = """return ["drive-stick", "estop-button"].map((name) => document.getElementById(name).getBoundingClientRect().toJSON())"""
+BOXES = """return ["drive-stick", "estop-button"]
+    .map((name) => document.getElementById(name).getBoundingClientRect().toJSON())"""
 
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE, LYING])

@@ -88,8 +88,9 @@ export class Stick {
   #set(now) {
     const before = this.#now;
     this.#now = now;
-    this.#ring.style.setProperty("--x", -now.turn);
-    this.#ring.style.setProperty("--y", -now.forward);
+    const far = Math.max(1, Math.hypot(now.forward, now.turn)); // of two keys
+    this.#ring.style.setProperty("--x", -now.turn / far);
+    this.#ring.style.setProperty("--y", -now.forward / far);
     if (now.held !== before.held) this.#changed();
   }
 }
