@@ -151,6 +151,21 @@ def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_sta
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0), ending
 
 
+@pytest.mark.slow
+def test_a_gamepad_drives_nothing_from_another_tab_nor_when_the_page_is_seen_again(page: Seen, stand: WebStand) -> None:
+    wished, window = Wished(stand), page.browser.current_window_handle
+    page.run("pads = [pad]; pad.buttons[5].pressed = false; pad.axes = [0, -1, 0, 0]")
+    page.becomes(lambda: "hold L1 or R1" in page.text("drive-gamepad"))
+    page.run("pad.buttons[5].pressed = true")
+    page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
+    page.browser.switch_to.new_window("tab")
+    assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+    page.browser.close()
+    page.browser.switch_to.window(window)
+    page.becomes(lambda: page.text("drive-words") == "Let go, then press again.")
+    assert wished.is_(WishKind.STAND)
+
+
 def test_a_mouse_and_keys_drive_while_they_hold_the_pages_stick(page: Seen, stand: WebStand) -> None:
     wished, acts = Wished(stand), ActionChains(page.browser, duration=0)
     ring = page.browser.find_element(By.ID, "drive-stick")
@@ -294,7 +309,11 @@ def test_a_gamepad_at_a_computer_is_told_that_another_person_drives(
             return "another person drives teleop: let go, wait, then press again" in capsys.readouterr().err
 
         assert wait(refused, 5.0)
-        fleet.figures = {}
+        for figures in fleet.figures, {}:  # when the other one has let go, it needs a new press
+            fleet.figures, tick = figures, fleet.ticks
+            count = len(wished.all)
+            assert wait(lambda tick=tick: fleet.ticks > tick + 8, 5.0)
+            assert wished.newest() and {wish.kind for wish in wished.all[count:]} <= {WishKind.STAND}
         assert wait(lambda: pressed() or wished.is_(WishKind.BODY, MOST_V), 5.0)
 
 

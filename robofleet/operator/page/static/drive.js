@@ -61,6 +61,7 @@ export class Drive {
     this.#groups = document.body.dataset.role === "viewer" ? [] : groups.filter((group) => group.by_hand);
     this.#panel.hidden = this.#groups.length === 0;
     this.#told.clear();
+    this.#spent = true;
     this.#offer();
   }
 
@@ -83,7 +84,6 @@ export class Drive {
     this.#choice.replaceChildren(...robots.map((robot) => new Option(robot)));
     this.#choice.hidden = robots.length < 2;
     if (group) this.#choice.value = group.robots[0];
-    this.#spent = true;
     this.#watch();
   }
 

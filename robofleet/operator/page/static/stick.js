@@ -32,7 +32,6 @@ export class Stick {
     ring.addEventListener("keyup", ({ code }) => this.#keys.delete(code) && this.#turn());
     ring.addEventListener("blur", () => this.letGo());
     addEventListener("blur", () => this.letGo());
-    document.addEventListener("visibilitychange", () => this.letGo());
   }
 
   read() {
