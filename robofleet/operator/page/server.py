@@ -183,7 +183,7 @@ def _code(address: str) -> str:
 async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) -> None:
     """Serve one page until it is closed, says what makes no sense, or the run ends."""
     page, hands = Page(feed), Hands(feed.bus, feed.config, feed.now_ns) if role == OPERATOR else None
-    if hands is not None:
+    if hands is not None and hands.epochs:
         page.tell(own_hands(hands.epochs))
     feed.pages.add(page)
     sender = asyncio.create_task(page.follow(link.send_text))

@@ -138,7 +138,7 @@ def main() -> None:
         bus = joined(config.arena.name, config.bus.endpoint, "operator", CLOCK, 60.0)
         held.callback(bus.close)
         statuses = bus.stream(key(config.arena.name, STATUS, "r1"), capacity=4096)
-        wishes = bus.stream(key(config.arena.name, TELEOP, GROUP), capacity=4096)
+        setpoints = bus.stream(key(config.arena.name, TELEOP, GROUP), capacity=4096)
         if by_page is not None:
             address = run.said.split("the operator's page: ")[1].split()[0]
             act = held.enter_context(by_page(address))
@@ -149,7 +149,7 @@ def main() -> None:
         for _ in range(arguments.times):
             for is_held, pause_ns in (True, S // 4), (False, S // 2):
                 since_ns = act(is_held)
-                found += [until(wishes, says(is_held), since_ns), until(statuses, turns(is_held), since_ns)]
+                found += [until(setpoints, says(is_held), since_ns), until(statuses, turns(is_held), since_ns)]
                 CLOCK.sleep_until(CLOCK.now_ns() + pause_ns)
     print(f"{'ms':<34}{'p50':>8}{'p90':>8}{'p99':>8}{'max':>8}")
     rows = "held, to the bus", "held, to wheels that turn", "let go, to the bus", "let go, to wheels at zero"
