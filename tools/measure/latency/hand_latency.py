@@ -4,7 +4,7 @@
 
 A real run without pixels. A gamepad's events come through a pipe, or with ``--page`` from a stub of the Gamepad API in
 Chromium; with ``--stick`` a touch holds the page's stick there. A time at the gate ends when the driver's status that
-says so arrives: up to 20 ms after it became so.
+says so arrives: up to 20 ms after it became so. ``none``: how often nothing came within five seconds.
 """
 
 import itertools
@@ -34,10 +34,9 @@ from tests.runs.realrun import CLOCK, RealRun, wait
 from tools.measure.program import program
 
 _WITHIN_NS = 5 * S
-_RING = """const ring = document.getElementById("drive-stick"), box = ring.getBoundingClientRect();
-    for (const kind of ["pointerdown", "pointerup"])
-        ring.addEventListener(kind, (event) => (window.at = performance.timeOrigin + event.timeStamp), true);
-    return [box.y + box.height / 2, box.left + 2, box.right - 2]"""
+_LISTEN = """for (const kind of ["pointerdown", "pointerup"])
+    document.getElementById("drive-stick").addEventListener(
+        kind, (event) => (window.at = performance.timeOrigin + event.timeStamp), true);"""
 Act = Callable[[bool], int]  # hold the stick, or let it go; returns when that was
 
 
@@ -83,16 +82,18 @@ def page(address: str) -> Iterator[Act]:
 def stick(address: str) -> Iterator[Act]:
     """Drive by a finger on the page's stick."""
     with chromium() as browser:
-        browser.get(address)
         show_as(browser, LYING)
-        assert wait(lambda: browser.find_element("id", "drive-stick").is_displayed(), 30.0)
-        y, *ends = browser.execute_script(_RING)
-        turns_to = itertools.cycle(ends)  # on the spot
+        browser.get(address)
+        ring = browser.find_element("id", "drive-stick")
+        assert wait(ring.is_displayed, 30.0)
+        browser.execute_script(_LISTEN)
+        turns_to = itertools.cycle((0.1, 0.9))  # on the spot: parts of its width
 
         def act(held: bool) -> int:
-            points = [{"x": next(turns_to), "y": y}] if held else []
-            kind = "touchStart" if held else "touchEnd"
-            browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+            box = ring.rect
+            point = {"x": box["x"] + next(turns_to) * box["width"], "y": box["y"] + box["height"] / 2}
+            event = {"type": "touchStart", "touchPoints": [point]} if held else {"type": "touchEnd", "touchPoints": []}
+            browser.execute_cdp_cmd("Input.dispatchTouchEvent", event)
             return round(float(browser.execute_script("return at")) * MS) - epoch_ns()
 
         yield act
@@ -151,10 +152,11 @@ def main() -> None:
                 since_ns = act(is_held)
                 found += [until(setpoints, says(is_held), since_ns), until(statuses, turns(is_held), since_ns)]
                 CLOCK.sleep_until(CLOCK.now_ns() + pause_ns)
-    print(f"{'ms':<34}{'p50':>8}{'p90':>8}{'p99':>8}{'max':>8}")
+    print(f"{'ms':<34}{'p50':>8}{'p90':>8}{'p99':>8}{'max':>8}{'none':>8}")
     rows = "held, to the bus", "held, to wheels that turn", "let go, to the bus", "let go, to wheels at zero"
     for what, times in zip(rows, np.array(found).reshape(-1, len(rows)).T, strict=True):
-        print(f"{what:<34}" + "".join(f"{value:>8.0f}" for value in np.percentile(times, (50, 90, 99, 100))))
+        values = np.nanpercentile(times, (50, 90, 99, 100))
+        print(f"{what:<34}" + "".join(f"{value:>8.0f}" for value in values) + f"{np.isnan(times).sum():>8}")
 
 
 if __name__ == "__main__":
