@@ -1,6 +1,6 @@
 """Takes the README's picture of the operator's page: the platoon in real time, some seconds after its start.
 
-python -m tools.page_picture [OUT.jpg] [SECONDS]
+python -m tools.measure.page_picture [OUT.jpg] [SECONDS]
 """
 
 import base64
@@ -15,7 +15,7 @@ from selenium.webdriver import Chrome
 from tests.operator.page.browser import chromium
 from tests.runs.realrun import wait
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SIZE = {"width": 1440, "height": 960, "deviceScaleFactor": 1.5, "mobile": False}
 QUALITY = 82
 STARTED_WITHIN_S = 300.0  # kernels may be compiled first
