@@ -18,7 +18,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
 from robofleet.core.starting import Starting
-from robofleet.operator.hand import driven
+from robofleet.operator.hand import driven, drivers
 from robofleet.operator.page.hearing import Hearing, Shown
 from robofleet.operator.page.words import ENDING, end_words, phase_name, what_next
 from robofleet.operator.terminal import live_figures
@@ -145,6 +145,7 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         if ending
         else what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
         "way": None if way.phase is None else named(Phase, way.phase),
+        "drivers": drivers(groups, None if hearing.controller_silent() else hearing.record),
         "health": _health(hearing),
         "robots": _rows(hearing, groups, state, to_go_m, now_ns),
     }
@@ -166,6 +167,11 @@ def event(run_s: float | None, clock_s: float | None, level: str, text: str) -> 
 
 def answer(to: str, ok: bool, text: str) -> Frame:
     return {"type": "answer", "to": to, "ok": ok, "text": text}
+
+
+def own_hands(epochs: Mapping[str, int]) -> Frame:
+    """Return by which numbers ``drivers`` of a tick names this page's own hand on each group."""
+    return {"type": "hands", "epochs": epochs}
 
 
 def picture(camera: str, shown: Shown, tags: Mapping[int, str], outlines: TagOutlines) -> Frame:

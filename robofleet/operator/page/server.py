@@ -35,7 +35,7 @@ from robofleet.operator.page.connection_limiter import Complaints, Connection, C
 from robofleet.operator.page.controls import REQUESTS, Controls
 from robofleet.operator.page.ending import Ending
 from robofleet.operator.page.feed import Feed, Page
-from robofleet.operator.page.frames import answer
+from robofleet.operator.page.frames import answer, own_hands
 from robofleet.operator.page.guard import Guard, authorities
 from robofleet.operator.page.page_address import LOOPBACK, Addresses
 from robofleet.operator.page.refused import TEMPLATES
@@ -184,7 +184,9 @@ def _code(address: str) -> str:
 
 async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) -> None:
     """Serve one page until it is closed, says what makes no sense, or the run ends."""
-    page, hands = Page(feed), Hands(feed.bus, feed.config) if role == OPERATOR else None
+    page, hands = Page(feed), Hands(feed.bus, feed.config, feed.now_ns) if role == OPERATOR else None
+    if hands is not None and hands.epochs:
+        page.tell(own_hands(hands.epochs))
     feed.pages.add(page)
     sender = asyncio.create_task(page.follow(link.send_text))
     obeying = asyncio.create_task(_obey(link, page, controls, role, hands))

@@ -4,7 +4,7 @@ import { Arena } from "./arena.js";
 import { Camera } from "./camera.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
-import { Gamepads } from "./gamepads.js";
+import { Drive } from "./drive.js";
 import { Invitations } from "./invite.js";
 import { Legend } from "./legend.js";
 import { Link } from "./link.js";
@@ -36,7 +36,7 @@ const link = new Link((frame) => frames[frame.type]?.(frame));
 const [arena, tables, charts] = [new Arena(), new RobotTables(), new Charts()];
 const [legend, plots] = [new Legend(), new Plots()];
 const [controls, camera] = [new Controls(link), new Camera(link)];
-const gamepads = new Gamepads(link);
+const drive = new Drive(link);
 new Invitations();
 window.robofleet = { state, place: (x_m, y_m) => arena.place(x_m, y_m) };
 
@@ -46,7 +46,7 @@ let writtenAt = -Infinity;
 const frames = {
   hello(hello) {
     state.hello = hello;
-    for (const part of [arena, tables, charts, legend, plots, camera, gamepads]) part.begin(hello);
+    for (const part of [arena, tables, charts, legend, plots, camera, drive]) part.begin(hello);
     id("events-list").replaceChildren();
     write("arena-name", hello.arena.name);
     write("config-name", hello.config);
@@ -55,7 +55,7 @@ const frames = {
   },
   tick(tick) {
     state.tick = tick;
-    gamepads.heard(tick);
+    drive.heard(tick);
     camera.tell(tick.health);
     if (!drawing) {
       drawing = true;
@@ -68,6 +68,7 @@ const frames = {
     arena.redraw();
     legend.begin(state.hello);
   },
+  hands: (hands) => drive.own(hands),
   event: addEvent,
   answer: (answer) => controls.answered(answer),
   picture: (picture) => camera.draw(picture),
