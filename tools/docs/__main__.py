@@ -44,7 +44,9 @@ _ROOMS = {  # of public names
 def main() -> None:
     """Build the site into a folder; exit code 1 where something is not there."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=ROOT / "build/site", metavar="DIR", help="What is there is replaced.")
+    parser.add_argument(
+        "--out", type=Path, default=ROOT / "build/site", metavar="DIR", help="What is there is replaced."
+    )
     out: Path = parser.parse_args().out
     with tempfile.TemporaryDirectory() as folder:
         pages = Path(folder, "pages")
@@ -115,7 +117,7 @@ def _write_reference(folder: Path) -> None:
     folder.mkdir()
     rooms: dict[str, list[str]] = {}
     for name in sorted(set(robofleet.__all__) - {"__version__"}):
-        room = robofleet._MODULES[name].split(".")[1]  # noqa: SLF001
+        room = robofleet._MODULES[name].split(".")[1]
         rooms.setdefault(_ROOMS.get(room, "More"), []).append(name)
     for title, names in rooms.items():
         page = folder / f"{title.lower().replace(' ', '-')}.md"
