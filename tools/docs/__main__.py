@@ -87,7 +87,7 @@ def _write_page(guide: Path, pages: Path) -> Iterator[Path]:
         return os.path.relpath(_page_of(file), guide.parent)
 
     def formula(match: re.Match[str]) -> str:
-        return convert(match["block"], "block") if match["block"] else convert(match["inline"])
+        return convert(match["block"], display="block") if match["block"] else convert(match["inline"])
 
     page = pages / guide.relative_to(ROOT)
     page.parent.mkdir(parents=True, exist_ok=True)
