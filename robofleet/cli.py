@@ -51,6 +51,7 @@ COMMANDS = (
     Row("check", "operator.run_command", "check"),
     Row("init", "operator.config_commands", "init"),
     Row("schema", "operator.config_commands", "schema"),
+    Row("docs", "operator.docs_command", "docs"),
     Row("doctor", "doctor.command", "doctor"),
     Row("paper", "experiments.trials", "paper"),
     Row("storm", "studies.commands", "storm"),
