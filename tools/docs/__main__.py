@@ -48,6 +48,8 @@ def main() -> None:
         "--out", type=Path, default=ROOT / "build/site", metavar="DIR", help="What is there is replaced."
     )
     out: Path = parser.parse_args().out
+    if out.exists() and not (out / "404.html").is_file():
+        parser.error(f"--out: {out} is there, and is no site: name a new folder")
     with tempfile.TemporaryDirectory() as folder:
         pages = Path(folder, "pages")
         guides = [*ROOT.glob("*.md"), *(guide for name in FOLDERS for guide in (ROOT / name).rglob("*.md"))]
@@ -61,10 +63,10 @@ def main() -> None:
         config = Path(folder, "mkdocs.yml")
         config.write_text((HERE / "mkdocs.yml").read_text() + yaml.safe_dump({"nav": nav}))
         subprocess.run([sys.executable, "-m", "zensical", "build", "--strict", "-f", config], check=True)
-        troubles = [*_troubles(Path(folder, "site"))]
-        for trouble in troubles:
+        missing = [*troubles(Path(folder, "site"))]
+        for trouble in missing:
             print(trouble, file=sys.stderr)
-        if troubles:
+        if missing:
             raise SystemExit(1)
         shutil.rmtree(out, ignore_errors=True)
         shutil.copytree(Path(folder, "site"), out)
@@ -173,7 +175,7 @@ class _Html(HTMLParser):
             (self.links if tag == "a" else self.loaded).add(link)
 
 
-def _troubles(site: Path) -> Iterator[str]:
+def troubles(site: Path) -> Iterator[str]:
     """Yield a line for each link, anchor or picture that is not there, and for what is loaded from elsewhere."""
     parsed = cache(_Html)
     for page in sorted(site.rglob("*.html")):
