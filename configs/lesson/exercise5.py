@@ -19,8 +19,9 @@ class Follow(Behaviour):
 
     def reference(self, t: float) -> np.ndarray:
         """Return where the point is to be at a time t [s]: (1, 2) [m]."""
-        angle = self.settings.speed_m_s / self.settings.radius_m * t
-        return self.settings.radius_m * np.array([[np.cos(angle), np.sin(angle)]])
+        radius_m: float = self.settings.radius_m
+        angle = self.settings.speed_m_s / radius_m * t
+        return radius_m * np.array([[np.cos(angle), np.sin(angle)]])
 
     def decide(self, now: Situation) -> Decision:
         points = now.points(self.team.point_ahead)  # (1, 2) [m]

@@ -52,13 +52,13 @@ def doctor(
     plan: Annotated[
         bool, typer.Option("--plan", help="Say what to buy for the laboratory of CONFIG and of the options below.")
     ] = False,
-    arena: Annotated[str, typer.Option(metavar="XxY", help="Size of the floor [m]", rich_help_panel=_PLAN)] = "",
+    arena: Annotated[str, typer.Option(metavar="XxY", help="Size of the floor in metres", rich_help_panel=_PLAN)] = "",
     tag_side_mm: Annotated[
         float | None, typer.Option(metavar="MM", min=1, help="Side of a robot's tag", rich_help_panel=_PLAN)
     ] = None,
     image: Annotated[str, typer.Option(metavar="WxH", help="Pixels of a camera", rich_help_panel=_PLAN)] = "",
     ceiling_m: Annotated[
-        float | None, typer.Option(metavar="M", min=0.2, help="Highest place of a lens", rich_help_panel=_PLAN)
+        float | None, typer.Option(metavar="M", min=0.2, help="Highest place of a lens in metres", rich_help_panel=_PLAN)
     ] = None,
 ) -> None:
     """What a run needs of this machine, a line each: ok, warn or missing, and how to mend it.
