@@ -54,11 +54,12 @@ def doctor(
     ] = False,
     arena: Annotated[str, typer.Option(metavar="XxY", help="Size of the floor in metres", rich_help_panel=_PLAN)] = "",
     tag_side_mm: Annotated[
-        float | None, typer.Option(metavar="MM", min=1, help="Side of a robot's tag", rich_help_panel=_PLAN)
+        float | None, typer.Option(metavar="MM", min=1, max=1000, help="Side of a robot's tag", rich_help_panel=_PLAN)
     ] = None,
     image: Annotated[str, typer.Option(metavar="WxH", help="Pixels of a camera", rich_help_panel=_PLAN)] = "",
     ceiling_m: Annotated[
-        float | None, typer.Option(metavar="M", min=0.2, help="Highest place of a lens in metres", rich_help_panel=_PLAN)
+        float | None,
+        typer.Option(metavar="M", min=0.2, max=100, help="Highest place of a lens in metres", rich_help_panel=_PLAN),
     ] = None,
 ) -> None:
     """What a run needs of this machine, a line each: ok, warn or missing, and how to mend it.
@@ -130,9 +131,11 @@ def _wanted(
     if robots and not (robots.isascii() and robots.isdigit() and 1 <= int(robots) <= ROBOTS):
         raise RefusedError(f"--robots {robots}: with --plan write how many, 1 to {ROBOTS}")
     camera = tree.views[0].camera
-    size = _pair("--arena", arena, "3.2x2.0", 100) if arena else tree.arena.size_m
+    size = _pair("--arena", arena, "3.2x2.0", 0.1, 100) if arena else tree.arena.size_m
     pixels = (
-        _pair("--image", image or _IMAGE, _IMAGE, 1e5) if image or config is None else (camera.width, camera.height)
+        _pair("--image", image or _IMAGE, _IMAGE, 100, 16384)
+        if image or config is None
+        else (camera.width, camera.height)
     )
     return Wanted(
         arena_m=size,
@@ -147,11 +150,11 @@ def _wanted(
     )
 
 
-def _pair(option: str, text: str, example: str, most: float) -> tuple[float, float]:
+def _pair(option: str, text: str, example: str, least: float, most: float) -> tuple[float, float]:
     try:
         first, second = map(float, text.split("x"))
     except ValueError:
         first = second = 0.0
-    if not (0 < first <= most and 0 < second <= most):
-        raise RefusedError(f"{option} {text}: write it as {example}")
+    if not (least <= first <= most and least <= second <= most):
+        raise RefusedError(f"{option} {text}: write it as {example}, each {least:g} to {most:g}")
     return first, second

@@ -26,6 +26,7 @@ _PACKETS_PER_S = 100  # of a robot with a computer of its own, both directions
 _FRAME_S = 100e-6, 200e-6  # airtime of a Wi-Fi frame, whatever its size
 _BUSY = 0.5  # share of a channel's airtime
 _ARMING = ((4, 20, 100, 1000), (3.3, 5.5, 11.6, 35.0))  # robots, seconds
+_APART = 1.3  # from one robot's centre to the next at least, in body diameters
 _MEASURED_ROBOTS = 100  # in real time
 
 
@@ -167,7 +168,11 @@ def findings(wanted: Wanted, view: Cameras) -> Iterator[Finding]:
     else:
         yield ok("radio", says)
     area = wanted.arena_m[0] * wanted.arena_m[1] / wanted.robots
-    yield ok("floor", f"{area:.2f} m² a robot; each is {2e3 * wanted.body_radius_m:.0f} mm across")
+    says = f"{area:.2f} m² a robot; each is {2e3 * wanted.body_radius_m:.0f} mm across"
+    if area < (2 * _APART * wanted.body_radius_m) ** 2:
+        yield Finding("floor", Mark.WARN, says, "so many do not fit on it")
+    else:
+        yield ok("floor", says)
     yield ok(
         "start",
         f"the checks before a start take {np.interp(wanted.robots, *_ARMING):.1f} s; longer where robots stand close",

@@ -101,6 +101,7 @@ def test_a_plan_is_a_line_for_each_thing_to_buy() -> None:
         (["--plan", "--arena", "3.2"], "--arena 3.2: write it as 3.2x2.0"),
         (["--plan", "--arena", "nanx2"], "write it as"),
         (["--plan", "--image", "-1x5"], "write it as 1920x1080"),
+        (["--plan", "--image", "0.1x0.1"], "each 100 to 16384"),
         (["--plan", "--robots", "r1"], "--robots r1: with --plan write how many"),
         (["--plan", "--robots", "0"], "write how many"),
         (["--plan", "--tag-side-mm", "5"], "larger tags"),
