@@ -32,7 +32,7 @@ with needing("docs"):
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 FOLDERS = "configs", "drivers", "robofleet", "tests", "tools"
-_PAGES = ".md", ".gif", ".jpg", ".png", ".svg"  # the others become pages
+_PAGES = ".md", ".gif", ".ipynb", ".jpg", ".png", ".svg"  # the others become pages
 _LINK = re.compile(r"^```.*?^```|`[^`\n]*`|(?<=\]\()(?P<path>[^)\s#:]+)(?=[)#])", re.MULTILINE | re.DOTALL)
 _FORMULA = re.compile(r"^```math\n(?P<block>.*?)^```|\$`(?P<inline>.*?)`\$", re.MULTILINE | re.DOTALL)
 _ROOMS = {  # of public names
