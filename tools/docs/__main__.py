@@ -36,7 +36,8 @@ _PAGES = ".md", ".gif", ".ipynb", ".jpg", ".png", ".svg"  # the others become pa
 _LINK = re.compile(r"^```.*?^```|`[^`\n]*`|(?<=\]\()(?P<path>[^)\s#:]+)(?=[)#])", re.MULTILINE | re.DOTALL)
 _FORMULA = re.compile(r"^```math\n(?P<block>.*?)^```|\$`(?P<inline>.*?)`\$", re.MULTILINE | re.DOTALL)
 _ROOMS = {  # of public names
-    "scripts": "Scripts", "behaviours": "Behaviours", "vehicles": "Robots and their drivers",
+    "scripts": "Scripts",
+    "reports": "Recorded runs", "behaviours": "Behaviours", "vehicles": "Robots and their drivers",
     "tracking": "Cameras and pose sources", "control": "Laws",
 }  # fmt: skip
 
