@@ -52,6 +52,7 @@ COMMANDS = (
     Row("init", "operator.config_commands", "init", _BEGIN),
     Row("check", "operator.run_command", "check", _BEGIN),
     Row("doctor", "doctor.command", "doctor", _BEGIN),
+    Row("docs", "operator.docs_command", "docs", _BEGIN),
     Row("run", "operator.run_command", "run", _DRIVE, "RunCommand"),
     Row("go", "operator.run_command", "go", _DRIVE),
     Row("teleop", "gateways.gamepad.command", "teleop", _DRIVE),

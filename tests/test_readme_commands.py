@@ -59,7 +59,7 @@ class Understood(Exception):  # noqa: N818 - no error: a program's parser took i
 
 def blocks(text: str) -> Iterator[list[str]]:
     """Yield what is indented as code, or fenced without a language, block by block."""
-    text = re.sub(r"^```python\n.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"^```(python|math)\n.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
     fenced = re.compile(r"^```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
     text = fenced.sub(lambda code: re.sub("^", "    ", code[1], flags=re.MULTILINE), text)
     for indented, lines in groupby(text.split("\n"), lambda line: line.startswith("    ")):
