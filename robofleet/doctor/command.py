@@ -20,7 +20,6 @@ from robofleet.doctor.view import show
 from robofleet.runs import check_drivers
 
 _IMAGE = "1920x1080"
-_PLAN = "With --plan, in place of what CONFIG or else the shipped platoon says"
 
 
 def doctor(
@@ -57,14 +56,14 @@ def doctor(
     plan: Annotated[
         bool, typer.Option("--plan", help="Print what to buy for the laboratory of CONFIG and of these options.")
     ] = False,
-    arena: Annotated[str, typer.Option(metavar="XxY", help="Size of the floor in metres.", rich_help_panel=_PLAN)] = "",
+    arena: Annotated[str, typer.Option(metavar="XxY", help="With --plan: size of the floor in metres.")] = "",
     tag_side_mm: Annotated[
-        float | None, typer.Option(metavar="MM", min=1, max=1000, help="Side of a robot's tag.", rich_help_panel=_PLAN)
+        float | None, typer.Option(metavar="MM", min=1, max=1000, help="With --plan: side of a robot's tag.")
     ] = None,
-    image: Annotated[str, typer.Option(metavar="WxH", help="Pixels of a camera.", rich_help_panel=_PLAN)] = "",
+    image: Annotated[str, typer.Option(metavar="WxH", help="With --plan: pixels of a camera.")] = "",
     ceiling_m: Annotated[
         float | None,
-        typer.Option(metavar="M", min=0.2, max=100, help="Highest place of a lens in metres.", rich_help_panel=_PLAN),
+        typer.Option(metavar="M", min=0.2, max=100, help="With --plan: greatest height of a lens."),
     ] = None,
 ) -> None:
     """Check this computer: what a run needs, how to get it.

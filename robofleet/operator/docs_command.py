@@ -20,7 +20,9 @@ class _Quiet(SimpleHTTPRequestHandler):
 
 
 def docs() -> None:
-    """Read all guides in your browser, and search them; no network is needed.
+    """Read and search all guides in your browser.
+
+    No network is needed.
 
     $ robofleet docs
 

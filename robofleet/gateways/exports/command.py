@@ -16,6 +16,7 @@ from robofleet.config.tree import Config
 from robofleet.core.refusal import RefusedError, need_extra, new_place
 from robofleet.recording.reading import about
 from robofleet.reports.commands import Modules, RunFolder, importing, readable
+from robofleet.runs.folder import chosen
 from robofleet.studies.progress import bar
 
 FORMATS = {"csv": ("pyarrow",), "parquet": ("pyarrow",), "rosbag2": ("rosbags",), "lerobot": ("av", "pyarrow")}
@@ -79,7 +80,7 @@ def _lerobot(runs: Sequence[Path], folder: Path, task: str | None) -> None:
 
 
 def film(
-    run: RunFolder,
+    run: RunFolder = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A new .mp4 or .gif file; default: RUN/film.mp4.")
     ] = None,
@@ -106,6 +107,7 @@ def film(
 
     $ robofleet film runs/20260102T030405Z-platoon --out lap.gif --view arena --speed 8 --width 720
     """
+    run = chosen(run)
     target = out or _beside(run, "film.mp4")
     ending = target.suffix.lower()
     if ending not in {_VIDEO, _GIF}:
