@@ -77,7 +77,7 @@ def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(sta
         }
         stand.say_tick(30, *robots, lateness_ns=42_000, overruns=10, figures=figures)
         tick = page.next("tick", lambda tick: tick["t_s"] is not None)
-    assert (tick["t_s"], tick["cause"]) == (0.99, "every check passed")
+    assert (tick["t_s"], tick["clock_s"], tick["cause"]) == (0.99, 0.99, "every check passed")
     health = {"compute_us": 250, "late_us": 42, "overruns": 3, "latency_ms": 17.0, "tracker_hz": None, "seen_pct": None}
     assert tick["health"] == health
     first, second, third = (row(hello, tick, robot) for robot in ("r1", "r2", "r3"))

@@ -121,7 +121,7 @@ function draw(now) {
 const differ = (run, clock) => run !== null && clock !== null && Math.abs(clock - run) >= 0.05; // after a hold
 
 function writeFigures({ t_s: t, clock_s: clock, health }) {
-  if (t !== null) write("time-clock", differ(t, clock) ? `run time (${clock.toFixed(1)} s clock time)` : "run time");
+  if (t !== null) write("time-clock", differ(t, clock) ? `${clock.toFixed(1)} s clock time` : "");
   if (t !== null || state.phase !== "idle") state.t_s = t; // what a run reached stays in sight when it is over
   const reached = state.t_s === null ? null : Math.min(state.t_s, state.hello.duration_s);
   write("time-now", reached === null ? "–" : reached.toFixed(1));
