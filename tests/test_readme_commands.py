@@ -173,7 +173,7 @@ def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     if name.startswith("--"):
         assert name in {"--help", *(option for parameter in group.params for option in parameter.opts)}
         return
-    command = group.commands[name]
+    command = group.commands.get(name) or group.commands["node"].commands[name]  # a process by its old name
     if rest and hasattr(command, "commands"):
         (command, *_), rest = [command.commands[part] for part in rest[0].split("|")], rest[1:]
     command = getattr(command, "loaded", command)

@@ -163,7 +163,7 @@ def elsewhere(key: str, models: Mapping[str, type[BaseModel]], written: Callable
     names = [path.rpartition(".")[2] for path in paths]
     near = difflib.get_close_matches(key, names, n=1, cutoff=_NEAR)
     found = [path for path, name in zip(paths, names, strict=True) if name in near]
-    present = [path for path in found if written(path.rpartition(".")[0])]
+    present = [path for path in found if "." not in path or written(path.rpartition(".")[0])]
     return sorted(present or found, key=lambda path: path.count("."))[:_MOST_HINTS]
 
 

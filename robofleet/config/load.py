@@ -242,15 +242,16 @@ class ConfigFile:
         return f"is a setting of the behaviour {behaviour.value}: write it under `settings:` ({where})"
 
     def _elsewhere(self, loc: Loc) -> str | None:
-        """Return where an unknown key stands in the tree; None where a key beside it is nearer, or none is near."""
-        paths = elsewhere(
-            str(loc[-1]), {"": Config, **self._settings}, lambda path: self._at(keys_of(path)) is not None
-        )
-        if meant(loc) != loc or not paths or (node := self._at(loc)) is None:
+        """Return where an unknown key stands in the tree; None where a key beside it is meant, or none is near."""
+        name, node = str(loc[-1]), self._at(loc)
+        paths = elsewhere(name, {"": Config, **self._settings}, lambda path: self._at(keys_of(path)) is not None)
+        without_parents = len(loc) == 1 and any(path.endswith(f".{name}") for path in paths)
+        if not paths or node is None or (meant(loc) != loc and not without_parents):
             return None
-        option, equals, value = node.position.source.name.partition("=")
-        typed = equals + value if option.startswith("--set ") else ""
-        return f"there is no such key: did you mean {' or '.join(path + typed for path in paths)}?"
+        option, rest = node.position.source.name, ""
+        if option.startswith("--set "):
+            rest = option.removeprefix("--set ").removeprefix(".".join(map(str, loc)))
+        return f"there is no such key: did you mean {' or '.join(path + rest for path in paths)}?"
 
     def _at(self, loc: Sequence[str | int]) -> Node | None:
         node: Node | None = self._root
