@@ -186,9 +186,9 @@ class Launcher:
     def _tell_end(self, outcome: str, cause: str | None) -> None:
         """Say on the page how the run ends: nobody has judged it yet."""
         reached_s = self._reached_ticks * self._config.controller.tick_s
-        why = f" after {reached_s:.1f} s" if cause is None else f": {cause.splitlines()[0]}"
+        how = f" after {reached_s:.1f} s" if cause is None else f": {cause.splitlines()[0]}"
         for companion in self._companions:
-            companion.tell(f"{ENDS}{_ENDS.get(outcome, outcome)}{why}")
+            companion.tell(f"{ENDS}{_ENDS.get(outcome, outcome)}{how}")
 
     def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
