@@ -40,7 +40,11 @@ def test_a_wheel_holds_one_package_with_all_that_it_reads(wheel: Path) -> None:
         names = files.namelist()
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"robofleet"}  # no ``drivers``, no ``tests``
     for folder in ("configs", "drivers"):
-        ours = {str(file.relative_to(ROOT)) for kind in ("py", "yaml") for file in (ROOT / folder).rglob(f"*.{kind}")}
+        ours = {
+            str(file.relative_to(ROOT))
+            for kind in ("py", "yaml", "ipynb")
+            for file in (ROOT / folder).rglob(f"*.{kind}")
+        }
         assert ours and {f"robofleet/{name}" for name in ours} <= set(names)
     for folder in ("operator/page/static", "operator/page/templates", "reports/templates"):
         ours = {str(file.relative_to(ROOT)) for file in (ROOT / "robofleet" / folder).iterdir()}
@@ -80,7 +84,7 @@ def test_the_starting_files_can_be_read(tmp_path: Path) -> None:
         load_config(file)  # nothing in it is wrong
     assert f"python {tmp_path}/lab/examples/hello.py" in done.output
     theirs, ours = (
-        {file.name for file in (folder / "examples").glob("*.py")} for folder in (tmp_path / "lab", SHIPPED)
+        {file.name for file in (folder / "examples").glob("*.*y*")} for folder in (tmp_path / "lab", SHIPPED)
     )
     assert theirs == ours > {"hello.py"}
 

@@ -326,7 +326,7 @@ class Past:
     """What became of a group: K ticks while the fleet ran.
 
     Attributes:
-        t: (K,) time since the start [s].
+        t: (K,) run time [s].
         poses: (K, N, 3) poses of the centres: x, y [m], psi [rad; world]. True where ``known``, else as estimated.
         points: (K, N, 2) the points ahead of the same poses [m; world].
         known: (N,) whose true poses are known.

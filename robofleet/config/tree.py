@@ -169,18 +169,18 @@ class Bounds(Model):
     exposure_to_wheel_p99_ms: Most | None = None
     """Upper limit of the 99th percentile of the time from mid-exposure to the wheels."""
     stops: Count | None = None
-    """Upper limit of the number of times that a robot stopped by itself."""
+    """Upper limit of the number of unrequested stops. Each robot counts: a stop of four robots is four."""
 
 
 class RunSettings(Model):
     """Length, start and judgement of a run."""
 
     duration_s: Annotated[float, within(1e-3, 1e7)]
-    """Length of the run from its first tick. A lap of the shipped path takes 88 s."""
+    """Run time of the whole run: it stands still in a hold. A lap of the shipped path takes 88 s."""
     settle_s: Annotated[float, within(0, 1e7)] = 1.4
-    """Time after which the control error counts."""
+    """Run time after which the control error counts."""
     spacing_settle_s: Annotated[float, within(0, 1e7)] = 5.0
-    """Time after which the spacing and the true errors count."""
+    """Run time after which the spacing and the true errors count, where it is longer than ``settle_s``."""
     seed: Annotated[int, within(0, 2**63 - 1)] = 1
     """Seed of all random numbers. In lockstep the same seed gives the same run."""
     attended: bool = False

@@ -13,7 +13,7 @@ from robofleet.config.files.names import SHIPPED
 from robofleet.core.refusal import RefusedError, new_folder
 
 # Guides explain the shipped folder; the paper's parameters are no laboratory's.
-_GUIDES = "*.md", "keys", "paper", "__pycache__"
+_GUIDES = "*.md", "keys", "paper", "runs", "__pycache__", ".ipynb_checkpoints"
 _SCHEMA = "schema.json"
 
 
@@ -57,7 +57,9 @@ def init(
     for file in files:
         print(f"{file}: {_first_comment(file)}")
     hello = shlex.quote(str(folder / "examples" / "hello.py"))
-    print(f"{folder / 'examples'}: Scripts that drive the robots of script.yaml. Start with: python {hello}")
+    print(
+        f"{folder / 'examples'}: Scripts and notebooks that drive the robots of script.yaml. Start with: python {hello}"
+    )
     print("Next:", shlex.join(["robofleet", "run", str(folder / "platoon.yaml"), "--web"]))
 
 

@@ -4,7 +4,8 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.console import Console
+from rich.console import Console, RenderableType
+from rich.text import Text
 
 from robofleet.config import groups
 from robofleet.config.files.yamlfile import printable
@@ -43,6 +44,12 @@ def result_of(columns: Run, **ended: Any) -> Result:
     return Result(summary(columns.recording, run=columns, **ended), columns)
 
 
+def say(what: RenderableType, *, stderr: bool = False) -> None:
+    """Print something: in a terminal lines break at words, in a file or a pipe a sentence is one line."""
+    console = Console(stderr=stderr, highlight=False)
+    console.print(Text(what) if isinstance(what, str) else what, soft_wrap=not console.is_terminal)
+
+
 class Ending:
     """The end of a run whose summary is made; results that cannot be kept are in ``lost``, a line each."""
 
@@ -55,7 +62,7 @@ class Ending:
         """Say why the run ended, then what it measured; write summary and report."""
         summary, completed = self._summary, self._summary["outcome"] == "completed"
         if not completed:
-            print(f"{summary['outcome']}: {summary['cause']}", file=sys.stderr)
+            say(f"{summary['outcome']}: {summary['cause']}", stderr=True)
         if dropped := summary["recording"]["dropped"]:
             many = f"{dropped:,} message{'s' * (dropped > 1)} of the run"
             self._lose(self._folder / "run.mcap", f"it lacks {many}: make room, and run it again")
@@ -63,13 +70,13 @@ class Ending:
         if as_json or not kept:
             print(dumps(summary))
         elif completed or summary["ticks"]:
-            Console().print(summary_table(summary, self._config))
+            say(summary_table(summary, self._config))
         page = self.write_report()
         for file in () if as_json else (self._folder / "summary.json" if kept else None, page):
             if file is not None:
                 print(printable(str(file)))
         for line in complaints(summary):
-            print(line, file=sys.stderr)
+            say(line, stderr=True)
 
     def write_junit(self, file: Path) -> None:
         try:

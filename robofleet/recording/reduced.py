@@ -116,6 +116,7 @@ class Reduced:
     """A run, or a part of it."""
 
     begun: bool  # whether the fleet ran in it, or before
+    ended_ns: int  # stamp of the newest tick of the run, those of its holds too; 0: it has not begun
     ticks: int
     delays: Delays
     compute: Distribution
@@ -148,6 +149,7 @@ def joined(parts: Sequence[Reduced]) -> Reduced:
         standing = np.where(np.isfinite(part.standing), part.standing, standing)
     return Reduced(
         begun=parts[-1].begun,
+        ended_ns=max(part.ended_ns for part in parts),
         ticks=sum(part.ticks for part in parts),
         delays=Delays(
             Distribution.joined([part.delays.poses for part in counted]),

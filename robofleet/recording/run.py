@@ -29,6 +29,7 @@ from robofleet.recording.gauge import Curve, Figures, Gauge, gauges, peaked
 from robofleet.recording.provenance import Provenance
 from robofleet.recording.reduced import Reduced
 from robofleet.recording.run_clock import RunClock
+from robofleet.safety.supervisor import Phase
 
 SHOWN = 512  # messages of a key, for a live view
 _BEYOND = 1e9  # nothing in an arena has a figure so large, whatever its unit: a message that says so measured nothing
@@ -105,7 +106,9 @@ class Recording:
         if self.file_groups is not None:
             return self.file_groups
         if self.foreign:
-            raise PluginError(f"{', '.join(sorted(self.foreign))} is not imported because a recording names it")
+            raise PluginError(
+                f"{', '.join(sorted(self.foreign))} is needed: add `--behaviours DIR`, the folder of its module"
+            )
         return groups.descriptions(self.config)
 
     @cached_property
@@ -473,6 +476,13 @@ class Run:
         """Stamp and run time of the newest tick of the run up to the end of this part; None: it has not begun."""
         clock = self.clock
         return (int(clock.stamps_ns[-1]), float(clock.run_s[-1])) if len(clock.stamps_ns) else None
+
+    @property
+    def ended_ns(self) -> int:
+        """Stamp of the newest tick of the run in this part, those of its holds too; 0: there is none."""
+        on = (self.all_ticks["run_tick"] >= 0) | (self.all_ticks["phase"] == Phase.HOLD)
+        stamps = self.all_ticks["stamp_ns"][on]
+        return int(stamps[-1]) if self.start_ns is not None and len(stamps) else 0
 
     @cached_property
     def clock_time_s(self) -> Array:

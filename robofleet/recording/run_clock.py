@@ -62,7 +62,11 @@ class LiveClock:
         self._start_ns = self.run_s = self.clock_s = None
 
 
-def in_words(run_s: float, clock_s: float | None) -> str:
-    """Return a time of a run: "20.7 s run time", and the clock time where a hold made it another one."""
+def in_words(run_s: float, clock_s: float | None, whole_s: float | None = None) -> str:
+    """Return a time of a run: "20.7 s run time", or "20.7 s of 88 s run time" where it is known how long the run takes.
+
+    With the clock time where a hold made it another one.
+    """
     same = clock_s is None or abs(clock_s - run_s) < _SAME_S
-    return f"{run_s:.1f} s run time" + ("" if same else f" ({clock_s:.1f} s clock time)")
+    whole = "" if whole_s is None else f" of {whole_s:g} s"
+    return f"{run_s:.1f} s{whole} run time" + ("" if same else f" ({clock_s:.1f} s clock time)")

@@ -13,6 +13,17 @@ from robofleet.safety.busy import DRIVERS, Lateness
 from robofleet.safety.supervisor import Phase
 
 GOES_ON = "Every robot stands. Everything is simulated: the run goes on by itself."
+ROBOT_WORDS = {  # what a robot does, in the terminal and on the page; the first that is so
+    "latched": "latched: {}",
+    "lost": "lost: no image of it",
+    "halted": "halted: {}",
+    "parked": "parked: this run does not drive it",
+    "silent": "silent: nothing heard of it",
+    "unsafe": "halted: no motion is safe",
+    "kept_apart": "kept apart by the barrier",
+    "drives": "drives",
+    "stands": "stands",
+}
 _MOST_NAMED_ROBOTS = 3  # in a line
 _PROCESSES = "supervisor", "controller", "tracker"
 _STAGES = {

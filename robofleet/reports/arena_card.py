@@ -17,7 +17,7 @@ from robofleet.core.figures import robot_colours
 
 _MARGIN_M = 0.1
 _MOST_NAMED = 60  # robots that have a name and a trail: of more only the places are drawn
-_MOST_TRAIL_POINTS = 2400  # of all robots
+_MOST_TRAIL_POINTS = 1200  # of all robots
 _MOST_SHAPE_POINTS = 1200  # of all shapes
 _MOST_SOLIDS = 60
 _MOST_ROWS = 40

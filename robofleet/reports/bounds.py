@@ -65,7 +65,7 @@ JUDGED = {  # by the keys of run.bounds
     "pose_error_rms_mm": Judged("pose error, rms", "mm", part("pose_error", "rms_mm")),
     "overruns": Judged("ticks overrun", "", part("tick", "overruns")),
     "exposure_to_wheel_p99_ms": Judged("exposure to wheel, p99", "ms", part("latency_ms", "exposure_to_wheel", "p99")),
-    "stops": Judged("stops of a robot by itself", "", _own_stops),
+    "stops": Judged("unrequested stops of robots", "", _own_stops),
 }
 JUDGED_KEYS = frozenset(figure.key for figure in JUDGED_FIGURES)  # of groups' figures
 
@@ -106,10 +106,12 @@ def _line(bound: Figures) -> str:
 
 
 def unjudged(figures: Figures) -> str:
-    """Return how many bounds were not judged; an empty string where all were."""
+    """Return how many limits were not checked; an empty string where all were."""
     bounds = figures["bounds"]
     many = sum(not is_judged(figures, bound) for bound in bounds)
-    return f"{many} of {len(bounds)} bounds were not judged: the run ended too early" if many else ""
+    if many and not figures["ticks"]:
+        return "No limit was checked: the robots never drove."
+    return f"{many} of {len(bounds)} limits were not checked: the run ended too early." if many else ""
 
 
 def complaints(figures: Figures) -> list[str]:
@@ -121,7 +123,7 @@ def complaints(figures: Figures) -> list[str]:
 def shown(bound: Figures) -> str:
     unit = JUDGED[bound["figure"]].unit
     value = "not measured" if bound["value"] is None else f"{bound['value']:.4g} {unit}".strip()
-    return f"{value}, {limit(bound)} asked for"
+    return f"{value}; {'lower ' * JUDGED[bound['figure']].at_least}limit {bound['limit']:g} {unit}".strip()
 
 
 def limit(bound: Figures) -> str:

@@ -9,10 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
-from numpy.typing import NDArray
 
 from robofleet.config.tree import Bounds, Config
-from robofleet.core.arrays import Array
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.figures import FAINT, INK, QUIET, robot_colours
 from robofleet.recording.measures import line
 from robofleet.recording.run import Run
@@ -37,6 +36,7 @@ _PHASES = {
     Phase.ESTOP: "#e59a88",
 }
 ALARM = "#b3261e"
+CLOCK_TIME = "clock time since the start, s"  # the axis of all plots over time: it goes on in a hold
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ class RunView:
         """From the run's first tick to its last [s]."""
         return 0.0, float(self.run.clock_time_s.max(initial=self.config.controller.tick_s))
 
-    def counted(self, settle_s: float) -> NDArray[np.bool_]:
-        """Which ticks count after a settling time; all, where none does."""
-        after = self.run.after(settle_s)
-        return after if after.any() else np.ones_like(after)
+    def counted(self, counts: Flags | None = None) -> Flags:
+        """Which ticks count: a curve's own, or those of the run; all, where none does."""
+        counts = self.run.counts if counts is None else counts
+        return counts if counts.any() else np.ones_like(counts)
 
 
 def sheet(height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, list[Axes]]:
@@ -101,7 +101,7 @@ def over_time(figure: FigureBase, height: float, view: RunView, labels: Sequence
         each.set_ylabel(label)
         each.yaxis.set_label_coords(-_LABEL_INCH / (WIDTH - _LEFT - _RIGHT), 0.5)
         interruptions(each, view.timeline)
-    axes[-1].set(xlabel="time since the start, s", xlim=view.span)
+    axes[-1].set(xlabel=CLOCK_TIME, xlim=view.span)
     return axes
 
 
@@ -118,8 +118,10 @@ def phase_colour(phase: int) -> str:
     return {int(known): colour for known, colour in _PHASES.items()}.get(phase, FAINT)
 
 
-def settling(axes: Axes, until_s: float) -> None:
-    """Shade the time that is not counted."""
+def settling(axes: Axes, view: RunView, counts: Flags | None = None) -> None:
+    """Shade the time before the first tick that counts."""
+    counts = view.run.counts if counts is None else counts
+    until_s = view.run.clock_time_s[counts][0] if counts.any() else view.span[1]
     axes.axvspan(0.0, until_s, color="#f3f3f3", lw=0, zorder=0)
 
 

@@ -215,13 +215,13 @@ def importing(folder: Path | None) -> Iterator["Imports"]:
 
     yield imports
     for name in sorted(left_out):
-        print(printable(_left_out(folder, name, "what it measures is missing")), file=sys.stderr)
+        print(printable(_left_out(folder, name, "'s own measures are left out")), file=sys.stderr)
 
 
 def _needed(run: Path, folder: Path | None, name: str) -> bool:
     """Import a behaviour from the user's folder; RefusedError where its module is not there."""
     if not _imported(folder, name):
-        raise RefusedError(printable(f"{run}: {_left_out(folder, name, 'it cannot be replayed')}"))
+        raise RefusedError(printable(f"{run}: {_left_out(folder, name, ' cannot be replayed')}"))
     return True
 
 
@@ -234,8 +234,9 @@ def _imported(folder: Path | None, name: str) -> bool:
 
 
 def _left_out(folder: Path | None, name: str, effect: str) -> str:
-    mend = "name its folder with --behaviours" if folder is None else f"its module is not in {folder}"
-    return f"{name} is not imported because a recording names it: {effect}: {mend}"
+    module, _, kind = name.partition(":")
+    mend = f"add `--behaviours DIR`, the folder of {module}" if folder is None else f"{module} is not in {folder}"
+    return f"{kind}{effect}: {mend}"
 
 
 @contextmanager

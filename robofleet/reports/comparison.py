@@ -13,12 +13,14 @@ from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, STYLE
 from robofleet.recording.gauge import Curve
 from robofleet.recording.measures import pose_error_mm
+from robofleet.recording.run_clock import in_words
 from robofleet.reports.bounds import JUDGED, Judged, part
-from robofleet.reports.canvas import RunView, lines, logarithmic, sheet
+from robofleet.reports.canvas import CLOCK_TIME, RunView, lines, logarithmic, sheet
 from robofleet.reports.group_plots import wide
 from robofleet.reports.overview import floor, trail
 from robofleet.reports.own_figures import own_figures
 from robofleet.reports.pages import Marked, Page
+from robofleet.reports.stops import fleet_stops
 
 Summary = dict[str, Any]
 
@@ -57,7 +59,7 @@ def write(first: Side, second: Side, file: Path) -> None:
     """Write the page about two runs; OSError if it cannot be."""
     sides = first, second
     title = f"{first.name} and {second.name}"
-    page = Page(title, "Two runs side by side: the second one is judged against the first")
+    page = Page(title, "Two runs side by side: the second is judged against the first")
     rows = list(_rows(*sides))
     counts = [sum(row[-1].good is good for row in rows) for good in (True, False)]
     same = sum(row[-1].text == _AS_BEFORE for row in rows)
@@ -66,11 +68,11 @@ def write(first: Side, second: Side, file: Path) -> None:
     page.section("Figures")
     page.table(("figure", first.name, second.name, "difference", ""), rows)
     _keys(page, *sides)
-    page.section("Plots", "Both from their own start.")
+    page.section("Plots", "Each run from its own start.")
     legend = [(side.name, colour) for side, colour in zip(sides, _COLOURS, strict=True)]
     with mpl.rc_context(STYLE):
         if all(len(side.view.run.clock_time_s) for side in sides):
-            page.figure(_paths(sides), "The dashed line is the first one's path.", title="Paths", legend=legend)
+            page.figure(_paths(sides), "The dashed line is the path of the first run.", title="Paths", legend=legend)
         for overlay in overlays(sides):
             if (figure := _overlaid(sides, overlay)) is not None:
                 page.figure(figure, overlay.caption, title=overlay.title, legend=legend, long=True)
@@ -79,10 +81,10 @@ def write(first: Side, second: Side, file: Path) -> None:
 
 def _ended(summary: Summary) -> str:
     cause = f" ({summary['cause']})" if summary["cause"] else ""
-    stops = f", {len(summary['stops'])} stops" if summary["stops"] else ""
-    return (
-        f"{summary['outcome']}{cause}, {summary['duration_s']:.1f} s, {summary['mode']}, seed {summary['seed']}{stops}"
-    )
+    many = len(fleet_stops(summary["stops"]))
+    stops = f", {many} stop{'s' * (many > 1)}" if many else ""
+    times = in_words(summary["duration_s"], summary["clock_duration_s"])
+    return f"{summary['outcome']}{cause}, {times}, {summary['mode']}, seed {summary['seed']}{stops}"
 
 
 def _rows(first: Side, second: Side) -> Iterator[tuple[str, float | None, float | None, str, Marked]]:
@@ -219,5 +221,5 @@ def _overlaid(sides: tuple[Side, Side], overlay: OverlaidPlot) -> Figure | None:
             lines(axes, side.view.run.clock_time_s, shown[:, None], span, [colour])
     if lowest is not None:
         logarithmic(axes, lowest)
-    axes.set(xlabel="time since the start, s", ylabel=overlay.label, xlim=span)
+    axes.set(xlabel=CLOCK_TIME, ylabel=overlay.label, xlim=span)
     return figure

@@ -62,37 +62,36 @@ def _draw(part: GroupColumns, curve: Curve, view: RunView) -> Figure | None:
         figure, (axes,) = strips(view, [curve.label], 2.4)
         draw_curve(axes, view, part, curve)
         return figure
-    settle_s, bound, words = _judged(view, curve)
-    figure, (whole, off) = strips(view, [curve.label, f"from what was asked, {curve.unit}"])
+    bound, words = _bound(view, curve)
+    figure, (whole, off) = strips(view, [curve.label, f"off the target, {curve.unit}"])
     lines(whole, view.run.clock_time_s, curve.values, view.span, colours(view, part, curve))
-    level(whole, curve.asked, f"asked: {curve.asked:g} {curve.unit}")
+    level(whole, curve.asked, f"target: {curve.asked:g} {curve.unit}")
     deviation = curve.values - curve.asked
-    settling(off, settle_s)
+    settling(off, view, curve.counts)
     lines(off, view.run.clock_time_s, deviation, view.span, colours(view, part, curve))
-    zoomed(off, deviation[view.counted(settle_s)], bound, bound and -bound)
+    zoomed(off, deviation[view.counted(curve.counts)], bound, bound and -bound)
     level(off, bound, words)
     level(off, bound and -bound)
     return figure
 
 
 def draw_curve(axes: Axes, view: RunView, part: GroupColumns, curve: Curve) -> None:
-    settle_s, bound, words = _judged(view, curve)
-    settling(axes, settle_s)
-    _lines(axes, view, part, curve, settle_s, bound)
+    bound, words = _bound(view, curve)
+    settling(axes, view, curve.counts)
+    _lines(axes, view, part, curve, bound)
     level(axes, bound, words)
     level(axes, papers_mean(view.config, curve.key), "the paper's mean, on hardware")
 
 
-def _judged(view: RunView, curve: Curve) -> tuple[float, float | None, str]:
-    """Return from when a curve counts [s], the bound that judges it, and which that is in words."""
-    run = view.config.run
+def _bound(view: RunView, curve: Curve) -> tuple[float | None, str]:
+    """Return the bound that judges a curve, and which that is in words."""
     key, words = _BOUNDS.get(curve.key, ("", ""))
-    return run.settle_s if curve.is_figure else run.spacing_settle_s, getattr(view.bounds, key, None), words
+    return getattr(view.bounds, key, None), words
 
 
-def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s: float, bound: float | None) -> None:
+def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, bound: float | None) -> None:
     """Draw a curve: of a figure that was told all of it, of a measure what counts."""
-    counted = curve.values[view.counted(settle_s)]
+    counted = curve.values[view.counted(curve.counts)]
     lowest = wide(curve.values, counted) if curve.is_figure else None
     values = curve.values if lowest is None else np.maximum(curve.values, lowest)
     lines(axes, view.run.clock_time_s, values, view.span, colours(view, part, curve))
@@ -104,7 +103,7 @@ def _lines(axes: Axes, view: RunView, part: GroupColumns, curve: Curve, settle_s
 
 def _missing(part: GroupColumns, curve: Curve) -> str:
     if not curve.of:
-        return "Not measured: the group has nothing that it could be measured of."
+        return "Not measured: it needs more robots."
     return "Not measured." if curve.is_figure or part.past.known.all() else f"Not measured: {NO_TRUTH}"
 
 
@@ -112,12 +111,12 @@ def _caption(curve: Curve) -> str:
     meaning = f"{curve.meaning[:1].upper()}{curve.meaning[1:]}. " if curve.meaning else ""
     if curve.asked is not None:
         return (
-            f"{meaning}Above all of it, below the difference from what the behaviour asks for, large enough to see "
-            "what counts. In the grey part it is not counted."
+            f"{meaning}Above: all of it. Below: the difference from its target, scaled to what counts. The grey part "
+            "does not count."
         )
     if curve.is_figure:
-        return f"{meaning}The behaviour told it at each tick. In the grey part it is not counted."
-    return f"{meaning}Measured after the run. The axis shows what counts: the start, which is grey, may lie above it."
+        return f"{meaning}Reported by the behaviour at each tick. The grey part does not count."
+    return f"{meaning}Measured after the run. The axis is scaled to what counts; the grey part may lie outside."
 
 
 def _legend(part: GroupColumns, curve: Curve, view: RunView) -> Legend:

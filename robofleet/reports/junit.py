@@ -94,7 +94,7 @@ def _case(name: str, seconds: float, verdict: str | None = None, kind: str = "",
 def _output_lines(summary: Summary) -> Iterator[str]:
     yield f"{summary['config']}: {summary['outcome']}" + (f": {summary['cause']}" if summary["cause"] else "")
     for bound in summary["bounds"]:
-        verdict = "met" if bound["pass"] else "not met" if is_judged(summary, bound) else "not judged"
+        verdict = "met" if bound["pass"] else "not met" if is_judged(summary, bound) else "not checked"
         yield f"{JUDGED[bound['figure']].label}: {shown(bound)}: {verdict}"
 
 

@@ -54,7 +54,8 @@ def summary(
         "began": began,
         "outcome": outcome,
         "cause": cause,
-        "duration_s": duration_s,
+        "duration_s": duration_s,  # run time
+        "clock_duration_s": _clock_duration_s(run, whole),
         "ticks": whole.ticks,
         "real_time_factor": _rounded(duration_s / recording.elapsed_s) if recording.elapsed_s else None,
         "trace_hash": recording.trace_hash,
@@ -93,6 +94,7 @@ def reduced(run: Run, *, peaks: bool = False) -> Reduced:
     overruns = ticks["overruns"][[0, -1]].tolist() if len(ticks) else None
     return Reduced(
         begun=begun,
+        ended_ns=run.ended_ns,
         ticks=len(ticks),
         delays=delays(run),
         compute=computed(run),
@@ -114,6 +116,11 @@ def reduced(run: Run, *, peaks: bool = False) -> Reduced:
         standing=run.standing(),
         peaks={part.group.name: [part.summary()] for part in run.parts} if peaks else {},
     )
+
+
+def _clock_duration_s(run: Run, whole: Reduced) -> float:
+    """Clock time from the first tick of the run to its last one, be that one of a hold [s]."""
+    return _rounded(max(0.0, float(run.clock.clock_time_s(whole.ended_ns)))) if whole.ended_ns else 0.0
 
 
 def _groups(run: Run, recording: Recording) -> Figures:
@@ -249,17 +256,19 @@ def _measured_fraction(run: Run, whole: Reduced, frames: int) -> float | None:
 
 
 def _events(run: Run) -> list[Figures]:
-    """What happened to the camera and to its tags; before the start at a time below 0."""
-    start_ns = run.start_ns or 0
+    """What happened to the camera and to its tags; before the start at a clock time below 0, and without a run time."""
+    clock_s, run_s = run.clock.clock_time_s(run.news["stamp_ns"]), run.clock.run_time_s(run.news["stamp_ns"])
     return [
         {
-            "t_s": _rounded((int(row["stamp_ns"]) - start_ns) / 1e9),
+            "t_s": _rounded(clock),
+            "run_time_s": None if np.isnan(reached) else _rounded(reached),
+            "clock_time_s": _rounded(clock),
             "event": named(TrackerEvent, row["event"]).replace(" ", "_"),
             "tag": None if row["tag"] == NO_TAG else int(row["tag"]),
             "value": _rounded(row["value"]),
             **({"camera": str(camera)} if len(run.images) > 1 else {}),
         }
-        for row, camera in zip(run.news, run.news_of, strict=True)
+        for row, camera, clock, reached in zip(run.news, run.news_of, clock_s, run_s, strict=True)
     ]
 
 

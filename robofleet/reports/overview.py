@@ -16,7 +16,7 @@ from robofleet.core.arrays import Array
 from robofleet.core.figures import INK, QUIET, robot_colours
 from robofleet.recording import notes
 from robofleet.recording.run import Run
-from robofleet.reports.canvas import ALARM, WIDTH, RunView, phase_colour, sheet
+from robofleet.reports.canvas import ALARM, CLOCK_TIME, WIDTH, RunView, phase_colour, sheet
 from robofleet.reports.timeline import CONTROLLER, FAULTS, TRACKER, Entry
 
 _ARENA_MARGIN_M = 0.1
@@ -150,7 +150,7 @@ def happened(view: RunView) -> Figure:
     figure, (axes,) = sheet(_ROW_INCH * (len(faults) + len(rows) + 1) + 0.6)
     labels = ["phase", *["fault"] * len(faults), *rows]
     axes.set(xlim=(timeline.shown_s, max(timeline.end_s, timeline.shown_s + 0.1)), ylim=(len(labels) - 0.5, -0.5))
-    axes.set(xlabel="time since the start, s", yticks=range(len(labels)), yticklabels=labels)
+    axes.set(xlabel=CLOCK_TIME, yticks=range(len(labels)), yticklabels=labels)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)

@@ -46,8 +46,8 @@ def references(view: RunView) -> Figure | None:
     speed[1:][np.diff(run.ticks["run_tick"]) != 1] = np.nan
     _robots_lines(axes, view, speed)
     fastest = min(slices.drive(robot).max_speed for robot in view.config.members)
-    settling(axes, view.config.run.settle_s)
-    zoomed(axes, speed[view.counted(view.config.run.settle_s)], fastest)
+    settling(axes, view)
+    zoomed(axes, speed[view.counted()], fastest)
     level(axes, fastest, f"the slowest body's limit, {fastest:g} m/s")
     return figure
 
@@ -165,17 +165,17 @@ HAPPENED = {
         Plot(
             "On the time axis",
             happened,
-            "Phases on top. A cross is a stop of a robot; a bar is something that lasted: a fault that was injected, "
-            "ticks that were missed, the barrier changing a command; a stroke is news of the tracker. Dotted red lines "
-            "and coloured bands stand at the same times in every plot below.",
+            "The top row shows the phases. A cross is a stop of a robot. A bar is something that lasted: an injected "
+            "fault, missed ticks, the barrier changing a command. A stroke is a message of the tracker. Clock time "
+            "goes on while the run is held. Dotted red lines and coloured bands mark the same times in all plots.",
             _phases,
         ),
         Plot(
             "Paths of the points",
             paths,
-            "Trails of the points p: a ring is a start, a disc a robot's body at the end, a red cross a stop. Where "
-            "trails lie over each other, the first robot's is the widest. Dashed lines and small dots are what the "
-            "behaviour has on the floor, dotted lines its references.",
+            "Trails of the points p. A ring is a start, a disc is a robot's body at the end, a red cross is a stop. "
+            "Where trails overlap, the first robot's is the widest. Dashed lines and small dots are the behaviour's "
+            "path and points, dotted lines are its references.",
             _robots,
             long=False,
         ),
@@ -185,26 +185,25 @@ FLEET = {
     "Driving": (
         Plot(
             "Wheels", wheels,
-            "The faster wheel of each robot as commanded: where it touches the limit the robot cannot do what it is "
-            "asked for.",
+            "The faster wheel of each robot, as commanded. At the limit the robot cannot follow its law.",
             _robots,
         ),
         Plot(
             "Reference speed", references,
-            "How fast the references move. A robot whose reference is faster than its body cannot follow.",
+            "How fast the references move. A robot cannot follow a reference that is faster than its body.",
             _referring, "Not measured: no behaviour has references.",
         ),
     ),
     "Poses": (
         Plot(
             "The filter against the truth", poses,
-            "How far the controller's idea of each robot is from where it really was at the tick. Peaks are moments "
-            "without an image, or with a slip that the filter did not expect.",
+            "The distance between the filter's pose and the true pose at each tick. A peak is a moment without an "
+            "image, or a slip that the filter did not expect.",
             _known, _NO_TRUTH,
         ),
         Plot(
             "Distribution", pose_distribution,
-            "Which share of the ticks had an error below a size: steep and far left is good, a long tail to the right "
+            "The share of ticks whose error is below a size. A steep curve far left is good. A long tail to the right "
             "means rare, large errors.",
             _known, _NO_TRUTH,
         ),
@@ -212,14 +211,14 @@ FLEET = {
     "Timing": (
         Plot(
             "From the image to the wheel", latency,
-            "How old an image is when its poses are sent, when a tick takes them, and when a wheel is given the "
-            "command. Narrow and left is good; a tail to the right is a late message.",
+            "The age of an image when its poses are sent, when a tick uses them, and when a wheel receives the "
+            "command. Narrow and left is good. A tail to the right is a late message.",
             delays, "Not measured: no command reached a wheel.",
         ),
         Plot(
             "Ticks", ticks,
-            "How long each tick computed, and how late it began; both axes are logarithmic, so that one bad tick in "
-            "thousands can be seen. In lockstep no time passes while a process computes: no tick is late.",
+            "How long each tick computed, and how late it began. Both axes are logarithmic: one bad tick in thousands "
+            "is visible. In lockstep no simulated time passes while a process computes, so no tick is late.",
         ),
     ),
 }  # fmt: skip

@@ -50,7 +50,12 @@ class RecordedRun:
     """
 
     def __init__(self, run: str | Path, behaviours: str | Path | None = None) -> None:
-        """Read what the run is made of; as ``load``."""
+        """Open it; ``robofleet.load`` is the same.
+
+        Args:
+            run: The run's folder, or its ``run.mcap``.
+            behaviours: The folder of your own behaviours' modules.
+        """
         self._run = Path(run)
         folder = None if behaviours is None else Path(behaviours)
         self._imports = partial(imported, folder)
@@ -129,7 +134,8 @@ class RecordedRun:
             The time, the camera and the image.
 
         Raises:
-            RobofleetError: There is no such camera, or the file cannot be read.
+            RefusedError: There is no such camera.
+            RecordingError: The file cannot be read.
         """
         names = self.config.camera_names
         if camera is not None and camera not in names:
@@ -147,13 +153,13 @@ class RecordedRun:
             for view in self.config.views
         }
         for recording, own in recording_parts(self._run, self._imports, topics=(PICTURE,)):
-            placed = [
-                (place, name, payload)
+            payloads = sorted(
+                (at, name, payload)
                 for full, name in cameras.items()
-                for place, payload in recording.placed(full)
-                if own.first <= place < own.until
-            ]
-            for _, name, payload in sorted(placed):
+                for at, payload in recording.placed(full)
+                if own.first <= at < own.until
+            )
+            for _, name, payload in payloads:
                 picture = PICTURE_LAYOUT.decode(payload)
                 if picture is not None and (image := _decoded(picture.jpeg, sizes[name])) is not None:
                     yield RecordedImage((picture.exposure_ns - start_ns) / 1e9, name, image)
@@ -179,7 +185,7 @@ class RecordedRun:
             self.trouble and f"the file {self.trouble}",
         ]
         return Card(
-            title=str(self._run),
+            title=self._run.resolve().name,
             state=": ".join(filter(None, state)),
             colour={"completed": GOOD, "fault": BAD}.get(outcome, WAITING),
             arena=self._end,

@@ -21,20 +21,21 @@ from robofleet.core.figures import STYLE
 from robofleet.core.files import write_bytes
 from robofleet.recording.columns import CSV
 from robofleet.recording.run import Recording, Run
+from robofleet.recording.run_clock import in_words
 from robofleet.reports import sensors
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.reports.canvas import Legend, RunView
 from robofleet.reports.own_figures import as_asked, heading, own_figures
 from robofleet.reports.pages import Marked, Page, Tile
 from robofleet.reports.plots import HAPPENED, sections
-from robofleet.reports.stops import together
+from robofleet.reports.stops import fleet_stops, how_many
 from robofleet.reports.timeline import Timeline
 
 Summary = dict[str, Any]
 
 PAGE = "report.html"
 _ENDS = {"fault": "Ended by a fault", "stopped": "Stopped"}
-_WHO = {True: "the operator", False: "-"}
+_WHO = {True: "the operator", False: "nobody"}
 _TILES_A_GROUP = 6
 _SHOWN_ENTRIES = 80  # of a table; a run that is worse shows its first ones
 
@@ -84,18 +85,18 @@ def write(run: Run, summary: Summary, folder: Path, figures: Path | None = None)
         page.tiles(tiles(summary))
         if summary["estimated"]:
             page.note(
-                f"No truth is known of {', '.join(summary['estimated'])}: their places are the filter's estimates."
+                f"No true poses are known of {', '.join(summary['estimated'])}: their figures use measured poses."
             )
         _bounds(page, summary)
     if (every := run.every) > 1:
         page.note(
-            f"The run is long: curves, and the means of the groups' own figures, are of every {every}th tick. "
-            "All other figures, and the largest values, are of every tick."
+            f"This run is long. Curves, and the means of the groups' own figures, use every {every}th tick. "
+            "All other figures, and the largest values, use every tick."
         )
     with mpl.rc_context(STYLE):
         _plots(page, view, None if figures is None else partial(_figure_files, figures, folder / PAGE))
     _stops(page, summary)
-    _entries(page, view.timeline)
+    _entries(page, view.timeline, summary)
     _robots(page, summary)
     _origin(page, recording, folder, linked=figures is not None)
     if recording.config.sensing:
@@ -107,7 +108,8 @@ def write(run: Run, summary: Summary, folder: Path, figures: Path | None = None)
 def _subtitle(summary: Summary) -> str:
     mode = {"lockstep": "lockstep, on a simulated clock", "realtime": "real time"}.get(summary["mode"], summary["mode"])
     robots = f"{len(summary['robots'])} robot{'s' * (len(summary['robots']) > 1)}"
-    text = f"{robots}, {summary['duration_s']:.1f} s, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
+    times = in_words(summary["duration_s"], summary["clock_duration_s"])
+    text = f"{robots}, {times}, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
     began = summary["began"]
     return text if began is None else f"{began.removesuffix('Z').replace('T', ' ')} UTC; {text}"
 
@@ -123,26 +125,27 @@ def _verdict(page: Page, recording: Recording, summary: Summary) -> None:
         ended = _ENDS.get(summary["outcome"], "How it ended was not recorded")
         sentence = ended if summary["ticks"] else "Did not start"
         sentence += f": {summary['cause']}" if summary["cause"] else ""
-    lines = list(_stopped(summary)) if summary["ticks"] else ["Nothing was measured."]
+    lines = list(_stopped(summary)) if summary["ticks"] else ["The robots never drove: nothing was measured."]
     lines += missed
     if summary["ticks"] and (rest := unjudged(summary)):
-        lines.append(f"{rest}.")
+        lines.append(rest)
     if not summary["bounds"]:
-        lines.append("No bounds are configured: nothing was judged.")
+        lines.append("The configuration has no bounds: no figure was checked.")
     if (busy := summary["busy_machine"]) is not None:
         lines.append(busy["words"])
     lines += summary.get("remarks", [])
     if recording.trouble:
-        lines.append(f"The recording is not whole: the file {recording.trouble}.")
+        lines.append(f"The recording is incomplete: the file {recording.trouble}.")
     if recording.dropped:
-        lines.append(f"The recorder did not get {recording.dropped:,} messages: the figures lack them.")
+        lines.append(f"The recorder missed {recording.dropped:,} messages. They are missing in the figures, too.")
     page.verdict(sentence, good=good, detail="\n".join(lines))
 
 
 def _stopped(summary: Summary) -> Iterator[str]:
-    own = sum(not stop["by_operator"] for stop in summary["stops"])
-    yield f"{own} stop{'s' * (own > 1)} of a robot by itself." if own else "No robot stopped by itself."
-    yield from (f"The operator stopped {line}." for line in together(summary["stops"]))
+    every = fleet_stops(summary["stops"])
+    own = [stop for stop in every if not stop.by_operator]
+    yield f"{how_many(own)}." if own else "No unrequested stop."
+    yield from (f"The operator stopped {stop}." for stop in every if stop.by_operator)
 
 
 def tiles(summary: Summary) -> list[Tile]:
@@ -181,18 +184,19 @@ def _short(value: float) -> str:
 
 def _bounds(page: Page, summary: Summary) -> None:
     if not summary["bounds"]:
-        page.note("To have runs judged, write bounds into the configuration, e.g.")
+        page.note("To have runs judged, add bounds to the configuration, for example:")
         has = {key for group in summary["groups"].values() for key in group}
         own = next((f"{figure.bound}: 1.0, " for figure in JUDGED_FIGURES if figure.key in has), "")
         page.listing(f"run:\n  bounds: {{{own}min_gap_mm: 10, stops: 0}}")
         return
     completed = summary["outcome"] == "completed"
-    rest = "has not met its bound" if completed else "was not judged: the run ended too early"
-    page.section("Bounds", f"What run.bounds asks for. A figure that was not measured {rest}.")
+    rest = "does not meet its bound" if completed else "was not checked: the run ended too early"
+    gaps = any(bound["value"] is None for bound in summary["bounds"])
+    page.section("Bounds", "The limits in run.bounds." + f" A figure that was not measured {rest}." * gaps)
     rows = []
     for bound in summary["bounds"]:
         verdict = Marked("✓ met", True) if bound["pass"] else Marked("✗ not met", False)
-        verdict = verdict if is_judged(summary, bound) else Marked("not judged", None)
+        verdict = verdict if is_judged(summary, bound) else Marked("not checked", None)
         label = JUDGED[bound["figure"]].label
         rows.append((label, verdict, bound["value"], limit(bound), f"run.bounds.{bound['figure']}"))
     page.table(("figure", "verdict", "value", "bound", "key"), rows)
@@ -211,30 +215,48 @@ def _plots(page: Page, view: RunView, files: Callable[[str, Figure, Legend], lis
                 kept = tuple if files is None else partial(files, plot.title, figure, legend)
                 page.figure(figure, plot.caption, title=plot.title, legend=legend, long=plot.long, files=kept)
         if not ran:
-            page.note("The fleet was never running: there is nothing more to show.")
+            page.note("The robots never drove: there is nothing more to show.")
             return
 
 
 def _stops(page: Page, summary: Summary) -> None:
-    if summary["stops"]:
-        page.section("Stops", "Times after the stop: from the newest word heard to a target, and to an output of zero.")
+    every = fleet_stops(summary["stops"])
+    if every:
+        page.section(
+            "Stops",
+            "Robots that stopped together for one cause are one row. The last times are the longest of them, from the "
+            "newest message that a driver received: until its target was zero, and until its output was zero.",
+        )
+        head = ("run time, s", "clock time, s", "robots", "cause", "requested by", "target zero, ms", "output zero, ms")
         rows = [
-            (f"{s['t_s']:.2f}", s["robot"], s["cause"], s["target_ms"], s["output_ms"], _WHO[s["by_operator"]])
-            for s in summary["stops"][:_SHOWN_ENTRIES]
-        ]
-        page.table(("t, s", "robot", "cause", "target zero after, ms", "output zero after, ms", "asked for by"), rows)
+            (
+                f"{stop.run_s:.2f}", f"{stop.clock_s:.2f}", ", ".join(stop.robots), stop.cause,
+                _WHO[stop.by_operator], stop.target_ms, stop.output_ms,
+            )
+            for stop in every[:_SHOWN_ENTRIES]
+        ]  # fmt: skip
+        page.table(head, rows)
 
 
-def _entries(page: Page, timeline: Timeline) -> None:
-    page.section("Events", "Everything that happened, in order; before the start at times below 0.")
-    rows = [(f"{entry.t_s:.2f}", entry.who, entry.what) for entry in timeline.entries[:_SHOWN_ENTRIES]]
-    page.table(("t, s", "who", "what"), rows)
-    if (more := len(timeline.entries) - _SHOWN_ENTRIES) > 0:
+def _entries(page: Page, timeline: Timeline, summary: Summary) -> None:
+    page.section("Events", "In order. Before the start the clock time is negative.")
+    others = [entry for entry in timeline.entries if not entry.stop]
+    rows = [(e.t_s, timeline.run_time_s(e), e.who, e.what) for e in others]
+    rows += [(s.clock_s, s.run_s, ", ".join(s.robots), s.cause) for s in fleet_stops(summary["stops"])]
+    rows.sort(key=lambda row: row[0])
+    page.table(
+        ("run time, s", "clock time, s", "who", "what"),
+        [
+            (None if run_s is None else f"{run_s:.2f}", f"{clock_s:.2f}", who, what)
+            for clock_s, run_s, who, what in rows[:_SHOWN_ENTRIES]
+        ],
+    )
+    if (more := len(rows) - _SHOWN_ENTRIES) > 0:
         page.note(f"And {more} more.")
 
 
 def _robots(page: Page, summary: Summary) -> None:
-    page.section("Robots", "Means over the time that counts.")
+    page.section("Robots", f"Means over the ticks that count: column counts of {CSV}.")
     own = [stop["robot"] for stop in summary["stops"] if not stop["by_operator"]]
     for name, group in summary["groups"].items():
         shown = [as_asked(group, figure) for figure in own_figures(group) if figure.each]
@@ -245,18 +267,18 @@ def _robots(page: Page, summary: Summary) -> None:
         ]
         if len(summary["groups"]) > 1:
             page.note(heading(name, group["behaviour"]))
-        page.table(("robot", *columns, "stops by itself", "messages refused"), rows)
+        page.table(("robot", *columns, "unrequested stops", "messages refused"), rows)
 
 
 def _origin(page: Page, recording: Recording, folder: Path, *, linked: bool) -> None:
-    page.section("This run", f"Every value of every tick: {CSV}. To have today's code decide it all again:")
+    page.section("This run", f"{CSV} has every value of every tick. Replay the recording with today's code:")
     modules = " --behaviours DIR" if any(":" in name for name in groups.own(recording.config)) else ""
     page.listing(f"robofleet replay {shlex.quote(str(folder))}{modules}")
     if not linked:
-        page.note("To have every figure as SVG and as PDF, for a paper:")
+        page.note("Write every plot as SVG and as PDF:")
         page.listing(f"robofleet report {shlex.quote(str(folder))} --figures figures")
     made = recording.provenance
     if made is not None:
         rows = [("processor", made.processor), ("architecture", made.architecture), *made.versions.items()]
         page.table(("made with", ""), [*rows, *((f"sha256 of {name}", value) for name, value in made.hashes.items())])
-    page.listing(resolved_yaml(recording.config), folded="The configuration, all of it")
+    page.listing(resolved_yaml(recording.config), folded="The whole configuration")

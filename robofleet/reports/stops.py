@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from robofleet.recording.causes import driven_out, halt_cause, named, run_cause
 from robofleet.recording.run import Run
+from robofleet.recording.run_clock import in_words
 from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 
@@ -17,7 +19,14 @@ _SOON_STATUSES = 3  # a gate may close before the news that the run ended is her
 _REQUESTED = range(Event.START_REQUESTED, Event.DRIVER_SILENT)
 _BY_OPERATOR = (Event.HOLD_REQUESTED, Event.ESTOP_REQUESTED, Event.STOPPED_AT_GATE)
 _GOING_ON = (Phase.ARMED, Phase.RUNNING)
-_TOGETHER_S = 0.5  # gates that the operator closes so soon after another one belong to one stop
+_TOGETHER_S = 0.5  # gates that close for one cause so soon after another one belong to one stop
+_NAMED_ROBOTS = 8  # of a stop
+_GATES = {  # why a gate closed, where nobody said more
+    named(GateStatus, GateStatus.NO_ENABLE): "no permission of the supervisor arrived",
+    named(GateStatus, GateStatus.NO_COMMAND): "no command of the controller arrived",
+    named(GateStatus, GateStatus.NO_LEASE): "no controller had its lease",
+    named(GateStatus, GateStatus.LATCHED): "its gate was latched",
+}
 
 
 class _Why(NamedTuple):
@@ -30,9 +39,10 @@ class _Why(NamedTuple):
 def stops(run: Run) -> list[dict[str, Any]]:
     """Return the stops in order: gates that closed, and robots that the controller let stand with an open gate.
 
-    ``t_s`` counts from the run's first tick. ``target_ms`` and ``output_ms``: from the issue of the newest nonce
-    echoed to a target and to an output of zero, on the driver's clock; None where that was not seen. ``by_operator``:
-    the operator asked for it, so the robot did not stop by itself. A controlled stop that ends the run is none.
+    ``clock_time_s``, or ``t_s``, goes on in a hold, ``run_time_s`` does not. ``target_ms`` and ``output_ms``: from the
+    issue of the newest nonce echoed to a target and to an output of zero, on the driver's clock; None where that was
+    not seen. ``by_operator``: the operator asked for it, so the robot did not stop by itself. A controlled stop that
+    ends the run is none.
     """
     found: list[dict[str, Any]] = []
     if run.start_ns is None:
@@ -48,29 +58,79 @@ def stops(run: Run) -> list[dict[str, Any]]:
             if why is not None and (why.cause or at_ns <= end_ns or not run.own.last):
                 gate = named(GateStatus, int(status["gate"][k]))
                 cause = f"{gate}: {why.cause}" if why.cause else gate
-                found.append(_stop(run, row, at_ns - start_ns, _Why(cause, why.by_operator)) | _times(status[k:]))
-        found += _lost(run, row, start_ns)
+                found.append(_stop(run, row, at_ns, _Why(cause, why.by_operator)) | _times(status[k:]))
+        found += _lost(run, row)
     return sorted(found, key=lambda stop: stop["t_s"])
 
 
-def together(stops: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a line for every time that the operator let robots stand: when, how, and whom."""
-    lines: list[str] = []
-    requested = [stop for stop in stops if stop["by_operator"]]
-    while requested:
-        first = requested[0]
+@dataclass(frozen=True, kw_only=True)
+class FleetStop:
+    """Robots that stopped together, for one cause."""
+
+    run_s: float  # of the first one
+    clock_s: float
+    robots: tuple[str, ...]
+    cause: str
+    by_operator: bool
+    count: int  # of the stops; a robot may have several
+    target_ms: float | None  # the longest
+    output_ms: float | None
+
+    def __str__(self) -> str:
+        more = len(self.robots) - _NAMED_ROBOTS
+        robots = ", ".join(self.robots) if more <= 1 else f"{', '.join(self.robots[:_NAMED_ROBOTS])} and {more} more"
+        took = "" if self.output_ms is None else f" (standing after {self.output_ms:.0f} ms)"
+        return f"{robots} at {in_words(self.run_s, self.clock_s)}: {self.cause}{took}"
+
+
+def fleet_stops(stops: Sequence[dict[str, Any]]) -> list[FleetStop]:
+    """Return a summary's stops, those that came together as one."""
+    found, rest = [], [*stops]
+    while rest:
+        first = rest[0]
+        alike = first["cause"], first["by_operator"]
         same = [
-            stop for stop in requested if stop["cause"] == first["cause"] and stop["t_s"] - first["t_s"] < _TOGETHER_S
-        ]
-        requested = [stop for stop in requested if stop not in same]
-        robots = ", ".join(dict.fromkeys(stop["robot"] for stop in same))
-        lines.append(f"{robots} at {first['t_s']:.1f} s: {first['cause']}")
-    return lines
+            stop for stop in rest
+            if (stop["cause"], stop["by_operator"]) == alike
+            and stop["clock_time_s"] - first["clock_time_s"] < _TOGETHER_S
+        ]  # fmt: skip
+        rest = [stop for stop in rest if stop not in same]
+        longest = {
+            name: max((stop[name] for stop in same if stop[name] is not None), default=None)
+            for name in ("target_ms", "output_ms")
+        }
+        found.append(
+            FleetStop(
+                run_s=first["run_time_s"],
+                clock_s=first["clock_time_s"],
+                robots=tuple(dict.fromkeys(stop["robot"] for stop in same)),
+                cause=_in_words(first["cause"]),
+                by_operator=first["by_operator"],
+                count=len(same),
+                **longest,
+            )
+        )
+    return found
 
 
-def _stop(run: Run, row: int, after_ns: int, why: _Why) -> dict[str, Any]:
-    stop = {"t_s": round(after_ns / 1e9, 4), "robot": run.config.members[row].id, "cause": why.cause}
-    return stop | {"by_operator": why.by_operator, "target_ms": None, "output_ms": None}
+def how_many(stops: Sequence[FleetStop]) -> str:
+    """Return a number of unrequested stops in words: what a fleet does together is one."""
+    each = sum(stop.count for stop in stops)
+    robots = "" if each == len(stops) else f" ({each} counting each robot)"
+    return f"{len(stops)} unrequested stop{'s' * (len(stops) != 1)}{robots}"
+
+
+def _in_words(cause: str) -> str:
+    """Return a stop's cause without its gate, where something led to that."""
+    gate, _, why = cause.partition(": ")
+    return (why or _GATES[gate]) if gate in _GATES else cause
+
+
+def _stop(run: Run, row: int, at_ns: int, why: _Why) -> dict[str, Any]:
+    clock_s, run_s = (round(float(times), 4) for times in (run.clock.clock_time_s(at_ns), run.clock.run_time_s(at_ns)))
+    times = {"t_s": clock_s, "run_time_s": run_s, "clock_time_s": clock_s}
+    what = {"robot": run.config.members[row].id, "cause": why.cause, "by_operator": why.by_operator}
+    return {**times, **what, "target_ms": None, "output_ms": None}
 
 
 def _why(run: Run, row: int, k: int) -> _Why | None:
@@ -108,7 +168,7 @@ def _times(closed: NDArray[Any]) -> dict[str, float | None]:
     }
 
 
-def _lost(run: Run, row: int, start_ns: int) -> list[dict[str, Any]]:
+def _lost(run: Run, row: int) -> list[dict[str, Any]]:
     """Return when the controller let a robot stand because no image shows it, where its gate was open."""
     status, found = run.statuses[row], []
     before = run.before["items"]["lost"][:, row] if len(run.before) else [0.0]
@@ -116,5 +176,5 @@ def _lost(run: Run, row: int, start_ns: int) -> list[dict[str, Any]]:
         at_ns = int(run.ticks["stamp_ns"][k])
         newest = int(np.searchsorted(status["stamp_ns"], at_ns, side="right")) - 1
         if newest < 0 or status["gate"][newest] == GateStatus.OPEN:
-            found.append(_stop(run, row, at_ns - start_ns, _Why("not seen by the tracker", by_operator=False)))
+            found.append(_stop(run, row, at_ns, _Why("not seen by the tracker", by_operator=False)))
     return found

@@ -10,9 +10,10 @@ from rich.table import Table
 from rich.text import Text
 
 from robofleet.config.tree import Config
+from robofleet.recording.run_clock import in_words
 from robofleet.reports.own_figures import as_asked, heading, own_figures
 from robofleet.reports.paper import is_papers, papers_mean
-from robofleet.reports.stops import together
+from robofleet.reports.stops import fleet_stops, how_many
 
 Make = Callable[[Sequence[str]], Table]  # is given the columns that are left out
 
@@ -84,7 +85,7 @@ def _summary_table(summary: Summary, rows: Sequence[_Row], columns: Sequence[str
     ended = _ENDS.get(summary["outcome"], summary["outcome"])
     columns_of = [summary["robots"], *(row.each for row in rows if not isinstance(row.each, str))]
     width = max(_FIGURE_WIDTH, *(len(cell) for cells in columns_of for cell in cells))
-    title = f"{summary['config']}: {ended} after {summary['duration_s']:.1f} s"
+    title = f"{summary['config']}: {ended} after {in_words(summary['duration_s'], summary['clock_duration_s'])}"
     table = Table(title=Text(title, "bold"), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     heads = {
         "figure": "\nfigure",
@@ -106,13 +107,13 @@ def _mode(s: Summary) -> str:
 
 
 def _caption(s: Summary) -> Iterator[str]:
-    yield "figures: mean (largest, without its sign); times: p50, p99"
-    if not s["estimated"]:
-        yield "what a behaviour told at each tick is by its own estimate; all else is measured on the true poses"
+    yield "Figures: mean (largest magnitude). Times: median, 99th percentile."
     if s["control_error_mm"] is not None:
-        yield "the control error is of x + T u, of x + T (u + w) with a disturbance w"
+        yield "Control error: from the reference to the predicted point x + T u; with a disturbance w, x + T (u + w)."
     if s["estimated"]:
-        yield f"estimated: no truth is known of {', '.join(s['estimated'])}"
+        yield f"No true poses are known of {', '.join(s['estimated'])}: their figures use measured poses."
+    else:
+        yield "'Estimated' figures use measured poses, the others true poses."
     if s["busy_machine"] is not None:
         yield s["busy_machine"]["words"]
     yield from s.get("remarks", ())
@@ -134,7 +135,7 @@ def _errors(s: Summary, config: Config) -> Iterator[_Row]:
                 yield _Row(shown.title, f"{shown.mean:.{digits}f}{largest}", paper, _each(shown.each, digits))
             if figure.deviation is not None:
                 off, unit = figure.deviation
-                yield _Row(f"{figure.label}'s deviation, {unit}", f"({off:.1f})")
+                yield _Row(f"{figure.label} deviation, {unit}", f"({off:.1f})")
 
 
 def _each(values: Sequence[float | None], digits: int) -> list[str]:
@@ -153,7 +154,7 @@ def _health(s: Summary) -> Iterator[_Row]:
         yield _Row("smallest gap to an obstacle, mm", f"{s['min_obstacle_gap_mm']:.0f}")
     if s["pose_error"] is not None:
         p = s["pose_error"]
-        yield _Row("pose, rms, mm and deg", f"{p['rms_mm']:.2f}, {p['heading_rms_deg']:.2f}")
+        yield _Row("pose error, rms mm, deg", f"{p['rms_mm']:.2f}, {p['heading_rms_deg']:.2f}")
     tracker, tick = s["tracker"], s["tick"]
     if tracker["frames"]:
         note = f"{tracker['frames']} images, {tracker['frame_ms']['p50']:.1f} ms each"
@@ -169,18 +170,14 @@ def _health(s: Summary) -> Iterator[_Row]:
 
 
 def _stops(stops: Sequence[dict[str, Any]]) -> Iterator[str]:
-    own = [stop for stop in stops if not stop["by_operator"]]
+    every = fleet_stops(stops)
+    own = [stop for stop in every if not stop.by_operator]
     if own:
-        yield f"stops of a robot by itself: {len(own)}"
-        yield from (f"    {_stop(stop)}" for stop in own[:_SHOWN_STOPS])
+        yield f"{how_many(own)}:"
+        yield from (f"    {stop}" for stop in own[:_SHOWN_STOPS])
         if len(own) > _SHOWN_STOPS:
-            yield f"    and {len(own) - _SHOWN_STOPS} more: the report has them all"
-    yield from (f"the operator stopped {line}" for line in together(stops))
-
-
-def _stop(stop: dict[str, Any]) -> str:
-    took = "" if stop["output_ms"] is None else f" (still after {stop['output_ms']:.0f} ms)"
-    return f"{stop['robot']} at {stop['t_s']:.1f} s: {stop['cause']}{took}"
+            yield f"    and {len(own) - _SHOWN_STOPS} more: the report lists all of them"
+    yield from (f"The operator stopped {stop}" for stop in every if stop.by_operator)
 
 
 def proofs_table(title: str, rows: Sequence[tuple[str, ...]]) -> Fitting:

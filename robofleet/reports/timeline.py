@@ -1,5 +1,6 @@
 """What happened in a run, on one time axis: phases, stops, news of the tracker, overruns, faults that were injected."""
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ _TOGETHER_NS = 500_000_000  # what happens again so soon is one entry
 class Entry(NamedTuple):
     """Something that happened."""
 
-    t_s: float  # since the run's first tick; before it negative
+    t_s: float  # clock time: since the run's first tick; before it negative
     until_s: float  # the same, where it took no time
     who: str  # RUN, TRACKER, CONTROLLER, FAULTS, or a robot's id
     what: str
@@ -59,6 +60,11 @@ class Timeline:
         halts = [Entry(s["t_s"], s["t_s"], s["robot"], s["cause"], stop=True) for s in stops]
         found = *phases, *halts, *self._moments(), *self._faults()
         self.entries = sorted(found, key=lambda entry: entry.t_s)
+
+    def run_time_s(self, entry: Entry) -> float | None:
+        """Return the run time of an entry; None before the start."""
+        run_s = float(self._run.clock.run_time_s(self._zero_ns + round(entry.t_s * 1e9)))
+        return None if math.isnan(run_s) else run_s
 
     def _seconds(self, stamps: NDArray[Any]) -> NDArray[np.float64]:
         return np.asarray((stamps - self._zero_ns) / 1e9, dtype=np.float64)

@@ -351,7 +351,7 @@ def start_rows(config: Config) -> list[tuple[str, str, str, str]]:
             late_s = max(start.arrived_s)
             takes = f"{late_s:.1f} s" if math.isfinite(late_s) else "over 25 s"
             note = "ok" if late_s <= settle_s else "slow"
-            found.append(("the time until every robot is where it is to be", takes, f"{settle_s:g} s", note))
+            found.append(("the time until every robot is in its place", takes, f"{settle_s:g} s", note))
     return found
 
 

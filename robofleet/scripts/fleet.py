@@ -480,7 +480,7 @@ class Fleet:
         phase = self._link.status.phase
         poses, readings = self.poses, self.readings
         return Card(
-            title=str(self._where),
+            title=Path(self._where).name,
             state=f"{self.phase}, {self.time:.1f} s",
             colour={Phase.RUNNING: GOOD, Phase.FAULT: BAD, Phase.ESTOP: BAD}.get(phase, WAITING),
             arena=self._view(),

@@ -112,6 +112,7 @@ def test_a_hold_is_seen_with_its_cause_and_what_to_do(view: Stand) -> None:
     assert "HOLD" in shown
     assert "r2: it was moved by hand" in shown
     assert "`robofleet resume` goes on" in shown
+    assert "0.0 s of 88 s run time" in shown
     view.terminal = Attended()
     assert "press r and the run goes on" in view.shown("held")
 
@@ -142,8 +143,8 @@ def test_a_robots_row_says_why_it_may_not_move(view: Stand) -> None:
     shown = view.shown("running", 120)
     assert row(shown, "r1").rstrip().endswith("wired stop")
     assert "it is not seen" in row(shown, "r2")
-    assert "no enable" in row(shown, "r3")
-    assert "open" in row(shown, "r4")
+    assert "stands" in row(shown, "r3")
+    assert "drives" in row(shown, "r4")
 
 
 def test_keys_are_offered_where_somebody_can_press_them(view: Stand) -> None:
@@ -174,7 +175,7 @@ def test_a_narrow_terminal_cuts_nothing_and_is_told_what_is_left_out(view: Stand
     assert max(map(len, shown.splitlines())) <= width
     assert "\N{HORIZONTAL ELLIPSIS}" not in shown
     for robot in ("r1", "r2", "r3", "r4"):
-        assert row(shown, robot).split()[-1] == "open"
+        assert row(shown, robot).split()[-1] == "drives"
     assert ("not shown" in " ".join(shown.split())) == bool(left_out)
     assert f"{left_out}: not shown" in " ".join(shown.split()) or not left_out
 
@@ -185,7 +186,8 @@ def test_values_of_another_version_break_nothing(view: Stand) -> None:
     view.state(77, 777, 7777, 77, robots=(WELL, RobotState(0, 0, 777, 77)))
     for phase in ("arming", "running", "held"):
         shown = view.shown(phase)
-        assert "unknown (77)" in row(shown, "r1")
+        assert "latched:" in row(shown, "r1")
+        assert "unknown (77)" in shown
 
 
 def test_it_shows_what_the_behaviour_tells_and_what_every_robot_has(view: Stand) -> None:
@@ -193,10 +195,22 @@ def test_it_shows_what_the_behaviour_tells_and_what_every_robot_has(view: Stand)
     figures = {"control_error": [0.0012, 0.0123, 0.123, 1.23], "estimated_spacing": [math.nan, 0.25, 0.251, 0.252]}
     view.tick(pose, STANDING._replace(lost=1.0), STANDING._replace(filtered=1.0), STANDING, run_tick=3, figures=figures)
     shown = view.shown("running", 120)
-    assert row(shown, "r1").split() == ["r1", "-0.512", "0.250", "57", "3.46", "-2.00", "100", "1.20", "-", "-", "open"]
+    assert row(shown, "r1").split() == [
+        "r1",
+        "-0.512",
+        "0.250",
+        "57",
+        "3.46",
+        "-2.00",
+        "100",
+        "1.20",
+        "-",
+        "-",
+        "drives",
+    ]
     assert row(shown, "r2").split()[:2] == ["r2", "-"], "where it is not known"
-    assert row(shown, "r3").split()[-6:] == ["123.0", "-", "251.0", "open,", "kept", "apart"]
-    assert row(shown, "r4").split()[-4:] == ["1230", "-", "252.0", "open"]
+    assert row(shown, "r3").split()[7:12] == ["123.0", "-", "251.0", "kept", "apart"]
+    assert row(shown, "r4").split()[-4:] == ["1230", "-", "252.0", "drives"]
     heads = " ".join(shown.split("r1 ")[0].split())
     assert "control error" in heads and "reference parameter" not in heads, "it is not live"
     view.tick(figures=figures)
@@ -209,8 +223,8 @@ def test_each_group_has_a_table_with_its_own_figures(capsys: pytest.CaptureFixtu
     above, below = view.shown("running", 120).split("inner")
     assert "platoon" in above and "control error" in above and "radius error" not in above
     assert "tests.nodes.swirl:Swirl" in below and "radius error" in below and "control error" not in below
-    assert row(above, "r3").split()[-4:] == ["1.00", "-", "-", "open"]
-    assert row(below, "s2").split()[-3:] == ["2.00", "28.6", "open"]
+    assert row(above, "r3").split()[-4:] == ["1.00", "-", "-", "drives"]
+    assert row(below, "s2").split()[-3:] == ["2.00", "28.6", "drives"]
     LiveView(view.recording.config, SimulatedClock(), view.terminal, quiet=False)(view.recording, "running")
     line = "platoon: control error 1.00 1.00 1.00 mm; inner: radius error 2.00 2.00 mm; 0 overruns"
     assert line in capsys.readouterr().err

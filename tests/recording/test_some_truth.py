@@ -82,7 +82,7 @@ def test_table_and_report_name_them_and_show_no_number_that_is_none(
     write_csv([run], tmp_path / CSV)
     assert f"({kind})" in table
     for text in (" ".join(table.split()), page):
-        assert f"o truth is known of {', '.join(gone)}" in text
+        assert f"o true poses are known of {', '.join(gone)}" in text
         assert not any(word in text for word in ("None", ">nan", " nan"))
     head, *rows = (tmp_path / CSV).read_text().splitlines()
     column = head.split(",").index("true_x_m")

@@ -70,13 +70,13 @@ def test_a_run_that_was_aborted_is_judged_by_what_was_measured(story: Make, figu
     run = story("run.bounds.overruns=30")
     run.control_error[:] = 0.0025
     aborted = figures(run.recording(truth=False)) | {"outcome": "fault"}
-    assert failures(aborted) == ["control error, mean: 2.5 mm, at most 1 mm asked for"]
+    assert failures(aborted) == ["control error, mean: 2.5 mm; limit 1 mm"]
     missed, rest = complaints(aborted)
-    assert missed == "bound not met: control error, mean: 2.5 mm, at most 1 mm asked for"
-    assert rest == "4 of 8 bounds were not judged: the run ended too early"
+    assert missed == "bound not met: control error, mean: 2.5 mm; limit 1 mm"
+    assert rest == "4 of 8 limits were not checked: the run ended too early."
     assert len(complaints(aborted | {"outcome": "completed"})) == 5
     nothing = figures(Recording(run.config)) | {"outcome": "stopped"}
-    assert complaints(nothing) == ["8 of 8 bounds were not judged: the run ended too early"]
+    assert complaints(nothing) == ["No limit was checked: the robots never drove."]
 
 
 def test_without_bounds_nothing_is_judged(story: Make, figures: Make) -> None:

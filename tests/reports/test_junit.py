@@ -44,10 +44,10 @@ def test_each_bound_is_a_case_with_its_value_and_its_limit(story: Make, figures:
     found = suite(figures(run.recording()) | {"began": "2026-01-02T03:04:05Z"})
     assert list(verdicts(found).values()) == ["passed", "failure", "passed", "passed"]
     (failure,) = found.findall(f"testcase[@name='{CONTROL}']/failure")
-    assert failure.get("message") == "2.5 mm, at most 1 mm asked for"
+    assert failure.get("message") == "2.5 mm; limit 1 mm"
     values = {each.get("name"): each.get("value") for each in found.iter("property")}
     assert (values["path_error_mean_mm"], values["run.bounds.path_error_mean_mm"]) == ("0.0", "4.0")
-    assert "path error, mean: 0 mm, at most 4 mm asked for: met" in (found.findtext("system-out") or "")
+    assert "path error, mean: 0 mm; limit 4 mm: met" in (found.findtext("system-out") or "")
     assert found.get("timestamp") == "2026-01-02T03:04:05"
 
 

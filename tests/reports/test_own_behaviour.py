@@ -186,15 +186,11 @@ def test_what_only_a_recording_names_is_not_imported(elsewhere: Path) -> None:
         ran = CliRunner().invoke(app, arguments)
         assert ran.exit_code == 0, ran.output
         (line,) = ran.stderr.splitlines()
-        assert line == (
-            "mylab:Swirl is not imported because a recording names it: what it measures is missing: "
-            "name its folder with --behaviours"
-        )
+        assert line == "Swirl's own measures are left out: add `--behaviours DIR`, the folder of mylab"
     ran = CliRunner().invoke(app, ["replay", str(elsewhere)])
     assert (ran.exit_code, ran.stderr) == (
         2,
-        f"{elsewhere}: mylab:Swirl is not imported because a recording names it: it cannot be replayed: "
-        "name its folder with --behaviours\n",
+        f"{elsewhere}: Swirl cannot be replayed: add `--behaviours DIR`, the folder of mylab\n",
     )
     assert not list(elsewhere.parent.rglob("*.ran"))
 
@@ -209,7 +205,7 @@ def test_where_the_file_does_not_describe_its_groups_it_is_refused(elsewhere: Pa
         ran = CliRunner().invoke(app, arguments)
         assert ran.exit_code == 2, ran.output
         (line,) = ran.stderr.splitlines()
-        assert "which figures its groups have: mylab:Swirl is not imported because a recording names it" in line
+        assert "which figures its groups have: mylab:Swirl is needed: add `--behaviours DIR`, the folder of its" in line
     assert not list(elsewhere.parent.rglob("*.ran"))
 
 

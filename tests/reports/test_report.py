@@ -89,13 +89,13 @@ def test_a_bound_that_was_not_met_makes_it_red_and_says_by_how_much(story: Make,
     colour, shown = verdict(page(run.recording()))
     assert colour == "bad"
     assert "1 of 2 bounds not met" in shown
-    assert "control error, mean: 2.5 mm, at most 1 mm asked for" in shown
+    assert "control error, mean: 2.5 mm; limit 1 mm" in shown
 
 
 @pytest.mark.usefixtures("plain")
 def test_without_bounds_it_says_how_to_ask_for_some(story: Make, page: Make) -> None:
     text = words(page(story("run.bounds={}").recording()))
-    assert "nothing was judged" in text
+    assert "no figure was checked" in text
     assert "bounds: {control_error_mean_mm" in text
 
 
@@ -108,8 +108,8 @@ def test_a_fault_is_said_first_and_stops_are_listed(story: Make, page: Make, add
     colour, shown = verdict(text := page(recording, outcome="fault", cause="r2: <its own> e-stop"))
     assert colour == "bad"
     assert shown.startswith("Ended by a fault: r2: <its own> e-stop")
-    assert "1 stop of a robot by itself" in shown
-    assert "0.66 r2 no enable" in " ".join(words(text).split())
+    assert "1 unrequested stop" in shown
+    assert "0.66 0.66 r2 no permission of the supervisor arrived" in " ".join(words(text).split())
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_a_run_that_did_not_start_says_why_and_shows_no_empty_plot(
     assert colour == "bad"
     assert shown.startswith("Did not start: r1: its wheels are swapped")
     assert plots(text) == [TITLES[0]]
-    assert "never running" in words(text)
+    assert "never drove" in words(text)
 
 
 @pytest.mark.usefixtures("plain")
@@ -151,7 +151,7 @@ def test_a_file_that_broke_off_and_messages_that_are_missing_are_said(story: Mak
 
 def test_one_robot_alone_has_a_page(story: Make, page: Make) -> None:
     text = page(story("groups.0.robots=[r3]", "run.bounds={}").recording())
-    assert "Spacing. Not measured: the group has nothing" in words(text)
+    assert "Spacing. Not measured: it needs more robots" in words(text)
 
 
 @pytest.mark.long
@@ -201,10 +201,10 @@ def test_an_aborted_run_says_its_cause_first_and_no_bound_that_was_not_judged(st
     text = page(recording, outcome="stopped", cause="the operator interrupted")
     lines = [line.strip() for line in verdict(text)[1].splitlines()]
     assert lines[0] == "Stopped: the operator interrupted"
-    assert lines[-1] == "4 of 8 bounds were not judged: the run ended too early."
+    assert lines[-1] == "4 of 8 limits were not checked: the run ended too early."
     assert "not measured, " not in words(text)
     assert "\N{BALLOT X}" not in words(text)
-    assert words(text).count("not judged") >= 5
+    assert words(text).count("not checked") >= 5
 
 
 def robofleet(*arguments: object) -> Any:
@@ -245,7 +245,7 @@ def test_the_command_ends_with_1_where_a_bound_was_not_met(story: Make, kept: Ma
     run.aside(0.005)
     result = robofleet(folder := kept(run, "one"))
     assert result.exit_code == 1
-    assert result.stderr == "bound not met: path error, mean: 5 mm, at most 4 mm asked for\n"
+    assert result.stderr == "bound not met: path error, mean: 5 mm; limit 4 mm\n"
     assert (folder / "report.html").exists()
 
 

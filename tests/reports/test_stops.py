@@ -8,6 +8,7 @@ import pytest
 from robofleet.recording.causes import cause, named
 from robofleet.recording.run import Recording
 from robofleet.reports.bounds import JUDGED
+from robofleet.reports.stops import fleet_stops, how_many
 from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 
@@ -47,7 +48,8 @@ def causes(stops: list[dict[str, Any]]) -> list[str]:
 def test_a_stop_that_the_supervisor_ordered_has_the_runs_cause(stops_of: Make) -> None:
     (stop,) = stops_of((Phase.HOLD, Event.POSE_JUMPED, 2))
     assert stop == {
-        "t_s": pytest.approx(100 * 0.033), "robot": "r1", "cause": "no enable: r3: it was moved by hand",
+        "t_s": pytest.approx(100 * 0.033), "run_time_s": pytest.approx(100 * 0.033),
+        "clock_time_s": pytest.approx(100 * 0.033), "robot": "r1", "cause": "no enable: r3: it was moved by hand",
         "by_operator": False, "target_ms": 21.0, "output_ms": 47.0,
     }  # fmt: skip
 
@@ -106,3 +108,33 @@ def test_values_of_another_version_break_nothing(stops_of: Make, story: Make, fi
     assert named(GateStatus, 77) == "unknown (77)"
     assert cause(Event.TOO_CLOSE, 0, 1.0, ("r1", "r2")) == "r1: it is too close to r2"
     assert figures(Recording(story().config))["stops"] == []
+
+
+def test_what_stops_together_for_one_cause_is_one_stop_of_the_fleet() -> None:
+    def stop(
+        robot: str, clock_s: float, cause: str = "no enable: hold", output_ms: float | None = None
+    ) -> dict[str, Any]:
+        times = {"t_s": clock_s, "clock_time_s": clock_s, "run_time_s": min(clock_s, 20.7)}
+        return times | {
+            "robot": robot, "cause": cause, "by_operator": False, "target_ms": None, "output_ms": output_ms,
+        }  # fmt: skip
+
+    robots = [f"r{k}" for k in range(1, 5)]
+    stops = [stop(robot, 20.7 + 0.01 * k, output_ms=10.0 * k) for k, robot in enumerate(robots)]
+    stops += [
+        stop("r2", 20.8, "a flat battery"),
+        stop("r2", 20.9, "a flat battery"),
+        *(stop(robot, 26.7) for robot in robots),
+    ]
+    found = fleet_stops(stops)
+    assert [(own.robots, own.output_ms) for own in found] == [
+        (tuple(robots), 30.0),
+        (("r2",), None),
+        (tuple(robots), None),
+    ]
+    assert str(found[0]) == "r1, r2, r3, r4 at 20.7 s run time: hold (standing after 30 ms)"
+    assert str(found[2]) == "r1, r2, r3, r4 at 20.7 s run time (26.7 s clock time): hold"
+    assert how_many(found) == "3 unrequested stops (10 counting each robot)"
+    assert how_many(fleet_stops(stops[:1])) == "1 unrequested stop"
+    many = fleet_stops([stop(f"r{k}", 1.0) for k in range(100)])
+    assert str(many[0]).startswith("r0, r1, r2, r3, r4, r5, r6, r7 and 92 more at 1.0 s run time")

@@ -55,7 +55,7 @@ def test_the_table_shows_what_was_measured_beside_the_paper(
     assert "250.5" in row(text, "spacing, mm (of 250)")
     assert "75.0" in row(text, "tags found")
     assert "21.0, 21.0" in row(text, "exposure to wheel")
-    assert "stops of a robot by itself: 1\n    r2 at 0.7 s: no enable\n" in text
+    assert "1 unrequested stop:\n    r2 at 0.7 s run time: no permission of the supervisor arrived\n" in text
     assert "of 300" in row(text, "overruns")
     assert "not measured" not in text
     assert "(simulation)" in text
@@ -109,8 +109,8 @@ def test_an_operators_hold_is_told_from_a_stop_by_itself(
     for robot in ("r1", "r2"):
         add_status(recording, robot, run.stamp(20), gate=GateStatus.NO_ENABLE)
     text = printed(summary_table(figures(recording), run.config))
-    assert "by itself" not in text
-    assert "the operator stopped r1, r2 at 0.7 s: no enable: hold requested\n" in text
+    assert "unrequested" not in text
+    assert "The operator stopped r1, r2 at 0.7 s run time: hold requested\n" in text
 
 
 @pytest.mark.parametrize("width", [60, 80])
@@ -125,7 +125,7 @@ def test_what_was_proved_fits_a_terminal(width: int) -> None:
 
 def test_what_was_not_measured_is_said_so(figures: Make, config: Config) -> None:
     text = printed(summary_table(figures(Recording(config)) | {"outcome": "fault", "cause": "a lamp"}, config))
-    assert "story: ended by a fault after 0.0 s" in text
+    assert "story: ended by a fault after 0.0 s run time" in text
     for label in ERRORS:
         assert "not measured" in row(text, label)
     assert "None" not in text

@@ -224,7 +224,7 @@ def test_the_table_says_how_far_each_is_and_what_takes_long_is_said() -> None:
     (line,) = start_warnings(far)
     assert re.match(r"r4 starts 1\.\d\d m from its place and needs about \d+ s to it", line)
     table = {what: row for what, *row in proofs(far)}
-    assert table["the time until every robot is where it is to be"][2] == "slow"
+    assert table["the time until every robot is in its place"][2] == "slow"
 
 
 def test_every_robot_has_room_for_its_wheels_to_be_tried() -> None:

@@ -267,6 +267,39 @@ def test_who_is_not_open_and_what_is_no_run_is_refused_in_a_line(tmp_path: Path)
     assert refused.value.__suppress_context__, "no other exception is shown with it"
 
 
+def test_a_closed_fleet_has_what_stays_and_refuses_what_has_passed(tmp_path: Path) -> None:
+    closed, folder = drives(1), tmp_path / "run"
+    for use in (
+        lambda f: f.poses, lambda f: f.points, lambda f: f.readings, lambda f: f.sensors, lambda f: f.time,
+        lambda f: f.phase, lambda f: next(f.ticks(1)), lambda f: f.drive(np.zeros((4, 2))),
+        lambda f: f.move(np.zeros((4, 2))), lambda f: f.go_to({"r1": (0, 0, 0)}), lambda f: f.hold(),
+        lambda f: f.say(""), lambda f: f.mark("here", []), lambda f: f.keep(n=1), lambda f: f.plot(),
+    ):  # fmt: skip
+        with pytest.raises(FleetError, match=r"^the fleet is closed$"):
+            use(closed)
+    assert (closed.robots, closed.tick_s, closed.folder) == (("r1", "r2", "r3", "r4"), 0.033, None)
+    assert closed.config.arena.name == "script"
+    assert closed.summary["outcome"] == "completed"
+    assert closed._repr_html_() == f"&lt;Fleet {SCRIPT}: closed&gt;"
+    kept = drives(1, folder)
+    with pytest.raises(FleetError, match="has the run"):
+        _ = kept.poses
+    assert kept._repr_html_() == robofleet.load(folder)._repr_html_()
+    assert len(kept.plot().axes) == 2
+
+
+def test_a_notebook_shows_where_the_robots_are_now() -> None:
+    with fleet() as driven:
+        for _ in driven.ticks(1):
+            driven.drive(np.tile([0.05, 0.0], (4, 1)))
+        driven.mark("<goal>", [[0.1, 0.2]])
+        page, figure = driven._repr_html_(), driven.plot()
+    assert 2_000 < len(page) < 100_000
+    assert all(text in page for text in ("script.yaml", "r4", "running, ", "M0.100 -0.200h0"))
+    assert "<goal>" not in page
+    assert len(figure.axes[0].patches) >= 4
+
+
 def test_what_a_script_says_marks_and_keeps_is_in_the_recording_the_report_and_the_summary(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with fleet(out=out) as driven:

@@ -59,7 +59,7 @@ class Diary:
         lines += [note_line(group, note.line) for group, note in hearing.notes if note.line is not None]
         for level, name, words in lines:
             line = words if name == "supervisor" else f"{name}: {words}"
-            self._lines.append(event(hearing.t_s, level.name.lower(), line))
+            self._lines.append(event(hearing.t_s, hearing.clock.clock_s, level.name.lower(), line))
         self.written += len(lines)
 
     def _gates(self, hearing: Hearing) -> Iterator[Line]:

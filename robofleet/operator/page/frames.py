@@ -23,7 +23,7 @@ from robofleet.operator.page.words import phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import WAYS, OnTheWay
 from robofleet.recording.causes import named, own_state
-from robofleet.recording.state_words import state_words
+from robofleet.recording.state_words import ROBOT_WORDS, state_words
 from robofleet.safety.distances import apart
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
@@ -79,6 +79,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         "config": str(folder / "config.yaml"),
         "folder": str(folder),
         "columns": COLUMNS,
+        "words": ROBOT_WORDS,
     }
 
 
@@ -129,6 +130,7 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "seq": seq,
         "tick": 0 if hearing.record is None else hearing.record.tick,
         "t_s": _rounded(hearing.t_s, 3),
+        "clock_s": _rounded(hearing.clock.clock_s, 3),
         "phase": phase_name(state),
         "cause": words and words.cause,
         "stage": (words.check if state.phase == Phase.ARMED else None) if state and words else launcher or None,
@@ -148,9 +150,9 @@ def beat(hearing: Hearing, now_ns: int) -> Frame:
     }
 
 
-def event(at_s: float | None, level: str, text: str) -> Frame:
-    """Return something that happened; ``at_s`` is of the run."""
-    return {"type": "event", "at": _rounded(at_s, 2), "level": level, "text": text}
+def event(run_s: float | None, clock_s: float | None, level: str, text: str) -> Frame:
+    """Return something that happened, at a run time and a clock time."""
+    return {"type": "event", "at": _rounded(run_s, 2), "clock_s": _rounded(clock_s, 2), "level": level, "text": text}
 
 
 def answer(to: str, ok: bool, text: str) -> Frame:

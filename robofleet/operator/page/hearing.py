@@ -23,6 +23,7 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.recording.notes import Noted, noted
+from robofleet.recording.run_clock import LiveClock
 from robofleet.safety.supervisor import Phase
 
 _WINDOW_IMAGES = 64  # two seconds of a camera, by which its rate is told
@@ -100,6 +101,7 @@ class Hearing:
         self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
         self.way = OnTheWay(config)
         self.t_s: float | None = None  # of the run; stays while it is held
+        self.clock = LiveClock(self._tick_s)  # of the same run, both times
 
     def hear(self) -> bool:
         """Take what came of the tick and of the run's state; returns whether there is something new to show."""
@@ -114,6 +116,7 @@ class Hearing:
             self.way.hear(self.state.phase)
             if self.state.phase in (Phase.IDLE, Phase.ARMED):
                 self.t_s = None
+                self.clock.begin()
         return changed
 
     def hear_the_rest(self) -> list[tuple[str, TrackerNews]]:
@@ -146,5 +149,6 @@ class Hearing:
             self._overruns_before = record.overruns
         self.overruns = record.overruns - self._overruns_before
         self.placed = [placed or not robot.lost for placed, robot in zip(self.placed, record.robots, strict=True)]
+        self.clock.take(record)
         if record.run_tick >= 0:
             self.t_s = record.run_tick * self._tick_s

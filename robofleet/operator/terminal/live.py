@@ -21,6 +21,7 @@ from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.operator.terminal.qr_code import qr_code
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.run import Recording
+from robofleet.recording.run_clock import LiveClock, in_words
 from robofleet.recording.state_words import StateWords, busy_notice, state_words
 from robofleet.runs.console import READY
 from robofleet.safety.supervisor import Phase
@@ -32,7 +33,7 @@ _NEWS_SHOWN_NS = 5 * S
 _DOING = WAITING | UNDER_WAY
 _COLOURS = {"running": "bold green", "positioning": "bold green", "parking": "bold green", "emergency stop": "bold red"}
 _WINDOW_TICKS = 300  # for the percentiles
-_BAR_COLUMNS = 50  # of the progress bar, at most
+_TIME_COLUMNS, _BAR_END_COLUMN, _LEAST_BAR_COLUMNS = 23, 79, 10
 
 
 class LiveView:
@@ -46,7 +47,7 @@ class LiveView:
         self._next_ns = 0
         self._phase = self._code = ""
         self._addresses: dict[str, str] = {}
-        self._reached_s = 0.0
+        self._clock_of_run = LiveClock(config.controller.tick_s)
         self._overruns_before: int | None = None
         self._shown: tuple[str, bool] = ("", False)  # the phase, and whether it goes on by itself
         self._noticed = False  # that the machine is busy
@@ -64,6 +65,9 @@ class LiveView:
         """Show the run as it stands, if it is time to."""
         if phase == READY and not self._quiet:
             _ = recording.groups, self._way  # loads the behaviours: a launcher that stalls later is no operator
+        payloads = recording.messages.get(key(self._config.arena.name, TICK))
+        if payloads and (head := TICK_RECORD.decode_head(payloads[-1])) is not None:
+            self._clock_of_run.take(head)
         now_ns = self._clock.now_ns()
         addresses = dict(self._terminal.addresses)
         for command, line in addresses.items():
@@ -111,22 +115,22 @@ class LiveView:
         state = recording.newest(STATE)
         if self._phase == "held" and state is not None:
             words = self._words(recording, state)
+            held = f"held: {words.advice}, at {self._time()}"
             if words.goes_on:
-                return f"held: {words.advice}; the run goes on by itself"
-            return f"held: {words.advice}: `robofleet resume` goes on, Ctrl-C ends the run"
+                return f"{held}; the run goes on by itself"
+            return f"{held}: `robofleet resume` goes on, Ctrl-C ends the run"
         if self._phase in _DOING:
             return f"{self._phase}: {_DOING[self._phase]}"
         if self._phase != "running" or tick is None:
             return self._phase
-        when = f"{self._time(tick):5.1f} s of {self._config.run.duration_s:g} s"
+        when = self._time(self._config.run.duration_s)
         figures = "; ".join([*live_robots.lines(recording.groups, tick), f"{self._overruns(tick)} overruns"])
         return f"running {when}: {figures}"
 
     def picture(self, recording: Recording, phase: str) -> Group:
         tick = self._tick(recording)
         duration_s = self._config.run.duration_s
-        if tick is not None and tick.run_tick >= 0:
-            self._reached_s = min(self._time(tick), duration_s)
+        reached_s = min(self._clock_of_run.run_s or 0.0, duration_s)
         state = recording.newest(STATE)
         if state is not None:
             self._way.hear(state.phase)
@@ -135,15 +139,13 @@ class LiveView:
         words = None if state is None else self._words(recording, state)
         doing = words.check if phase == "arming" and words is not None else _DOING.get(phase)
         doing = (self._way.words(to_go_m) or doing) if phase in UNDER_WAY else doing
-        when = (
-            "  " if phase in UNDER_WAY else f"{self._reached_s:5.1f} s of {duration_s:g} s   "
-        )  # on the way it stands
-        head.append(when, "default not bold")
+        if phase not in UNDER_WAY:  # on the way it stands
+            head.append(f"{self._time(duration_s):>{_TIME_COLUMNS}}", "default not bold")
+        head.append("  ")
+        bar_columns = max(_LEAST_BAR_COLUMNS, _BAR_END_COLUMN - len(head))
         line = Table.grid()
         line.add_column(no_wrap=True)
-        line.add_row(
-            head, Text(doing, "cyan") if doing else ProgressBar(duration_s, self._reached_s, width=_BAR_COLUMNS)
-        )
+        line.add_row(head, Text(doing, "cyan") if doing else ProgressBar(duration_s, reached_s, width=bar_columns))
         compiling: list[Any] = [
             compiling_line(progress) for progress in self._terminal.compiling if phase == "compiling"
         ]
@@ -205,8 +207,8 @@ class LiveView:
             self._overruns_before = tick.overruns
         return tick.overruns - self._overruns_before
 
-    def _time(self, tick: TickRecord) -> float:
-        return max(0, tick.run_tick) * self._config.controller.tick_s
+    def _time(self, whole_s: float | None = None) -> str:
+        return in_words(self._clock_of_run.run_s or 0.0, self._clock_of_run.clock_s, whole_s)
 
 
 def _tracker_line(frames: list[FleetPoses], robots: int) -> str:

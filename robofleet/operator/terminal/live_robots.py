@@ -13,7 +13,8 @@ from robofleet.behaviours.interface import Figure
 from robofleet.bus.messages import RobotStatus, RobotTick, RunState, TickRecord
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import OnTheWay
-from robofleet.recording.causes import named, own_state
+from robofleet.recording.causes import driven_out, named, own_state
+from robofleet.recording.state_words import ROBOT_WORDS
 from robofleet.reports.tables import Fitting
 from robofleet.safety.latches import GateStatus, Latch
 
@@ -109,12 +110,17 @@ def _common(item: RobotTick, status: RobotStatus | None) -> tuple[str, str, str]
 
 def _state(item: RobotTick, status: RobotStatus | None, state: RunState | None, row: int) -> Text:
     """Why a robot may move, or why not: its latch, its own halt or its group's, its gate, the barrier."""
-    if status is None:
-        return Text("silent", "red")
-    if status.latch:
-        return Text(named(Latch, status.latch), "bold red")
+    if status is not None and status.latch:
+        return Text(ROBOT_WORDS["latched"].format(named(Latch, status.latch)), "bold red")
+    if item.lost:
+        return Text(ROBOT_WORDS["lost"], "red")
     if own := own_state(state, row, item):
-        return Text(own, "yellow")
+        out = state is not None and driven_out(state, row)
+        return Text(own if out else ROBOT_WORDS["halted"].format(own), "yellow")
+    if status is None:
+        return Text(ROBOT_WORDS["silent"], "red")
     if status.gate == GateStatus.OPEN and item.filtered:
-        return Text("open, kept apart", "cyan") if item.filtered == 1.0 else Text("no motion is safe", "yellow")
-    return Text(named(GateStatus, status.gate), "green" if status.gate == GateStatus.OPEN else "yellow")
+        apart = item.filtered == 1.0
+        return Text(ROBOT_WORDS["kept_apart" if apart else "unsafe"], "cyan" if apart else "yellow")
+    drives = status.gate == GateStatus.OPEN
+    return Text(ROBOT_WORDS["drives" if drives else "stands"], "green" if drives else "yellow")

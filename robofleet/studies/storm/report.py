@@ -45,7 +45,7 @@ def summarise(tally: Tally, elapsed_s: float) -> bool:
     console.print(
         f"{tally.seeds} seeds, {len(tally.failed)} failed; {tally.simulated_s:.0f} s simulated in {elapsed_s:.0f} s"
         f" ({rate:.0f} times real time); at most {tally.longest_queue} steps were queued;"
-        f" after {tally.crowded} storms that left the envelope robots stood too close to start"
+        f" after {tally.crowded} storms outside the envelope the robots stood too close together to start"
     )
     shortfalls = list(tally.shortfalls())
     for shortfall in shortfalls:

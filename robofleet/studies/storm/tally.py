@@ -55,12 +55,12 @@ class Tally:
         """Yield what a storm of so many seeds must have done and has not."""
         for kind in KINDS:
             if self.scheduled[kind] >= (1 if self.seeds >= MANY else SOME) and not self.injected[kind]:
-                yield f"{kind} was scheduled {self.scheduled[kind]} times and never had an effect"
+                yield f"{kind} was scheduled {self.scheduled[kind]} times and had no effect"
             elif self.seeds >= MANY and not self.scheduled[kind]:
-                yield f"{kind} never came"
+                yield f"{kind} never occurred"
         for event in REACTIONS if self.seeds >= MANY else ():
             if not self.events[event]:
-                yield f"{event.name} was never the cause of anything"
+                yield f"{event.name} was never a cause"
 
 
 def storm(config: Config, seeds: Sequence[int], engine: Engine, watch: Callable[[Tally, Episode], None]) -> Tally:

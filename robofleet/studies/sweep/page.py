@@ -50,7 +50,7 @@ def _verdict(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
     if missed:
         lines.append(f"{missed:,} completed and missed a bound.")
     if not_judged:
-        lines.append(f"{not_judged:,} completed and missed no bound, but not every bound was judged: see below.")
+        lines.append(f"{not_judged:,} completed and missed no bound, but not every bound was checked: see below.")
     if met and not missed and not not_judged and any(ran.played and ran.played.summary["bounds"] for ran in runs):
         lines.append("Every run that completed met its bounds.")
     page.verdict(
@@ -61,7 +61,7 @@ def _verdict(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
 def _tile(measure: Measure, runs: Sequence[Ran]) -> Tile:
     lacking = int(np.isnan(measure.values).sum())
     if lacking == len(runs):
-        lacks = f"not measured in any run, not judged; bound {measure.limit:g}"
+        lacks = f"not measured in any run, not checked; bound {measure.limit:g}"
         return Tile(measure.label, "–", "", Marked(lacks, None))
     worst = measure.values[measure.worst]
     good = None
@@ -111,7 +111,7 @@ def _broken(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
     for ending, title, text in (
         (Ending.BROKEN, "Runs that did not complete", "Each with the command that replays it, bit for bit here."),
         (Ending.MISSED, "Runs that missed a bound", "They completed. The commands replay them."),
-        (Ending.NOT_JUDGED, "Runs that were not judged by every bound", "They completed, and missed no bound."),
+        (Ending.NOT_JUDGED, "Runs that were not checked by every bound", "They completed and missed no bound."),
     ):
         found = [ran for ran, own in zip(runs, endings, strict=True) if own == ending]
         if not found:
@@ -138,8 +138,8 @@ def _origin(page: Page, study: Study, runs: Sequence[Ran], files: Sequence[Path]
     if played:
         cpu, lockstep = (np.array([getattr(result, name) for result in played]) for name in ("cpu_s", "lockstep_s"))
         page.note(
-            f"A run took {np.median(cpu):.2f} s of a processor (median), {100 * np.median(lockstep / cpu):.0f} % of it "
-            f"in lockstep's steps, and all of them {cpu.sum():.0f} s; {TIMES} has each run's."
+            f"A run took {np.median(cpu):.2f} s of CPU time (median), {100 * np.median(lockstep / cpu):.0f} % of it in "
+            f"lockstep's steps. All runs took {cpu.sum():.0f} s. {TIMES} has the time of each run."
         )
     try:
         page.listing(study.file.read_text(), folded=f"The sweep, {study.file}")

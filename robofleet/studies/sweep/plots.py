@@ -20,11 +20,11 @@ from robofleet.studies.sweep.table import Ending
 _FAULT = COLOURS[1]
 ENDINGS = (  # of runs, by Ending
     ("completed", COLOURS[2]),
-    ("completed, a bound not judged", "#b9c2ca"),
+    ("completed, a bound not checked", "#b9c2ca"),
     ("completed, a bound missed", "#e0a33e"),
     ("did not complete", _FAULT),
 )
-_ENDED = {Ending.BROKEN: "not completed", Ending.MISSED: "missed a bound", Ending.NOT_JUDGED: "not judged"}
+_ENDED = {Ending.BROKEN: "not completed", Ending.MISSED: "missed a bound", Ending.NOT_JUDGED: "not checked"}
 
 _SHADES = LinearSegmentedColormap.from_list("shades", ["#eef4f9", "#8fb8d9", COLOURS[0], "#0d3a5c"])
 _REDS = LinearSegmentedColormap.from_list("reds", ["#f4f4f4", "#eeb8aa", _FAULT, "#7d2615"])

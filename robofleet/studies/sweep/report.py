@@ -43,7 +43,7 @@ def summarise(study: Study, runs: Sequence[Ran], files: Sequence[Path]) -> None:
         print(_ended(study, runs))
     for count, what in (
         (sum(bool(ran.missed) for ran in runs), "did not meet a bound"),
-        (sum(bool(ran.not_judged) for ran in runs), "were not judged by a bound: its figure was not measured"),
+        (sum(bool(ran.not_judged) for ran in runs), "were not checked by a bound: its figure was not measured"),
     ):
         if count:
             print(f"{counted(count, 'run')} {what}", file=sys.stderr)

@@ -334,7 +334,7 @@ def test_the_end_of_a_run_is_told_with_its_verdict_and_its_report_to_who_still_l
         (tmp_path / "summary.json").write_text(json.dumps(summary))
         judged = page.next("ended")
         assert (judged["text"], judged["good"]) == ("Completed, 1 of 1 bounds not met", False)
-        assert judged["lines"] == ["ticks overrun: 2, at most 0 asked for"]
+        assert judged["lines"] == ["ticks overrun: 2; limit 0"]
         (tmp_path / "report.html").write_text("<!doctype html><title>its report</title>")
         assert page.next("ended")["report"] == str(tmp_path / "report.html")
         served = httpx.get(report)

@@ -113,7 +113,10 @@ function draw(now) {
   if (state.drawn++ === 0) performance.mark("first-tick-drawn");
 }
 
-function writeFigures({ t_s: t, health }) {
+const differ = (run, clock) => run !== null && clock !== null && Math.abs(clock - run) >= 0.05; // after a hold
+
+function writeFigures({ t_s: t, clock_s: clock, health }) {
+  if (t !== null) write("time-clock", differ(t, clock) ? `run time (${clock.toFixed(1)} s clock time)` : "run time");
   if (t !== null || state.phase !== "idle") state.t_s = t; // what a run reached stays in sight when it is over
   const reached = state.t_s === null ? null : Math.min(state.t_s, state.hello.duration_s);
   write("time-now", reached === null ? "–" : reached.toFixed(1));
@@ -123,11 +126,12 @@ function writeFigures({ t_s: t, health }) {
   write("health-seen", health.seen_pct === null ? "–" : `${health.seen_pct.toFixed(1)} %`);
 }
 
-function addEvent({ at, level, text }) {
+function addEvent({ at, clock_s: clock, level, text }) {
   const item = document.createElement("li");
   const [time, words] = [document.createElement("time"), document.createElement("span")];
   time.textContent = at === null ? "–" : `${at.toFixed(1)} s`;
-  words.textContent = text;
+  time.title = "run time";
+  words.textContent = differ(at, clock) ? `${text} (${clock.toFixed(1)} s clock time)` : text;
   item.className = level;
   item.append(time, words);
   const list = id("events-list");

@@ -11,7 +11,7 @@ export function robotsOf(hello, tick) {
   return tick.robots.map((values, row) => {
     const robot = { ...hello.robots[row], row };
     hello.columns.forEach((column, k) => (robot[column] = values[k]));
-    [robot.trouble, robot.words] = assess(robot);
+    [robot.trouble, robot.words] = assess(robot, hello.words);
     robot.place = hello.places[tick.way]?.[row] ?? null; // where it goes: x, y, psi
     if (robot.trouble === FINE && robot.to_go_m !== null) robot.words = onTheWay(robot, hello.ways[tick.way]);
     if (robot.reality === "simulated") robot.words += " (in no image: simulated)";
@@ -24,13 +24,13 @@ function onTheWay({ gate, to_go_m: left }, way) {
   return `${gate === "open" ? "" : "stands, "}${left.toFixed(2)} m to ${way.goal}`;
 }
 
-function assess({ driven, latch, lost, halted, gate, filtered }) {
-  if (latch && latch !== "none") return [LATCHED, `latched: ${latch}`];
-  if (lost) return [LOST, "lost: no image of it"];
-  if (halted) return [HALTED, `halted: ${halted}`];
-  if (!driven) return [FINE, "parked: this run does not drive it"];
-  if (gate === null) return [HALTED, "silent: nothing heard of it"];
-  if (filtered > 1) return [HALTED, "halted: no motion is safe"];
-  if (filtered) return [SLOWED, "kept apart by the barrier"];
-  return [FINE, gate === "open" ? "drives" : "stands"];
+function assess({ driven, latch, lost, halted, gate, filtered }, words) {
+  if (latch && latch !== "none") return [LATCHED, words.latched.replace("{}", latch)];
+  if (lost) return [LOST, words.lost];
+  if (halted) return [HALTED, words.halted.replace("{}", halted)];
+  if (!driven) return [FINE, words.parked];
+  if (gate === null) return [HALTED, words.silent];
+  if (filtered > 1) return [HALTED, words.unsafe];
+  if (filtered) return [SLOWED, words.kept_apart];
+  return [FINE, gate === "open" ? words.drives : words.stands];
 }
