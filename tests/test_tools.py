@@ -17,7 +17,6 @@ NEEDED = {  # a package that each needs, and the extras that bring it
     "compile_kernels": ("numba", ".[lab]"),
     "config_reference": ("typer", "."),
     "large_fleet": ("cv2", ".[bench,lab]"),
-    "picture": ("cv2", ".[lab]"),
     "tag_sheet": ("matplotlib", ".[lab]"),
 }
 
