@@ -98,7 +98,7 @@ def test_the_help_is_one_screen_of_all_commands_by_task() -> None:
 def test_every_word_of_the_help_is_plain_or_a_term() -> None:
     terms = (ROOT / "configs" / "TERMS.md").read_text().casefold()
     for word in ("arena", "configuration", "fleet", "gamepad", "Robotarium", "paper", "fault", "emergency stop", "hold",
-                 "pose", "park", "run", "report", "replay", "recording", "tag", "calibration board", "ROS 2",
+                 "pose", "park", "run", "report", "replay", "recording", "tag", "calibration board", "ROS 2", "LeRobot",
                  "Foxglove", "Lichtblick", "rerun", "operator", "key", "storm", "sweep", "laboratory"):  # fmt: skip
         assert word.casefold() in helped().casefold(), word
         assert re.search(rf"^\| [^|]*\b{word.casefold()}\b[^|]*\|", terms, re.MULTILINE), f"{word} is no term"
