@@ -152,6 +152,20 @@ def about(run: Path, imports: Imports = nothing_imported) -> Recording:
     return content.recording
 
 
+def messages(run: Path) -> Iterator[tuple[str, Message]]:
+    """Yield every message of a run with its key, in the order in which they came.
+
+    Raises:
+        RecordingError: if nothing can be read.
+    """
+    file = file_of(run)
+    with opened(file) as stream:
+        content = _Content(scanned(stream), file)
+        yield from content.messages()
+        if content.recording is None:
+            raise nothing(content.scan, file)
+
+
 def trouble_of(run: Path) -> str | None:
     """Return what is wrong with the file of a run; None: it is whole.
 

@@ -5,9 +5,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from robofleet.bus.bus import Bus
 from robofleet.bus.keys import PICTURE, SAFE_REQUEST
@@ -19,7 +17,6 @@ from robofleet.core.clock import S
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, wanted
 from robofleet.gateways.ros2.robots import Robots
-from robofleet.gateways.ros2.topics import Frames
 from robofleet.nodes.pictures import REQUESTED
 from robofleet.tracking.pictures import picture_size
 
@@ -38,7 +35,7 @@ class Camera:
             for topic in (topics.IMAGE, topics.COMPRESSED, topics.CAMERA_INFO)
         )
         self._frame = graph.frames.optical(topics.ros_name(self._name))
-        self._info = camera_info(view.camera.model, self._frame)
+        self._info = camera_info(graph, view.camera.model, self._frame)
         self._observer = observer
         observer.declare([(PICTURE, self._name)])
         self._requested_ns: int | None = None
@@ -57,14 +54,16 @@ class Camera:
         self._info.header.stamp = stamp
         self._lens.publish(self._info)
         if wanted(self._compressed):
-            image = CompressedImage(format="mono8; jpeg compressed ", data=jpeg)
+            image = self._graph.messages.CompressedImage(format="mono8; jpeg compressed ", data=jpeg)
             image.header.stamp, image.header.frame_id = stamp, self._frame
             self._compressed.publish(image)
         if wanted(self._image):
             pixels = decoded(jpeg)
             if pixels is not None:
                 height, width = pixels.shape
-                plain = Image(height=height, width=width, encoding="mono8", step=width, data=pixels.tobytes())
+                plain = self._graph.messages.Image(
+                    height=height, width=width, encoding="mono8", step=width, data=pixels.tobytes()
+                )
                 plain.header.stamp, plain.header.frame_id = stamp, self._frame
                 self._image.publish(plain)
 
@@ -77,7 +76,7 @@ def decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
         return None
 
 
-def camera_info(model: CameraModel, frame: str) -> CameraInfo:
+def camera_info(graph: Graph, model: CameraModel, frame: str) -> Any:
     """Return what is known of the lens, for pictures that may be smaller than the camera's images."""
     width, height = picture_size(model.width, model.height)
     scale = width / model.width, height / model.height
@@ -92,7 +91,7 @@ def camera_info(model: CameraModel, frame: str) -> CameraInfo:
         kind, coefficients = "plumb_bob", known + [0.0] * (_PLUMB_BOB_COEFFICIENTS - len(known))
     else:
         kind, coefficients = "rational_polynomial", known
-    info = CameraInfo(
+    info = graph.messages.CameraInfo(
         height=height, width=width, distortion_model=kind, d=coefficients,
         k=[f_x, 0.0, c_x, 0.0, f_y, c_y, 0.0, 0.0, 1.0],
         r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
@@ -102,13 +101,13 @@ def camera_info(model: CameraModel, frame: str) -> CameraInfo:
     return info
 
 
-def place(camera: CameraSettings, frames: Frames, stamp: Any) -> TransformStamped | None:
+def place(graph: Graph, camera: CameraSettings, stamp: Any) -> Any | None:
     """Return where the camera is in the map; None where nobody measured it."""
     pose = camera.model.T_world_camera
     if pose is None:
         return None
-    message = TransformStamped(child_frame_id=frames.optical(topics.ros_name(camera.name)))
-    message.header.stamp, message.header.frame_id = stamp, frames.map
+    message = graph.messages.TransformStamped(child_frame_id=graph.frames.optical(topics.ros_name(camera.name)))
+    message.header.stamp, message.header.frame_id = stamp, graph.frames.map
     way, turn = message.transform.translation, message.transform.rotation
     way.x, way.y, way.z = map(float, pose.position_m)
     axis = np.array(pose.rotation_rad, dtype=np.float64)

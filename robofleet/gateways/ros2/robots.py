@@ -6,10 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TransformStamped
-from nav_msgs.msg import Odometry as OdometryMessage
 from numpy.typing import NDArray
-from sensor_msgs.msg import BatteryState, JointState
 
 from robofleet.bus.keys import POSES, STATUS
 from robofleet.bus.messages import FLEET_POSES, UNIT_STATUS, FleetPoses, TagPose, UnitStatus
@@ -99,7 +96,7 @@ class _Unit:
         speeds = np.column_stack([items["left_rad_s"], items["right_rad_s"]])
         odometry, stamp = self._odometry, self._graph.stamp(at_ns)
         odometry.turned(at_ns, status.boot_id, angles, speeds)
-        moved = list[TransformStamped]()
+        moved = list[Any]()
         tells = now_ns - self._battery_ns >= _BATTERY_PERIOD_NS
         for row, robot in enumerate(self._robots):
             pose = odometry.poses[row].tolist()
@@ -127,26 +124,28 @@ class _Robot:
     """One robot's publishers, and the messages that it says again and again."""
 
     def __init__(self, graph: Graph, name: str, drive: DifferentialDrive) -> None:
-        frames = graph.frames
+        frames, messages = graph.frames, graph.messages
         odom, base = frames.link(name, "odom"), frames.link(name, BASE)
         self._pose = graph.publisher(topics.POSE, name)
         self._odom = graph.publisher(topics.ODOM, name)
         self._joints = graph.publisher(topics.JOINTS, name)
         self._battery = graph.publisher(topics.BATTERY, name)
-        self._seen = PoseWithCovarianceStamped()
+        self._seen = messages.PoseWithCovarianceStamped()
         self._seen.header.frame_id = frames.map
-        self._moved = OdometryMessage(child_frame_id=base)
+        self._moved = messages.Odometry(child_frame_id=base)
         self._moved.header.frame_id = odom
-        self._turned = JointState(name=_JOINTS)
+        self._turned = messages.JointState(name=_JOINTS)
         self._turned.header.frame_id = base
-        self._charged = BatteryState(
+        self._charged = messages.BatteryState(
             present=True, voltage=math.nan, current=math.nan, charge=math.nan, capacity=math.nan,
             design_capacity=math.nan, temperature=math.nan,
         )  # fmt: skip
         self._charged.header.frame_id = base
-        self._from_map, self._from_odom = TransformStamped(child_frame_id=odom), TransformStamped(child_frame_id=base)
+        self._from_map, self._from_odom = (messages.TransformStamped(child_frame_id=frame) for frame in (odom, base))
         self._from_map.header.frame_id, self._from_odom.header.frame_id = frames.map, odom
-        self._wheels = [TransformStamped(child_frame_id=frames.link(name, f"{wheel}_link")) for wheel in WHEELS]
+        self._wheels = [
+            messages.TransformStamped(child_frame_id=frames.link(name, f"{wheel}_link")) for wheel in WHEELS
+        ]
         for wheel, side in zip(self._wheels, (0.5, -0.5), strict=True):
             wheel.header.frame_id = base
             wheel.transform.translation.y = side * drive.wheel_base
@@ -184,7 +183,7 @@ class _Robot:
 
     def transforms(
         self, stamp: Any, correction: Sequence[float] | None, pose: Sequence[float], angles: Sequence[float]
-    ) -> tuple[TransformStamped, ...]:
+    ) -> tuple[Any, ...]:
         """Return odom -> base_link -> wheels, and where the tracker has seen the robot map -> odom."""
         for wheel, angle in zip(self._wheels, angles, strict=True):
             wheel.header.stamp = stamp
@@ -193,17 +192,12 @@ class _Robot:
         return moved if correction is None else (_transform(self._from_map, stamp, correction), *moved)
 
 
-def heading(psi: float) -> Quaternion:
-    """Return a turn about z [rad] as a quaternion."""
-    return Quaternion(z=math.sin(psi / 2.0), w=math.cos(psi / 2.0))
-
-
 def _place(message: Any, pose: Sequence[float]) -> None:
     message.position.x, message.position.y, psi = pose
     message.orientation.z, message.orientation.w = math.sin(psi / 2.0), math.cos(psi / 2.0)
 
 
-def _transform(message: TransformStamped, stamp: Any, pose: Sequence[float]) -> TransformStamped:
+def _transform(message: Any, stamp: Any, pose: Sequence[float]) -> Any:
     message.header.stamp = stamp
     way, turn = message.transform.translation, message.transform.rotation
     way.x, way.y, psi = pose

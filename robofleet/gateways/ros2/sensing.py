@@ -4,8 +4,6 @@ import math
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped
-from sensor_msgs.msg import Imu, MagneticField, Range
 
 from robofleet.bus import sensors
 from robofleet.bus.keys import SENSORS
@@ -15,8 +13,6 @@ from robofleet.config.sensors import SensorSettings
 from robofleet.config.tree import Config
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.graph import Graph, single
-from robofleet.gateways.ros2.robots import heading
-from robofleet.gateways.ros2.topics import Frames
 from robofleet.gateways.urdf import BASE
 from robofleet.vehicles.readings import SensorReading
 
@@ -54,18 +50,18 @@ class _Sensors:
     def __init__(self, graph: Graph, name: str, robot: Robot) -> None:
         kind = robot.vehicle.sensors
         assert kind is not None
-        self._kind, self._base = kind, graph.frames.link(name, BASE)
+        self._kind, self._base, self._messages = kind, graph.frames.link(name, BASE), graph.messages
         self._imu = graph.publisher(topics.IMU, name) if kind.gyro or kind.accelerometer else None
         self._magnetic = graph.publisher(topics.MAGNETIC, name) if kind.magnetometer else None
-        self._field = _field(kind, self._base)
+        self._field = _field(graph, kind, self._base)
         self._ranges = [
             (graph.publisher(topics.RANGE, name, number), message)
-            for number, message in enumerate(_ranges(kind, graph.frames, name))
+            for number, message in enumerate(_ranges(graph, kind, name))
         ]
 
     def say(self, stamp: Any, reading: SensorReading) -> None:
         if self._imu is not None and not (reading.gyro is None and reading.accelerometer is None):
-            imu = _imu(self._kind, reading)
+            imu = _imu(self._messages.Imu(), self._kind, reading)
             imu.header.stamp, imu.header.frame_id = stamp, self._base
             self._imu.publish(imu)
         if self._magnetic is not None and reading.magnetometer is not None:
@@ -78,9 +74,8 @@ class _Sensors:
             publisher.publish(imu)
 
 
-def _imu(kind: SensorSettings, reading: SensorReading) -> Imu:
-    """Return what a reading tells; a part that it does not tell is not measured."""
-    message = Imu()
+def _imu(message: Any, kind: SensorSettings, reading: SensorReading) -> Any:
+    """Fill in what a reading tells; a part that it does not tell is not measured."""
     message.orientation_covariance[0] = _NOT_MEASURED_COVARIANCE
     if reading.gyro is None:
         message.angular_velocity_covariance[0] = _NOT_MEASURED_COVARIANCE
@@ -99,8 +94,8 @@ def _imu(kind: SensorSettings, reading: SensorReading) -> Imu:
     return message
 
 
-def _field(kind: SensorSettings, frame: str) -> MagneticField:
-    message = MagneticField()
+def _field(graph: Graph, kind: SensorSettings, frame: str) -> Any:
+    message = graph.messages.MagneticField()
     message.header.frame_id = frame
     if kind.magnetometer is not None:
         noise_t = _MICROTESLA_T * np.array(kind.magnetometer.noise_ut)
@@ -108,28 +103,29 @@ def _field(kind: SensorSettings, frame: str) -> MagneticField:
     return message
 
 
-def _ranges(kind: SensorSettings, frames: Frames, name: str) -> list[Range]:
+def _ranges(graph: Graph, kind: SensorSettings, name: str) -> list[Any]:
     """Return a message of each distance sensor: a ray."""
     if kind.distances is None:
         return []
-    found = []
+    found, kind_of_message = [], graph.messages.Range
     for number in range(len(kind.distances.places)):
-        message = Range(radiation_type=Range.INFRARED, max_range=kind.distances.range_m)
-        message.header.frame_id = frames.link(name, f"range_{number}")
+        message = kind_of_message(radiation_type=kind_of_message.INFRARED, max_range=kind.distances.range_m)
+        message.header.frame_id = graph.frames.link(name, f"range_{number}")
         found.append(message)
     return found
 
 
-def places(robot: Robot, name: str, frames: Frames, stamp: Any) -> list[TransformStamped]:
+def places(graph: Graph, robot: Robot, name: str, stamp: Any) -> list[Any]:
     """Return where a robot's distance sensors are."""
     kind = robot.vehicle.sensors
     if kind is None or kind.distances is None or not robot.sensors:
         return []
-    found = []
+    found, frames = [], graph.frames
     for number, at in enumerate(kind.distances.places):
-        message = TransformStamped(child_frame_id=frames.link(name, f"range_{number}"))
+        message = graph.messages.TransformStamped(child_frame_id=frames.link(name, f"range_{number}"))
         message.header.stamp, message.header.frame_id = stamp, frames.link(name, BASE)
         message.transform.translation.x, message.transform.translation.y = at.x_m, at.y_m
-        message.transform.rotation = heading(math.radians(at.heading_deg))
+        turn, half = message.transform.rotation, math.radians(at.heading_deg) / 2.0
+        turn.z, turn.w = math.sin(half), math.cos(half)
         found.append(message)
     return found

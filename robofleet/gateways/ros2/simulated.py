@@ -18,8 +18,8 @@ from robofleet.core.clock import MS, S, WallClock
 from robofleet.gateways.place import Served
 from robofleet.gateways.ros2 import topics
 from robofleet.gateways.ros2.gateway import Gateway, serve_requests
-from robofleet.gateways.ros2.graph import profile, stamped
 from robofleet.gateways.ros2.live import node
+from robofleet.gateways.ros2.node_graph import profile, stamped
 from robofleet.operator.asking import Outcome
 from robofleet.operator.terminal.terminal import Interrupts, interrupts
 from robofleet.safety.supervisor import Phase

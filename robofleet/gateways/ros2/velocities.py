@@ -21,7 +21,7 @@ from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.gateways.ros2 import topics
-from robofleet.gateways.ros2.graph import Graph, profile
+from robofleet.gateways.ros2.node_graph import NodeGraph, profile
 from robofleet.gateways.ros2.topics import load
 
 _DRIFT_DIVISOR = 10_000  # two clocks drift apart by less than this part of the time that passes
@@ -78,7 +78,7 @@ class Velocities:
     """The commands of all groups whose behaviour is ``ros2``."""
 
     def __init__(
-        self, graph: Graph, config: Config, names: dict[str, str], bus: Bus, ticks: TickFollower
+        self, graph: NodeGraph, config: Config, names: dict[str, str], bus: Bus, ticks: TickFollower
     ) -> None:  # fmt: skip
         titles, come = groups.taking_setpoints(config, Ros2), graph.node.create_guard_condition(self._say)
         self._groups = [
@@ -110,7 +110,7 @@ class _Group:
     """A group's commands: what came of each robot's node, and when."""
 
     def __init__(
-        self, graph: Graph, robots: list[str], bus: Bus, group: str, ticks: TickFollower, wake: Callable[[], None]
+        self, graph: NodeGraph, robots: list[str], bus: Bus, group: str, ticks: TickFollower, wake: Callable[[], None]
     ) -> None:
         self._clock, self._ticks, self._wake = graph.clock, ticks, wake
         self._publish = bus.publisher(WISH, group)
@@ -147,7 +147,7 @@ class _Group:
 class _Commands:
     """The subscription to one robot's commands."""
 
-    def __init__(self, graph: Graph, robot: str, take: Any) -> None:
+    def __init__(self, graph: NodeGraph, robot: str, take: Any) -> None:
         self._graph, self._node, self._on_velocity = graph, graph.node, take
         self._name = graph.node.resolve_topic_name(topics.COMMAND.name.format(robot))
         self._kinds = topics.COMMAND.type.split(" or ")

@@ -2,10 +2,8 @@
 
 import copy
 import math
-import sys
 from collections import defaultdict
 from collections.abc import Sequence
-from types import ModuleType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -29,9 +27,9 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, SimulatedClock
 from robofleet.gateways.ros2 import camera, run, sensing, topics
-from robofleet.gateways.ros2 import graph as ros_graph
-from robofleet.gateways.ros2.gateway import grid
-from robofleet.gateways.ros2.graph import stamped
+from robofleet.gateways.ros2.graph import Messages
+from robofleet.gateways.ros2.node_graph import stamped
+from robofleet.gateways.ros2.publication import grid
 from robofleet.gateways.ros2.robots import Robots
 from robofleet.gateways.ros2.sensing import Sensing
 from robofleet.gateways.urdf import urdf
@@ -67,8 +65,9 @@ class Heard:
 class Paper:
     """A graph that keeps what is said."""
 
-    def __init__(self, namespace: str = "") -> None:
-        self.frames = topics.Frames(namespace)
+    def __init__(self, namespace: str = "", *, has_transforms: bool = False) -> None:
+        self.frames, self.clock, self.has_transforms = topics.Frames(namespace), SimulatedClock(), has_transforms
+        self.messages = Messages(lambda name: Frames if name == "tf2_msgs/msg/TFMessage" else topics.load(name))
         self.topics: dict[str, Heard] = defaultdict(Heard)
 
     def publisher(self, topic: topics.Topic, *names: object) -> Heard:
@@ -148,14 +147,9 @@ class Drive(NamedTuple):
 @pytest.fixture(scope="module")
 def drive() -> Drive:
     """Return a drive on a graph in a namespace, where there is tf2_msgs."""
-    config, graph = load_config(SHIPPED / "ros2.yaml", [*TRUTH, "robots.0.sensors=true"]), Paper("/lab")
-    package, messages = ModuleType("tf2_msgs"), ModuleType("tf2_msgs.msg")
-    messages.TFMessage = Frames  # type: ignore[attr-defined]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "tf2_msgs", package)
-        patch.setitem(sys.modules, "tf2_msgs.msg", messages)
-        patch.setattr(ros_graph, "has_transforms", lambda: True)
-        truths = driven(config, graph, 4.0)
+    config = load_config(SHIPPED / "ros2.yaml", [*TRUTH, "robots.0.sensors=true"])
+    graph = Paper("/lab", has_transforms=True)
+    truths = driven(config, graph, 4.0)
     at_ns, known = np.array([at for at, _ in truths]), np.array([(body.x_m, body.y_m) for _, body in truths])
     return Drive(config, graph, at_ns, known)
 
@@ -200,7 +194,7 @@ def test_the_map_is_occupied_where_obstacles_are_and_beside_the_floor() -> None:
     config = load_config(SHIPPED / "obstacles.yaml", [f"arena.floor_m={floor}"])
     graph = Paper()
     graph.clock = SimulatedClock()  # type: ignore[attr-defined]
-    message = grid(config, graph)  # type: ignore[arg-type]
+    message = grid(graph, config)  # type: ignore[arg-type]
     cells = np.array(message.data).reshape(message.info.height, message.info.width)
     corner, side = message.info.origin.position, message.info.resolution
     assert (cells.shape[1] * side, cells.shape[0] * side) == pytest.approx(config.arena.size_m, abs=side)
@@ -240,13 +234,13 @@ def test_a_pose_is_said_at_the_instant_when_it_was_true(drive: Drive) -> None:
 
 
 def test_sensors_are_said_in_their_frames(drive: Drive) -> None:
-    config, frames = drive.config, drive.graph.frames
+    config, graph = drive.config, drive.graph
     kind = config.robot("r1").vehicle.sensors
     assert kind is not None and kind.distances is not None
     imu = drive.said("r1/imu/data_raw")[-1]
     assert imu.angular_velocity.z == pytest.approx(0.5, abs=0.15)
     assert imu.linear_acceleration.z == pytest.approx(9.8, abs=0.5)
-    fixed = {message.child_frame_id for message in sensing.places(config.robot("r1"), "r1", frames, stamped(0))}
+    fixed = {message.child_frame_id for message in sensing.places(graph, config.robot("r1"), "r1", stamped(0))}
     assert len(fixed) == len(kind.distances.places)
     for frame in fixed:
         ranges = drive.said(frame.removeprefix("lab/"))
@@ -255,7 +249,7 @@ def test_sensors_are_said_in_their_frames(drive: Drive) -> None:
         )
         assert len(ranges) > 10
         assert all(0.0 < message.range <= message.max_range or math.isinf(message.range) for message in ranges)
-    assert not sensing.places(config.robot("r2"), "r2", frames, stamped(0))
+    assert not sensing.places(graph, config.robot("r2"), "r2", stamped(0))
 
 
 def told(readings: Sequence[SensorReading]) -> Paper:
@@ -326,7 +320,7 @@ def test_a_lens_is_that_of_the_small_picture(size: tuple[int, int], small_size: 
         }
     )
     assert picture_size(*size) == small_size
-    info = camera.camera_info(larger, "overhead_optical_frame")
+    info = camera.camera_info(Paper(), larger, "overhead_optical_frame")
     assert (info.width, info.height) == small_size
     rays = np.array([[0.1, -0.2, 1.0], [-0.3, 0.25, 1.0], [0.0, 0.0, 1.0]])
     small, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), np.array(info.k).reshape(3, 3), np.array(info.d))
@@ -340,7 +334,7 @@ def test_a_lens_is_that_of_the_small_picture(size: tuple[int, int], small_size: 
 
 def test_a_camera_hangs_where_it_was_measured() -> None:
     settings = load_config(SHIPPED / "ros2.yaml").camera
-    model, hung = settings.model, camera.place(settings, topics.Frames(), stamped(0))
+    model, hung = settings.model, camera.place(Paper(), settings, stamped(0))
     assert hung is not None and model.T_world_camera is not None
     q, way = hung.transform.rotation, hung.transform.translation
     assert (way.x, way.y, way.z) == pytest.approx(model.T_world_camera.position_m)
@@ -351,7 +345,7 @@ def test_a_camera_hangs_where_it_was_measured() -> None:
 
 def test_markers_are_in_frames_that_are_said() -> None:
     config = load_config(SHIPPED / "ros2.yaml")
-    drawn = run.markers(config, topics.ros_names(robot.id for robot in config.robots), topics.Frames()).markers
+    drawn = run.markers(Paper(), config, topics.ros_names(robot.id for robot in config.robots)).markers
     assert {marker.header.frame_id for marker in drawn} == {"map", *(f"r{k}/base_link" for k in (1, 2, 3, 4))}
     assert len({(marker.ns, marker.id) for marker in drawn}) == len(drawn)
 
@@ -362,10 +356,10 @@ def test_a_namespace_is_in_front_of_every_frame(drive: Drive) -> None:
     names = topics.ros_names(robot.id for robot in config.robots)
     every_message = [message for topic in graph.topics.values() for message in topic.messages]
     every_message += [
-        *run.markers(config, names, graph.frames).markers,
-        camera.place(config.camera, graph.frames, stamped(0)),
+        *run.markers(graph, config, names).markers,
+        camera.place(graph, config.camera, stamped(0)),
     ]
-    every_message += sensing.places(config.robot("r1"), "r1", graph.frames, stamped(0))
+    every_message += sensing.places(graph, config.robot("r1"), "r1", stamped(0))
     found = {frame for message in every_message for frame in user.frames(message)}
     assert {"lab/map", "lab/r1/odom", "lab/r1/base_link", "lab/overhead_optical_frame", "lab/r1/range_0"} <= found
     assert all(frame.startswith("lab/") for frame in found)

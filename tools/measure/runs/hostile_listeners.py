@@ -162,13 +162,14 @@ class Ros:
             warnings.simplefilter("ignore")  # of ROS's own packages
             from robofleet.gateways.ros2 import topics
             from robofleet.gateways.ros2.camera import Camera
-            from robofleet.gateways.ros2.graph import stamped
+            from robofleet.gateways.ros2.graph import Messages
+            from robofleet.gateways.ros2.node_graph import stamped
             from robofleet.gateways.ros2.robots import Robots
             from robofleet.gateways.ros2.run import Run
             from robofleet.gateways.ros2.sensing import Sensing
 
         class Graph:
-            frames, clock_ = topics.Frames(), clock
+            frames, messages, has_transforms = topics.Frames(), Messages(), False
 
             def publisher(self, *_: object) -> _Publisher:
                 return _Publisher()
