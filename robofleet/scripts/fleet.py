@@ -486,7 +486,7 @@ class Fleet:
             arena=self._view(),
             heads=("robot", "x, m", "y, m", "heading, deg", "wheels, rad/s"),
             rows=[
-                (robot, f"{x:.3f}", f"{y:.3f}", f"{math.degrees(psi):.0f}", f"{left:.2f}, {right:.2f}")
+                (robot, f"{x:.3f}", f"{y:.3f}", str(round(math.degrees(psi))), f"{left:.2f}, {right:.2f}")
                 for robot, (x, y, psi), left, right in zip(
                     self.robots, poses, readings["left_rad_s"], readings["right_rad_s"], strict=True
                 )
