@@ -39,7 +39,7 @@ class RunClock(NamedTuple):
 
 
 class LiveClock:
-    """The two times of a run that is on, from the ticks as they come."""
+    """The two times of a run that is on, from the ticks as they come. Both stand when it has ended."""
 
     def __init__(self, tick_s: float) -> None:
         self._tick_s = tick_s
@@ -53,8 +53,9 @@ class LiveClock:
             if self._start_ns is None and (self._before or record.run_tick == 0):
                 self._start_ns = record.stamp_ns - round(record.run_tick * self._tick_s * 1e9)
             self.run_s = record.run_tick * self._tick_s
-        self._before = self._before or (record.run_tick < 0 and record.phase != Phase.HOLD)
-        if self.run_s is not None and self._start_ns is not None:
+        is_on = record.run_tick >= 0 or record.phase == Phase.HOLD
+        self._before = self._before or not is_on
+        if is_on and self.run_s is not None and self._start_ns is not None:
             self.clock_s = (record.stamp_ns - self._start_ns) / 1e9
 
     def begin(self) -> None:

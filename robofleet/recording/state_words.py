@@ -25,6 +25,7 @@ ROBOT_WORDS = {  # what a robot does, in the terminal and on the page; the first
     "kept_apart": "kept apart by the barrier",
     "drives": "drives",
     "stands": "stands",
+    "ended": "ended",  # the run
 }
 _MOST_NAMED_ROBOTS = 3  # in a line
 _PROCESSES = "supervisor", "controller", "tracker"

@@ -15,7 +15,7 @@ export function robotsOf(hello, tick, ended = null) {
     if (ended !== null) end(robot, ended);
     const starts = tick.start_share !== null || tick.phase === "starting";
     [robot.trouble, robot.words] = (starts && begins(robot, hello.words)) || assess(robot, hello.words);
-    if (ended !== null && robot.trouble === FINE) robot.words = "ended";
+    if (ended !== null && robot.trouble === FINE) robot.words = hello.words.ended;
     robot.place = hello.places[tick.way]?.[row] ?? null; // where it goes: x, y, psi
     if (robot.trouble === FINE && robot.to_go_m !== null) robot.words = onTheWay(robot, hello.ways[tick.way]);
     if (robot.reality === "simulated") robot.words += " (in no image: simulated)";
