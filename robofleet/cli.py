@@ -11,7 +11,7 @@ import faulthandler
 import gc
 import sys
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache, cached_property
 from importlib import import_module
 from importlib.metadata import version as installed_version
 from importlib.util import find_spec
@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
-from typer.core import TyperCommand, TyperGroup
-from typer.main import get_command, get_group
+from typer.main import get_command
 
 from robofleet.core.log_lines import never_raise
 from robofleet.core.refusal import LAB_MODULES, RefusedError, bad_input, how_to_install
@@ -28,92 +27,121 @@ from robofleet.operator import usage
 from robofleet.operator.terminal.plain_terminal import silence_libraries, speak_its_language
 
 _COLLECT_AFTER_OBJECTS = 50_000  # loading libraries makes hundreds of thousands, and hardly any garbage
-_RUNNING = "A running arena, from any terminal"
-_AFTERWARDS = "A run afterwards, from the file that it left"
-_PROCESSES = "One process of a run, by itself"
-_LABORATORY = "A laboratory, once"
-_HOSTS = "Robots with computers of their own"
+_NODE = "node"
+_PROCESSES = "router", "supervisor", "tracker", "controller", "driver", "recorder", "twins"
+_BEGIN = "Begin"
+_DRIVE = "Drive"
+_RUNNING = "During a run"
+_AFTERWARDS = "After a run"
+_LABORATORY = "Laboratory"
+_PROGRAMS = "Programs"
+_COMPUTERS = "Computers"
 
 
 class Row(NamedTuple):
-    """A command: its name, and where it is. A module without a function holds the app of a group of commands."""
+    """A command: its name, and where it is. A module without a function describes a group of commands."""
 
-    name: str
+    name: str  # "node router": in the group "node"
     module: str
     function: str = ""
-    panel: str | None = None
+    heading: str | None = None  # under which it is listed; None: among more, by its name alone
     parser: str = ""  # a class of the module that reads its arguments
 
 
 COMMANDS = (
-    Row("run", "operator.run_command", "run", parser="RunCommand"),
-    Row("go", "operator.run_command", "go"),
-    Row("check", "operator.run_command", "check"),
-    Row("init", "operator.config_commands", "init"),
-    Row("schema", "operator.config_commands", "schema"),
-    Row("doctor", "doctor.command", "doctor"),
-    Row("paper", "experiments.trials", "paper"),
-    Row("storm", "studies.commands", "storm"),
-    Row("sweep", "studies.commands", "sweep"),
-    Row("robotarium", "gateways.robotarium.command", "robotarium"),
-    *(Row(name, "operator.commands", name, _RUNNING) for name in ("stop", "arm", "start", "hold", "resume", "park")),
-    *(Row(name, "operator.commands", name, _RUNNING) for name in ("reset", "status", "hosts", "web")),
-    Row("ros2", "gateways.ros2.command", "ros2", _RUNNING),
-    Row("foxglove", "gateways.viewers.command", "foxglove", _RUNNING),
-    Row("rerun", "gateways.viewers.command", "rerun", _RUNNING),
-    Row("teleop", "gateways.gamepad.command", "teleop", _RUNNING),
-    *(Row(name, "reports.commands", name, _AFTERWARDS) for name in ("replay", "repair", "report", "layout")),
+    Row("init", "operator.config_commands", "init", _BEGIN),
+    Row("check", "operator.run_command", "check", _BEGIN),
+    Row("doctor", "doctor.command", "doctor", _BEGIN),
+    Row("docs", "operator.docs_command", "docs", _BEGIN),
+    Row("run", "operator.run_command", "run", _DRIVE, "RunCommand"),
+    Row("go", "operator.run_command", "go", _DRIVE),
+    Row("teleop", "gateways.gamepad.command", "teleop", _DRIVE),
+    Row("robotarium", "gateways.robotarium.command", "robotarium", _DRIVE),
+    Row("paper", "experiments.trials", "paper", _DRIVE),
+    Row("sweep", "studies.commands", "sweep", _DRIVE),
+    Row("storm", "studies.commands", "storm", _DRIVE),
+    *(Row(name, "operator.commands", name, _RUNNING) for name in ("stop", "reset", "hold", "resume", "park")),
+    *(Row(name, "operator.commands", name, _RUNNING) for name in ("status", "web")),
+    *(Row(name, "reports.commands", name, _AFTERWARDS) for name in ("report", "replay", "repair")),
     *(Row(name, "gateways.exports.command", name, _AFTERWARDS) for name in ("export", "film")),
-    *(Row(name, "operator.commands", name, _PROCESSES) for name in ("supervisor", "recorder", "twins", "controller")),
-    *(Row(name, "operator.commands", name, _PROCESSES) for name in ("tracker", "driver", "router")),
-    Row("keys", "hosts.keys_commands", panel=_HOSTS),
-    Row("join", "hosts.join_command", "join", _HOSTS),
-    Row("calibrate", "calibration.commands.measure", panel=_LABORATORY),
-    Row("sheet", "calibration.commands.sheet", panel=_LABORATORY),
+    Row("sheet", "calibration.commands.sheet", heading=_LABORATORY),
+    *(Row(f"sheet {name}", "calibration.commands.sheet", name) for name in ("tags", "floor", "board")),
+    Row("calibrate", "calibration.commands", heading=_LABORATORY),
+    Row("calibrate intrinsics", "calibration.commands.intrinsics", "intrinsics"),
+    *(Row(f"calibrate {name}", "calibration.commands.place", name) for name in ("arena", "verify")),
+    *(Row(f"calibrate {name}", "calibration.commands.robots", name) for name in ("offsets", "latency")),
+    Row("ros2", "gateways.ros2.command", "ros2", _PROGRAMS),
+    Row("foxglove", "gateways.viewers.command", "foxglove", _PROGRAMS),
+    Row("rerun", "gateways.viewers.command", "rerun", _PROGRAMS),
+    Row("hosts", "operator.commands", "hosts", _COMPUTERS),
+    Row("keys", "hosts.keys_commands", heading=_COMPUTERS),
+    *(Row(f"keys {name}", "hosts.keys_commands", name) for name in ("init", "add")),
+    Row("keys list", "hosts.keys_commands", "listed"),
+    *(Row(f"keys {name}", "hosts.keys_commands", name) for name in ("renew", "revoke", "bundle")),
+    Row("join", "hosts.join_command", "join", _COMPUTERS),
+    *(Row(name, "operator.commands", name) for name in ("arm", "start")),
+    Row("layout", "reports.commands", "layout"),
+    Row("schema", "operator.config_commands", "schema"),
+    Row(_NODE, "operator.node_commands"),
+    *(Row(f"{_NODE} {name}", "operator.node_commands", name) for name in _PROCESSES),
 )
 
 
-class _Unloaded(TyperCommand):
-    """A command of the table, whose module is not imported yet: it has what the list of commands shows."""
+def _rows(group: str = "") -> dict[str, Row]:
+    """Return the commands of a group by their names in it."""
+    split = {row: row.name.rpartition(" ") for row in COMMANDS}
+    return {name: row for row, (parent, _, name) in split.items() if parent == group}
 
-    def __init__(self, row: Row) -> None:
-        super().__init__(row.name, rich_help_panel=row.panel)
-        self._row = row
+
+def _unloaded(group: str = "") -> dict[str, Any]:
+    return {name: _Unloaded(name, row) if row.function else _Group(name, row) for name, row in _rows(group).items()}
+
+
+@cache
+def _docstrings(module: str) -> dict[str, str]:
+    """Return the docstrings of a module and of its functions, from its source: it is not imported."""
+    spec = find_spec(f"robofleet.{module}")
+    assert spec is not None
+    assert spec.origin is not None
+    tree = ast.parse(Path(spec.origin).read_bytes())
+    functions = (node for node in tree.body if isinstance(node, ast.FunctionDef))
+    return {"": ast.get_docstring(tree) or ""} | {node.name: ast.get_docstring(node) or "" for node in functions}
+
+
+class _FromSource:
+    """The help of a command whose module is not imported."""
+
+    _row: Row
 
     @property
     def help(self) -> str:
-        """The docstring of its function, or of its module, as the source has it."""
-        spec = find_spec(f"robofleet.{self._row.module}")
-        assert spec is not None
-        assert spec.origin is not None
-        tree: Any = ast.parse(Path(spec.origin).read_bytes())
-        if self._row.function:
-            tree = next(node for node in tree.body if getattr(node, "name", "") == self._row.function)
-        return ast.get_docstring(tree) or ""
+        """What its source says of it."""
+        return _docstrings(self._row.module)[self._row.function]
 
     @help.setter  # noqa: A003 - click calls it so
     def help(self, text: str | None) -> None:
         """Take nothing: it stands in the source."""
 
+
+class _Unloaded(_FromSource, usage.Command):  # type: ignore[misc]  # a property in the place of a value
+    """A command of the table, whose module is not imported yet: it has what the list of commands shows."""
+
+    def __init__(self, name: str, row: Row) -> None:
+        super().__init__(name, rich_help_panel=row.heading)
+        self._row = row
+
     @cached_property
     def loaded(self) -> Any:
         """The command itself."""
         module = import_module(f"robofleet.{self._row.module}")
-        if not self._row.function:
-            group = get_group(module.app)
-            group.name = self.name
-            return group
         function: Callable[..., None] = getattr(module, self._row.function)
         app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
-        app.command(self.name, cls=getattr(module, self._row.parser, TyperCommand))(function)
+        app.command(self.name, cls=getattr(module, self._row.parser, usage.Command))(function)
         return get_command(app)
 
 
-class _Commands(TyperGroup):
-    """The commands of the table."""
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(**settings | {"commands": {row.name: _Unloaded(row) for row in COMMANDS}})
+class _Lazy(usage.Commands):
+    """Commands of the table: the one that is called is imported."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that is called, and import it; its help and completion do without packages of ``lab``."""
@@ -130,6 +158,29 @@ class _Commands(TyperGroup):
             command.epilog = f"Its options are listed where they can be used: {how_to_install('lab')}"
             return name, command, ["--help"]
 
+
+class _Group(_FromSource, _Lazy):  # type: ignore[misc]  # as above
+    """A group of commands of the table."""
+
+    def __init__(self, name: str, row: Row) -> None:
+        super().__init__(name=name, commands=_unloaded(name), rich_help_panel=row.heading, no_args_is_help=True)
+        self._row = row
+
+
+class _Commands(_Lazy):
+    """All commands."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings | {"commands": _unloaded()})
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that is called; a process of a run, also by the name that it had at the top once."""
+        if args[0] in _PROCESSES:
+            if not ctx.resilient_parsing:
+                print(f"`robofleet {args[0]}` is now `robofleet {_NODE} {args[0]}`", file=sys.stderr)
+            args = [_NODE, *args]
+        return super().resolve_command(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         """Run it; bad input, and a package that is not installed, end with exit code 2 and one line a fault."""
         with bad_input():
@@ -145,10 +196,9 @@ app = typer.Typer(
     cls=_Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Drive fleets of differential-drive robots under overhead cameras.",
-    epilog="First: robofleet check configs/platoon.yaml, then: robofleet run configs/platoon.yaml. "
-    "Each command's --help has examples. Exit 0: completed; 1: ended by a fault or by you, or results were lost; "
-    "2: bad input.",
+    help="Drive a fleet of wheeled robots under overhead cameras, real or simulated.",
+    epilog="First: `robofleet init lab`, then `robofleet run lab/platoon.yaml --web`. `robofleet COMMAND --help` has "
+    "options and examples. Also: --version, --install-completion. Terms: configs/TERMS.md.",
 )
 
 

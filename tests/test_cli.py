@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from tests.shipped import PLATOON
 
 pytestmark = pytest.mark.usefixtures("unplotted")
 
+RECORDING = Path(__file__).parent / "recordings" / "platoon.mcap"
 TRUTH = ("--lockstep", "--set", "tracker.source=truth")
 SUMMARY_KEYS = {
     "version", "config", "seed", "mode", "outcome", "cause", "duration_s", "ticks", "real_time_factor", "trace_hash",
@@ -131,6 +133,16 @@ def test_a_run_ends_with_a_table_in_a_folder_of_its_own(folder: Path) -> None:
     assert f"{json.loads(summary)['began'].replace('T', ' ').removesuffix('Z')} UTC; 4 robots" in page
 
 
+@pytest.mark.parametrize("command", [["report"], ["replay"], ["repair"], ["layout", "foxglove"]], ids=" ".join)
+def test_a_command_on_a_run_takes_the_newest_one(command: list[str], folder: Path) -> None:
+    newest = folder / "runs" / "20260102T030405Z-platoon"
+    newest.mkdir(parents=True)
+    shutil.copy(RECORDING, newest / "run.mcap")
+    result = robofleet(*command)
+    assert result.exit_code == (1 if command == ["report"] else 0), result.output  # it is too short for its bounds
+    assert "the newest run is taken: runs/20260102T030405Z-platoon\n" in result.stderr
+
+
 def test_a_fault_is_exit_code_1_with_its_cause_and_a_summary(folder: Path) -> None:
     unseen = ("--set", "tracker.truth.dropout=1.0")
     result = robofleet("run", PLATOON, *TRUTH, *unseen, "--json", "--out", "new")
@@ -211,7 +223,7 @@ def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(a
     )
 
 
-@pytest.mark.parametrize("arguments", [["run", "--help"], ["calibrate", "camera", "--help"], ["schema"]])
+@pytest.mark.parametrize("arguments", [["run", "--help"], ["calibrate", "intrinsics", "--help"], ["schema"]])
 def test_a_robots_computer_without_the_extra_has_every_commands_help_and_the_schema(arguments: list[str]) -> None:
     hidden = f"import sys; sys.modules.update(dict.fromkeys({LAB_MODULES}))"
     code = f"{hidden}; sys.argv[1:] = {arguments}; from robofleet.cli import main; main()"
@@ -221,7 +233,8 @@ def test_a_robots_computer_without_the_extra_has_every_commands_help_and_the_sch
 
 
 COMMANDS_ON_A_RUN = [["stop"], ["hold"], ["status"], ["status", "--json"], ["web"]]
-ONE_PROCESS = [["router"], ["supervisor"], ["tracker"], ["controller"], ["driver", "--robots", "r1,r2,r3,r4"]]
+ONE_PROCESS = [["node", name] for name in ("router", "supervisor", "tracker", "controller")]
+ONE_PROCESS += [["node", "driver", "--robots", "r1,r2,r3,r4"]]
 
 
 @pytest.mark.parametrize("command", [*COMMANDS_ON_A_RUN, *ONE_PROCESS, ["run"]], ids=" ".join)

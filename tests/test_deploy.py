@@ -47,7 +47,7 @@ def test_the_laboratorys_ports_are_the_names_that_the_rules_give() -> None:
 
 def test_the_service_lets_a_driver_do_what_it_does() -> None:
     service = unit()["Service"]
-    assert re.fullmatch(r"\S+/robofleet driver \S+ --robots %i", service["ExecStart"])
+    assert re.fullmatch(r"\S+/robofleet node driver \S+ --robots %i", service["ExecStart"])
     assert service["Type"] == "notify"
     assert service["RestartPreventExitStatus"] == "2"
     assert int(service["LimitNICE"]) <= node.NICE

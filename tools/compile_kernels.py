@@ -17,7 +17,7 @@ with needing("lab"):
     import numba  # noqa: F401 - else the first of the modules below that is missing would be named
 
     from robofleet.config.load import load_config
-    from robofleet.core.kernels import store
+    from robofleet.core.kernels import SHIPPED, store
     from robofleet.recording.measures import load_kernels
     from robofleet.runs.lockstep import Lockstep
 
@@ -27,18 +27,18 @@ RUNS = (("platoon", ()), ("platoon", ("tracker.source=truth",)), ("obstacles", (
 
 def main() -> None:
     """Drive each of the configurations for two seconds; what numba compiles meanwhile is kept in the package."""
-    store.folder = lambda: store.SHIPPED
+    store.folder = lambda: SHIPPED
     for name, changes in RUNS:
         config = load_config(CONFIGS / f"{name}.yaml", ["run.duration_s=2", *changes])
         load_kernels(config)
         outcome, cause = Lockstep(config).run()
         if outcome != "completed":
             sys.exit(f"{name}: {outcome}: {cause}")
-    store.SHIPPED.chmod(0o755)
-    files = [*store.SHIPPED.iterdir()]
+    SHIPPED.chmod(0o755)
+    files = [*SHIPPED.iterdir()]
     for file in files:
         file.chmod(0o644)
-    print(f"{len(files)} kernels, {sum(file.stat().st_size for file in files) / 1e6:.1f} MB, in {store.SHIPPED}")
+    print(f"{len(files)} kernels, {sum(file.stat().st_size for file in files) / 1e6:.1f} MB, in {SHIPPED}")
 
 
 if __name__ == "__main__":

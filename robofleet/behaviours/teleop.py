@@ -1,7 +1,8 @@
-"""teleop: a person drives a robot by a gamepad, on the page or by ``robofleet teleop``; the others follow it.
+"""teleop: a person drives a robot by the page's stick, or by a gamepad, there or by ``robofleet teleop``; the others
+follow it.
 
-The group's first robot does what the person commands, up to the speeds that are set, while the dead-man's button is
-held: whoever sends commands sends none without it. Each other robot follows the way of the robot ahead of it,
+The group's first robot does what the person commands, up to the speeds that are set, while the stick is held: whoever
+sends commands sends none without it. Each other robot follows the way of the robot ahead of it,
 ``spacing_m`` behind. All of them stand without a command, and when the newest one is too old.
 
 In a held run the person may drive one robot of the group out, any of them, at a crawl: the others stand. Who permits

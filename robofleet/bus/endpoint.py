@@ -44,8 +44,8 @@ def check_router(config: "Config") -> None:
         check_free(config)
     elif not _answers(config.bus.endpoint):
         raise PlaceError(
-            f"bus.router: service, and no router listens at {config.bus.endpoint}: start `robofleet router CONFIG`, "
-            "or leave bus.router out, and each run starts its own"
+            f"bus.router: service, and no router listens at {config.bus.endpoint}: start "
+            "`robofleet node router CONFIG`, or leave bus.router out, and each run starts its own"
         )
 
 

@@ -15,6 +15,7 @@ from robofleet.config.files.yamlfile import Source, read_yaml
 from robofleet.core.clock import utc_now
 from robofleet.core.errors import BadInputError
 from robofleet.core.settings import Model
+from robofleet.runs.folder import STAMP
 
 EARLIER = "earlier"  # folder beside a calibration, of those that it replaced
 
@@ -90,7 +91,7 @@ def _keep(file: Path) -> Path:
     """Copy a calibration into the folder of the earlier ones, under the instant of its replacement."""
     folder = file.parent / EARLIER
     folder.mkdir(exist_ok=True)
-    stamp, count = utc_now().strftime("%Y%m%dT%H%M%SZ"), 0
+    stamp, count = utc_now().strftime(STAMP), 0
     while (kept := folder / f"{file.stem}-{stamp}{f'-{count}' if count else ''}.yaml").exists():
         count += 1
     kept.write_bytes(file.read_bytes())

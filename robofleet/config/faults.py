@@ -2,7 +2,7 @@
 
 import difflib
 import ipaddress
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import get_args, get_origin
 
 from pydantic import BaseModel
@@ -25,6 +25,8 @@ from robofleet.core.patterns import (
 
 Complaint = tuple[str, str]  # dotted path, message
 
+_NEAR = 0.8  # of names
+_MOST_HINTS = 3
 _WORDS = {
     "missing": "is missing",
     "model_type": "must be a mapping",
@@ -55,7 +57,7 @@ def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
     """Return what is wrong and how to mend it, from one of pydantic's errors on a tree of kind ``root``."""
     kind, given, loc, context = error["type"], error["input"], error["loc"], error.get("ctx", {})
     if kind == "extra_forbidden":
-        return f"unknown key: {_known_key(str(loc[-1]), loc[:-1], root)}"
+        return f"unknown key: {did_you_mean(str(loc[-1]), _known_keys(loc[:-1], root))}"
     if kind == "union_tag_not_found":
         return "is missing: add it; configs/README.md describes it"
     if kind == "union_tag_invalid":
@@ -151,25 +153,29 @@ def _known_keys(loc: Iterable[str | int], root: type[BaseModel] = Config) -> lis
     return list(getattr(kind, "model_fields", ()))
 
 
-def _known_key(key: str, loc: tuple[str | int, ...], root: type[BaseModel]) -> str:
-    """Return a hint at a near key beside an unknown one, else at where in the tree a key of this name stands."""
-    known = _known_keys(loc, root)
-    if not loc and not difflib.get_close_matches(key, known, n=1) and (places := list(_places(key, root))):
-        return f"did you mean {' or '.join(map(repr, places))}?"
-    return did_you_mean(key, known)
+def elsewhere(key: str, models: Mapping[str, type[BaseModel]], written: Callable[[str], bool]) -> list[str]:
+    """Return where in the tree a key of this name stands, else a key of a near name: three dotted paths at most.
+
+    ``models``: the tree by the paths of its parts. ``written``: whether the configuration has the mapping at a path;
+    keys of such a mapping go before all others.
+    """
+    paths = [path for start, model in models.items() for path in _paths(model, start)]
+    names = [path.rpartition(".")[2] for path in paths]
+    near = difflib.get_close_matches(key, names, n=1, cutoff=_NEAR)
+    found = [path for path, name in zip(paths, names, strict=True) if name in near]
+    present = [path for path in found if "." not in path or written(path.rpartition(".")[0])]
+    return sorted(present or found, key=lambda path: path.count("."))[:_MOST_HINTS]
 
 
-def _places(key: str, model: type[BaseModel], path: str = "") -> Iterator[str]:
-    """Yield the dotted paths at which a key of this name stands; an item of a list is its first."""
+def _paths(model: type[BaseModel], start: str = "") -> Iterator[str]:
+    """Yield the dotted paths of all keys; an item of a list is its first."""
     for name, field in model.model_fields.items():
-        if name == key and path:
-            yield path + name
+        yield start + name
         annotation = field.annotation
-        within = (annotation, *get_args(annotation))
         item = "0." if get_origin(annotation) is tuple else ""
-        for inner in within:
+        for inner in (annotation, *get_args(annotation)):
             if isinstance(inner, type) and issubclass(inner, BaseModel):
-                yield from _places(key, inner, f"{path}{name}.{item}")
+                yield from _paths(inner, f"{start}{name}.{item}")
 
 
 def _key(loc: tuple[str | int, ...]) -> str:

@@ -23,6 +23,7 @@ from robofleet.config.faults import (
     counted,
     cross_checks,
     did_you_mean,
+    elsewhere,
     meant,
     meant_among,
     place_of,
@@ -137,6 +138,7 @@ class ConfigFile:
         self._faults: list[Mistake] = []
         self._files: Files = {} if files is None else files
         self._sources: list[Source] = []
+        self._settings: dict[str, type[BaseModel]] = {}  # of each group's behaviour, by the path where they stand
         root = self._opened(file)
         if root is not None and faults_file is not None:
             root = self._with_faults(root, faults_file)
@@ -168,8 +170,9 @@ class ConfigFile:
                 loc = place_of(error)
                 if several is not None and loc[:1] == ("camera",):
                     continue  # it is the first of several, where the same is wrong
-                message = self._moved(loc) if error["type"] == "extra_forbidden" else None
-                self._complain(loc, message or plain_words(error), at_key=error["type"] == "extra_forbidden")
+                unknown = error["type"] == "extra_forbidden"
+                message = (self._moved(loc) or self._elsewhere(loc)) if unknown else None
+                self._complain(loc, message or plain_words(error), at_key=unknown)
             raise self._error() from None
         self.config = numbered(with_moving_obstacles(self.config))
         self.refuse([*cross_checks(self.config), *self._unreachable()])
@@ -211,7 +214,7 @@ class ConfigFile:
             return None
         try:
             reach(self._folder, behaviour)
-            settings = groups.load_kind(behaviour).Settings
+            self._settings[f"groups.{i}.settings."] = settings = groups.load_kind(behaviour).Settings
             return settings.model_validate(given).model_dump(mode="json")
         except PluginError as unknown:
             self._complain((*where, "behaviour"), str(unknown))
@@ -238,7 +241,19 @@ class ConfigFile:
         where = ".".join(map(str, (*loc[:2], "settings", loc[2])))
         return f"is a setting of the behaviour {behaviour.value}: write it under `settings:` ({where})"
 
-    def _at(self, loc: Loc) -> Node | None:
+    def _elsewhere(self, loc: Loc) -> str | None:
+        """Return where an unknown key stands in the tree; None where a key beside it is meant, or none is near."""
+        name, node = str(loc[-1]), self._at(loc)
+        paths = elsewhere(name, {"": Config, **self._settings}, lambda path: self._at(keys_of(path)) is not None)
+        without_parents = len(loc) == 1 and any(path.endswith(f".{name}") for path in paths)
+        if not paths or node is None or (meant(loc) != loc and not without_parents):
+            return None
+        option, rest = node.position.source.name, ""
+        if option.startswith("--set "):
+            rest = option.removeprefix("--set ").removeprefix(".".join(map(str, loc)))
+        return f"there is no such key: did you mean {' or '.join(path + rest for path in paths)}?"
+
+    def _at(self, loc: Sequence[str | int]) -> Node | None:
         node: Node | None = self._root
         for part in loc:
             node = None if node is None else node.child(part)

@@ -51,8 +51,9 @@ class BusSettings(Model):
     """Addresses of this computer at which the router admits other hosts, by the certificates of ``robofleet keys``:
     ``quic/192.168.1.10:7447`` for robots on a radio, ``tls/192.168.1.10:7447`` for others."""
     router: Literal["run", "service"] = "run"
-    """Who starts the router: each run its own, or ``service``: it is there before and after runs, as ``robofleet router
-    CONFIG`` or a zenohd of your own. ``robofleet hosts CONFIG`` then shows the robots' computers between runs, too."""
+    """Who starts the router: each run its own, or ``service``: it is there before and after runs, as ``robofleet node
+    router CONFIG`` or a zenohd of your own. ``robofleet hosts CONFIG`` then shows the robots' computers between runs,
+    too."""
     insecure: Literal["loopback"] | None = None
     """``loopback`` allows TCP on this computer. Every user and every program of the computer can then drive the
     robots."""
@@ -134,7 +135,7 @@ class DriverSettings(Model):
     started_by: Literal["run", "systemd", "daemon"] = "run"
     """``run``: ``robofleet run`` starts the drivers. ``systemd``: the services of ``tools/deploy`` start them, and
     ``robofleet run`` starts everything else. ``daemon``: as ``run``, but each robot that is not simulated has a
-    computer of its own, on which ``robofleet driver --unit UNIT`` waits for this configuration."""
+    computer of its own, on which ``robofleet node driver --unit UNIT`` waits for this configuration."""
 
 
 class LockstepSettings(Model):

@@ -17,8 +17,8 @@ from robofleet.control.prediction import (
     RK4_LIMIT,
     Compiled,
     Plant,
-    compile_plant,
     needed_steps,
+    plant_parts,
 )
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import model
@@ -79,7 +79,7 @@ def _advance(u: Array, e: Array, inverse: Array, memory: Array, lower: Array, up
 
 def compile_step(plant: Plant, by_hand: bool) -> Any:
     """Return ``step(x, r, memory) -> Status``; compiled at its first call. by_hand: predict by ``plant.fused``."""
-    parts = compile_plant(plant)
+    parts = plant_parts(plant)
     predict = _adaptive(parts, compiled(plant.fused) if by_hand and plant.fused else None)
     acting = _acting(parts)
     names = layout(plant.n, plant.m, 0)

@@ -22,6 +22,7 @@ from robofleet.control.precedence import Plan
 from robofleet.control.wheels import body_from_point
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.kernels import kernel
+from robofleet.vehicles import solids
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 _TURN_SHARE = 0.65  # of the fastest turn: the rest is the feedback's
@@ -299,4 +300,10 @@ def _finish(pose: Array, goal: Array, limits: Array, accuracy: Array, s: Array, 
     s[8] = s[8] + 1.0 if v == 0.0 and turn == 0.0 else 0.0
 
 
-KERNELS = (_modelled, _advance, _drive)  # that are called from Python
+def rehearse(drive: DifferentialDrive) -> None:
+    """Call every kernel of planning and following once; see ``Follower.rehearse``."""
+    solids.rehearse()
+    Follower(FollowerSettings(0.03, 0.1, 0.5, 0.1, (0.1,), 0.01, 0.1, 0.1), [drive]).rehearse()
+
+
+KERNELS = (_modelled, _advance, _drive, *precedence.KERNELS, *planning.KERNELS)  # that are called from Python

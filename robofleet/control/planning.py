@@ -404,7 +404,8 @@ def _configuration(
 @kernel
 def _forced(q: Indices, forced: Indices, at: Array, radii: Array, out: Indices) -> bool:
     """Write what is forced; False where it is not clear."""
-    out[:] = forced
+    for i in range(len(q)):
+        out[i] = forced[i]  # not out[:] = forced: the message of that line's check compiles for a second
     for i in range(len(q)):
         if forced[i] < 0:
             continue
@@ -503,3 +504,6 @@ def _hungarian(cost: Array, column_of: Indices) -> None:
             row_of[current], current = row_of[came[current]], came[current]
     for j in range(n):
         column_of[row_of[j]] = j
+
+
+KERNELS = (_radii, _direct, _neighbours, _costs, _choices, _configuration, _hungarian, *solid_ways.KERNELS)

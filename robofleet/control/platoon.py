@@ -204,4 +204,12 @@ def _tick(
         before_x, before_y = x, y
 
 
-KERNELS = (_tick,)  # that are called from Python
+def rehearse(drive: DifferentialDrive) -> None:
+    """Call every kernel of the law once: numba compiles them then, or loads them from disk."""
+    knots = np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+    circle = Path.hermite(knots, np.roll(knots, -1, 0))
+    law = PlatoonLaw(circle, PlatoonSettings(1.0, 0.5, 0.1, 0.1, 0.1, 0.03, "exact", "point"), (drive, drive))
+    law.tick(0.0, np.full((2, 3), 0.5), np.ones(2, dtype=np.bool_))
+
+
+KERNELS = (_tick, *paths.KERNELS)  # that are called from Python

@@ -109,7 +109,8 @@ def _shorten(
                         break
                 if possible:
                     for a in range(begin + 1, end):
-                        places[i, a], radii[i, a] = new[a], new_radii[a]
+                        places[i, a, 0], places[i, a, 1] = new[a, 0], new[a, 1]
+                        radii[i, a] = new_radii[a]
                     shorter = True
                     break
         span = span * 2 // 3
@@ -145,3 +146,6 @@ def _needs(places: Array, radii: Array, i: int, needed: NDArray[np.int32]) -> No
                 if x * x + y * y < apart * apart - 1e-6:
                     needed[a, j] = b + 1
                     break
+
+
+KERNELS = (_radii, _shorten, _needs)  # that are called from Python

@@ -72,6 +72,12 @@ class Compiled:
 
 def compile_plant(plant: Plant) -> Compiled:
     """Return the compiled parts of a plant; compiled at their first call, once for plants that mean the same now."""
+    parts = plant_parts(plant)
+    return Compiled(model(parts.predict), model(parts.rollout), model(parts.fastest_rate))
+
+
+def plant_parts(plant: Plant) -> Compiled:
+    """Return the parts of a plant for a larger model, which compiles each of them once."""
     f, h = compiled(plant.f), compiled(plant.h)
     if plant.f_x is not None and plant.f_u is not None:
         f_x = compiled(plant.f_x)
@@ -81,7 +87,7 @@ def compile_plant(plant: Plant) -> Compiled:
         along = difference_slopes(f)
     output = difference_output(h) if plant.h_x is None else analytic_output(compiled(plant.h_x))
     rate = spectral_radius_bound(f_x) if plant.fastest_rate is None else compiled(plant.fastest_rate)
-    return Compiled(*(model(part) for part in (_predictor(f, h, along, output, rate), _rollout(f, rate), rate)))
+    return Compiled(_predictor(f, h, along, output, rate), _rollout(f, rate), rate)
 
 
 @cached

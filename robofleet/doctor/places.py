@@ -11,6 +11,7 @@ from robofleet.bus.private_folder import PlaceError, private_folder
 from robofleet.doctor.findings import Finding, Mark, ok
 from robofleet.doctor.needs import Needs
 from robofleet.nodes.unit.state_store import state_folder
+from robofleet.runs.folder import RUNS
 from robofleet.safety.monitor import LEAST_FREE_BYTES
 
 _BYTES_A_MINUTE = 11_000_000  # of a recording with pictures
@@ -20,7 +21,7 @@ def disk(needs: Needs) -> Iterator[Finding]:
     """Room for the recording of this run, and whether its folder can be made here."""
     if not needs.whole_run:
         return
-    runs = Path("runs").absolute()
+    runs = RUNS.absolute()
     folder = _nearest(runs)
     needed = LEAST_FREE_BYTES + round(needs.duration_s / 60 * _BYTES_A_MINUTE)
     free = shutil.disk_usage(folder).free

@@ -23,7 +23,7 @@ _KERNELS = (
 _WITHOUT = {  # an extra that the configuration does not need, and what is not there without it
     "basler": "only Basler's cameras need it",
     "web": "only the operator's page (`--web`, `robofleet web`) needs it",
-    "lab": "only the computer that runs the whole fleet needs it, and not one that runs `robofleet driver`",
+    "lab": "only the computer that runs the whole fleet needs it, and not one that runs `robofleet node driver`",
 }
 
 

@@ -37,24 +37,24 @@ def refused() -> Iterator[None]:
 
 
 def join(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="What `robofleet keys bundle` made.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The file that `robofleet keys bundle` has written.")],
     service: Annotated[
-        bool, typer.Option("--service", help="Install the systemd service of this unit; as root.")
+        bool, typer.Option("--service", help="Install the driver as a systemd service; as root.")
     ] = False,
     into: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Another folder: /etc/robofleet of a mounted SD card.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Write into this folder, for example /etc/robofleet of a mounted SD card."),
     ] = None,
-    driver: Annotated[
-        str | None, typer.Option(metavar="KIND", help="The only kind of driver that a run may ask of this robot.")
-    ] = None,
-    port: Annotated[str | None, typer.Option(metavar="PORT", help="The only port that a run may ask for.")] = None,
+    driver: Annotated[str | None, typer.Option(metavar="KIND", help="Allow only this kind of driver.")] = None,
+    port: Annotated[str | None, typer.Option(metavar="PORT", help="Allow only this serial port.")] = None,
     max_wheel_speed: Annotated[
-        float | None, typer.Option(metavar="RAD_S", help="Fastest wheel that a run may ask for, in rad/s.")
+        float | None, typer.Option(metavar="RAD_S", help="Largest wheel speed that a run may set, in rad/s.")
     ] = None,
 ) -> None:
-    """Put a bundle in place on this computer: as root or with --service in /etc/robofleet, else in ~/.config/robofleet.
+    """Let this computer join an arena.
 
-    A folder that XDG_CONFIG_HOME names is taken instead of both, but for a service.
+    It installs the keys: as root or with --service in /etc/robofleet, else in ~/.config/robofleet. Without --service,
+    XDG_CONFIG_HOME names another folder.
 
     $ robofleet join r1.bundle --service
 
@@ -86,7 +86,7 @@ def join(
         print(
             "Next: systemctl enable --now robofleet-unit"
             if service
-            else f"Next: robofleet driver --unit {passport.name}"
+            else f"Next: robofleet node driver --unit {passport.name}"
         )
         print(f"Then delete {file} here and at the laboratory")
 
@@ -202,7 +202,7 @@ StartLimitIntervalSec=0
 
 [Service]
 Type=notify
-ExecStart={program} driver --unit {unit}
+ExecStart={program} node driver --unit {unit}
 # A user of its own, without a right but to the robot's port. Root keeps the keys, and systemd hands over copies.
 DynamicUser=yes
 SupplementaryGroups=dialout

@@ -1,4 +1,6 @@
-"""Who may join an arena from another host: authority and certificates.
+"""Manage who may join an arena from another computer.
+
+Each robot, process and person has keys and a certificate, signed by the arena's authority on this computer.
 
 $ robofleet keys init lab
 """
@@ -25,11 +27,13 @@ from robofleet.hosts import bundle as bundles
 from robofleet.hosts.authority import AUTHORITY_DAYS, DAYS, Authority, Entry
 from robofleet.hosts.join_command import refused
 
-app = typer.Typer(no_args_is_help=True, help=__doc__)
-
-ArenaName = Annotated[str, typer.Argument(metavar="ARENA", help="arena.name of the configuration.")]
-Who = Annotated[str, typer.Argument(metavar="NAME", help="A unit, a process, or a person.")]
-Days = Annotated[int | None, typer.Option(metavar="N", min=1, max=36500, help="How long it is valid.")]
+ArenaName = Annotated[str, typer.Argument(metavar="ARENA", help="The arena: arena.name of the configuration.")]
+Who = Annotated[
+    str, typer.Argument(metavar="NAME", help="The name of a robot's computer (unit), a process, or a person.")
+]
+Days = Annotated[
+    int | None, typer.Option(metavar="N", min=1, max=36500, help="Days for which the certificate is valid.")
+]
 
 
 @contextmanager
@@ -45,20 +49,20 @@ def _named(name: str) -> str:
     return name
 
 
-@app.command()
 def init(
     arena: ArenaName,
     address: Annotated[
         list[str],
         typer.Option(
-            metavar="ADDRESS", help="Also sign for this address or name, outside private networks; repeatable."
+            metavar="ADDRESS", help="Also sign for this address or name outside private networks. Repeatable."
         ),
     ] = [],  # noqa: B006
     days: Days = None,
 ) -> None:
-    """Make an arena's authority on this computer, and the router's certificate with `keys add ARENA router`.
+    """Make an arena's authority on this computer.
 
-    Whoever trusts it trusts it for private networks, .local, .lan, .internal and .home.arpa alone.
+    It can sign only for private networks, .local, .lan, .internal and .home.arpa, and for each --address. Next:
+    `robofleet keys add ARENA router`.
 
     $ robofleet keys init lab
 
@@ -71,28 +75,34 @@ def init(
     print(f"Next: robofleet keys add {arena} router --address THIS_COMPUTERS_ADDRESS")
 
 
-@app.command()
 def add(
     arena: ArenaName,
     name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="A unit, a process, or a person; not with --from.")
+        str | None,
+        typer.Argument(
+            metavar="NAME", help="The name of a robot's computer (unit), a process, or a person; not with --from."
+        ),
     ] = None,
     kind: Annotated[
         str | None,
-        typer.Option(metavar="KIND", help="unit, router, web, operator, viewer, ...; default: by its name."),
+        typer.Option(
+            metavar="KIND", help="unit, router, web, operator, viewer or script. Default: by the name, else unit."
+        ),
     ] = None,
-    address: Annotated[list[str], typer.Option(metavar="ADDRESS", help="Of the router or the page; repeatable.")] = [],  # noqa: B006
+    address: Annotated[
+        list[str], typer.Option(metavar="ADDRESS", help="Address of the router or the page. Repeatable.")
+    ] = [],  # noqa: B006
     days: Days = None,
     source: Annotated[
         Path | None,
         typer.Option(
             "--from",
             metavar="CONFIG",
-            help="Add each unit that exists, router, operator and viewer, where they have no certificate.",
+            help="Add the router, an operator, a viewer and every unit of CONFIG that have no certificate.",
         ),
     ] = None,
 ) -> None:
-    """Make the keys and the certificate of a unit, a process, an operator or a viewer.
+    """Make keys and a certificate for a name.
 
     $ robofleet keys add lab r1
 
@@ -149,11 +159,11 @@ def _add_roster(arena: str, source: Path, kind: str | None, address: list[str], 
         print(f"Next: robofleet keys bundle {arena} {units[0]} --router quic/THIS_COMPUTERS_ADDRESS:7447")
 
 
-@app.command("list")
 def listed(
-    arena: ArenaName, as_json: Annotated[bool, typer.Option("--json", help="Print it as one JSON object.")] = False
+    arena: ArenaName,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
-    """Show everybody who has a certificate, and when it ends.
+    """List the certificates, and when each ends.
 
     $ robofleet keys list lab
     """
@@ -179,14 +189,15 @@ def _row(name: str, entry: "Entry") -> dict[str, Any]:
     }  # fmt: skip
 
 
-@app.command()
 def renew(
     arena: ArenaName,
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Default with --all: everybody.")] = None,
-    everybody: Annotated[bool, typer.Option("--all", help="Renew whatever is not revoked.")] = False,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="The name; not with --all.")] = None,
+    everybody: Annotated[bool, typer.Option("--all", help="Renew all that are not revoked.")] = False,
     days: Days = None,
 ) -> None:
-    """Make new keys and a certificate for a name; its bundle must then be joined again.
+    """Make new keys and a new certificate for a name.
+
+    Then write its bundle, and join with it again on the other computer.
 
     $ robofleet keys renew lab r1
     """
@@ -200,11 +211,10 @@ def renew(
     print(f"Next: robofleet keys bundle {arena} NAME, for whoever is on another computer, and join it there again")
 
 
-@app.command()
 def revoke(arena: ArenaName, name: Who) -> None:
-    """Let nobody in by a name's certificate any more, at once.
+    """Make a certificate invalid at once.
 
-    The router begins anew. A run that is on may be held by that: its robots stand, and `robofleet resume` goes on.
+    The router starts again. This may hold a run that is on: its robots stand, and `robofleet resume` continues.
 
     $ robofleet keys revoke lab r1
     """
@@ -218,16 +228,18 @@ def revoke(arena: ArenaName, name: Who) -> None:
     )
 
 
-@app.command()
 def bundle(
     arena: ArenaName,
     name: Who,
     router: Annotated[
-        list[str], typer.Option(metavar="ADDRESS", help="Of the router: quic/192.168.1.10:7447; repeatable.")
+        list[str],
+        typer.Option(metavar="ADDRESS", help="Address of the router, for example quic/192.168.1.10:7447. Repeatable."),
     ],
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: NAME.bundle.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write. Default: NAME.bundle.")] = None,
 ) -> None:
-    """Write the one file that another computer needs; carry it there, then delete it here.
+    """Write the file that another computer needs to join.
+
+    Copy it to that computer, then delete it here. It holds a private key.
 
     $ robofleet keys bundle lab r1 --router quic/192.168.1.10:7447
     """

@@ -24,7 +24,7 @@ from robofleet.bus.messages import (
 from robofleet.bus.statuses import URGENT_PERIOD_NS, Statuses
 from robofleet.config import groups, slices
 from robofleet.config.tree import Config
-from robofleet.control import path, platoon
+from robofleet.control import following, platoon
 from robofleet.control import wheels as wheel_limits
 from robofleet.control.wheels import Request
 from robofleet.core.clock import Clock, S, TickGrid
@@ -316,18 +316,20 @@ def compile_kernels(config: Config, say: Say | None = None) -> None:
     """
     kernels = (
         *platoon.KERNELS,
-        *path.KERNELS,
+        *following.KERNELS,
         *wheel_limits.KERNELS,
         *estimator.KERNELS,
         *safety_barrier.KERNELS,
         _fill_commands,
         _fill_record,
     )
-    with told("control", kernels, say or on_stderr()):
+    with told(kernels, say or on_stderr()):
         _call_kernels(config)
 
 
 def _call_kernels(config: Config) -> None:
+    for law in (platoon, following):  # every law that comes with robofleet: another configuration compiles none then
+        law.rehearse(fleet.drives(config)[0])
     runner, fleet_filter, barrier = BehaviourRunner(config), fleet.fleet_filter(config), fleet.barrier(config)
     to_start, to_park = config.run.begin == "go_to_start", config.run.end == "park"
     n, c = len(config.members), config.controller

@@ -108,7 +108,7 @@ class Siblings:
         words = _read(file, _LONGEST_COMMAND_BYTES).decode(errors="replace").split("\0")
         if file is not None:
             os.close(file)
-        command = words[words.index("robofleet") + 1 :] if "robofleet" in words else []
+        command = words[words.index("node") + 1 :] if "node" in words else []
         if command[:1] == ["driver"] and "--robots" in command[:-1]:
             robots = command[command.index("--robots") + 1].split(",")
             return [self._drivers[robot] for robot in robots if robot in self._drivers]

@@ -50,13 +50,13 @@ def pose_source(context: PoseContext) -> PoseSource:
 def compiling(config: Config, say: Say) -> AbstractContextManager[None]:
     """Tell ``say`` of the kernels that are compiled while the source of a tracker's poses is made here."""
     if config.tracker.source != "camera":
-        return told("truth", arena.KERNELS, say)
+        return told(arena.KERNELS, say)
     from robofleet.simulation import draw  # noqa: PLC0415 - these load OpenCV
     from robofleet.tracking.tags import fit as tag_fit  # noqa: PLC0415
     from robofleet.tracking.tags import motion  # noqa: PLC0415
 
     simulated = draw.KERNELS if config.camera.source == "simulated" else ()
-    return told("camera", (*arena.KERNELS, *simulated, *motion.KERNELS, *tag_fit.KERNELS), say)
+    return told((*arena.KERNELS, *simulated, *motion.KERNELS, *tag_fit.KERNELS), say)
 
 
 class CameraPoses:

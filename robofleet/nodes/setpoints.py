@@ -22,7 +22,7 @@ from robofleet.config.tree import Config
 from robofleet.safety.supervisor import Phase
 
 _BEYOND = 1e6  # [m/s, rad/s, m]: no setpoint is so large
-_LEASE_EXPIRES_S = 0.5  # after its newest message a session that sends no more has left its lease to another one
+LEASE_EXPIRES_S = 0.5  # after its newest message a session that sends no more has left its lease to another one
 _PARTING_KINDS = frozenset({WishKind.DONE, WishKind.FAILED})  # by these a session ends; a person's hand also by STAND
 _KINDS, _NOTHING = frozenset(WishKind), frozenset[WishKind]()
 
@@ -115,4 +115,4 @@ class _OfGroup:
             return True
         if session == lease.session:
             return seq > lease.seq
-        return lease.parted or (tick - lease.echo_tick) * self._tick_s > _LEASE_EXPIRES_S
+        return lease.parted or (tick - lease.echo_tick) * self._tick_s > LEASE_EXPIRES_S

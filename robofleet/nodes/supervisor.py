@@ -449,10 +449,10 @@ KERNELS = (_fill_enables, *fleet_view.KERNELS, *monitor.KERNELS, *solids.KERNELS
 
 def compile_kernels(say: Say) -> None:
     """Compile every kernel, or load it from the cache; ``say`` is told how far it is."""
-    with told("supervisor", KERNELS, say):
+    with told(KERNELS, say):
         fleet_view.compile_kernels()
         monitor.compile_kernels()
-        solids.distances((), np.zeros((1, 2)))
+        solids.rehearse()
         none, rows_of = np.zeros(0, np.intp), np.zeros(1, UNIT_STATUS.item_dtype)
         _fill_enables(
             np.zeros(0, UNIT_ENABLE.item_dtype), rows_of, none, none, np.zeros(1), np.zeros(1, np.uint64), 0, 0, 0, True

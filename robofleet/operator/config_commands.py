@@ -35,17 +35,21 @@ def write_starting_files(folder: Path) -> list[Path]:
     return configurations
 
 
-ConfigFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration; configs/keys lists every key.")]
+ConfigFile = Annotated[
+    Path, typer.Argument(metavar="CONFIG", help="The configuration (YAML); configs/keys lists its keys.")
+]
 Overrides = Annotated[
     list[str],
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a key, e.g. controller.alpha=30. Repeatable."),
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key, for example controller.alpha=30. Repeatable."),
 ]
 
 
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder, or an empty one.")],
 ) -> None:
-    """Write a laboratory's starting files: arena, robots, path, camera, and the schema that editors read.
+    """Write a folder with configurations to start from.
+
+    It also holds robots, paths, cameras, examples of scripts, and the schema that an editor reads.
 
     $ robofleet init lab
     """
@@ -64,13 +68,17 @@ def init(
 
 
 def schema(
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: standard output.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write it into this file; without it, to standard output.")
+    ] = None,
 ) -> None:
-    """The configuration's JSON schema: with it an editor completes keys and marks mistakes.
+    """Print the schema of configurations, for an editor.
+
+    With it an editor completes keys and marks mistakes (JSON schema).
 
     $ robofleet schema --out schema.json
 
-    The first line of a configuration beside it is then:
+    Write this as the first line of a configuration in the same folder:
 
     # yaml-language-server: $schema=schema.json
     """

@@ -9,13 +9,16 @@ import gc
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 from robofleet.core.errors import BadInputError
 from robofleet.core.log_lines import never_raise
+from robofleet.core.patterns import CONFIGURATIONS
+from robofleet.core.sentences import in_words
 from robofleet.core.valid_json import dumps
 from robofleet.operator.terminal.plain_terminal import speak_its_language
 
-REQUESTS = "arm", "start", "hold", "resume", "park", "reset"  # which the supervisor serves
+REQUESTS = "arm", "start", "hold", "resume", "park"  # which the supervisor serves
 _THEN = {"park": "every robot drives to its place to park; the run ends there"}
 _MOST_WORDS = 2  # a command, and an arena
 _COLLECT_AFTER_OBJECTS = 50_000  # loading libraries makes many, and hardly any garbage
@@ -34,7 +37,7 @@ def run(words: Sequence[str]) -> int | None:
         print(file=sys.stderr)
         return 1
     except BadInputError as error:
-        print(error, file=sys.stderr)
+        print(in_words(str(error), sys.stderr), file=sys.stderr)
         return 2
 
 
@@ -53,6 +56,27 @@ def request(what: str, arena: str | None) -> int:
     return answered(done, f"{answer}: {then}" if done and then else answer)
 
 
+def reset(named: str | None, changes: Sequence[str] = (), *, confirmed: bool = False) -> int:
+    """Clear the latches of an arena: by its run where one is on, else those that its drivers have left here.
+
+    ``named``: the arena, or a configuration of it, which ``changes`` change.
+    """
+    from robofleet.operator import requests  # noqa: PLC0415
+
+    arena, config = named, None
+    if named is not None and named.endswith(CONFIGURATIONS):
+        from robofleet.config.load import load_config  # noqa: PLC0415
+
+        config = load_config(Path(named), changes)
+        arena = config.arena.name
+    try:
+        return request("reset", arena)
+    except requests.NoRunError:
+        from robofleet.operator.latches import reset_stored  # noqa: PLC0415
+
+        return answered(*reset_stored(arena, config, confirmed=confirmed))
+
+
 def status(arena: str | None, *, as_json: bool = False) -> int:
     from robofleet.operator import requests  # noqa: PLC0415
 
@@ -68,15 +92,16 @@ def status(arena: str | None, *, as_json: bool = False) -> int:
         from robofleet.reports.tables import status_table  # noqa: PLC0415
 
         Console().print(status_table(found))
-        print(found["next"] or "")
+        print(in_words(found["next"] or "", sys.stdout))
     return 0
 
 
 def answered(done: bool, what: str) -> int:
     """Print what came of a command, and return its exit code."""
-    print(what, file=sys.stdout if done else sys.stderr)
+    stream = sys.stdout if done else sys.stderr
+    print(in_words(what, stream), file=stream)
     return 0 if done else 1
 
 
-_COMMANDS: dict[str, Callable[[str | None], int]] = {"stop": stop, "status": status}
+_COMMANDS: dict[str, Callable[[str | None], int]] = {"stop": stop, "status": status, "reset": reset}
 _COMMANDS |= {what: partial(request, what) for what in REQUESTS}

@@ -1,6 +1,8 @@
 """What ``robofleet run`` says and leaves in the end: why it ended, the table, the files, and the exit code."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +17,7 @@ from robofleet.core.valid_json import dumps
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import RecordingError
 from robofleet.recording.run import Recording, Run
-from robofleet.reports import after, junit
+from robofleet.reports import junit
 from robofleet.reports.bounds import complaints
 from robofleet.reports.metrics import summary
 from robofleet.reports.sampled import look
@@ -50,6 +52,20 @@ def say(what: RenderableType, *, stderr: bool = False) -> None:
     console.print(Text(what) if isinstance(what, str) else what, soft_wrap=not console.is_terminal)
 
 
+@contextmanager
+def _waiting(words: str, *, quiet: bool) -> Iterator[None]:
+    """Say on stderr what is waited for; a terminal shows it until it is done."""
+    console = Console(stderr=True)
+    if quiet:
+        yield
+    elif console.is_terminal:
+        with console.status(words):
+            yield
+    else:
+        print(words, file=sys.stderr)
+        yield
+
+
 class Ending:
     """The end of a run whose summary is made; results that cannot be kept are in ``lost``, a line each."""
 
@@ -58,8 +74,8 @@ class Ending:
         self._summary, self._columns = result
         self.lost: list[str] = []
 
-    def tell(self, *, as_json: bool) -> None:
-        """Say why the run ended, then what it measured; write summary and report."""
+    def tell(self, *, as_json: bool, quiet: bool = True) -> None:
+        """Say why the run ended, then what it measured; write summary and report. ``quiet``: not what it waits for."""
         summary, completed = self._summary, self._summary["outcome"] == "completed"
         if not completed:
             say(f"{summary['outcome']}: {summary['cause']}", stderr=True)
@@ -71,7 +87,8 @@ class Ending:
             print(dumps(summary))
         elif completed or summary["ticks"]:
             say(summary_table(summary, self._config))
-        page = self.write_report()
+        with _waiting("The report is being made ...", quiet=quiet or as_json):
+            page = self.write_report()
         for file in () if as_json else (self._folder / "summary.json" if kept else None, page):
             if file is not None:
                 print(printable(str(file)))
@@ -108,6 +125,8 @@ class Ending:
         if not self._summary["recording"]["messages"]:  # the operator ended it before it began
             return None
         try:
+            from robofleet.reports import after  # noqa: PLC0415 - matplotlib takes a second to load
+
             made = after.report(self._folder, imports=groups.own(self._config).__contains__, columns=self._columns)
         except OSError as error:
             self._lose(self._folder / "report.html", f"cannot be written: {error.strerror}: make room")

@@ -45,6 +45,10 @@ class NoArenaError(BadInputError):
     """Raised where there is no run, or not the one that was named, or several. The message is a line."""
 
 
+class NoRunError(NoArenaError):
+    """Raised where no run is on, or none of the arena that was named."""
+
+
 class UnreachableError(RobofleetError):
     """Raised where a run is on and its bus does not answer."""
 
@@ -120,8 +124,8 @@ def _others(search: Search, arena: str | None) -> list[ArenaFile]:
     everybody = found()
     if not everybody.runs:
         where = " or ".join(reversed(everybody.places)) or "any place"
-        raise NoArenaError(f"no arena has a run in {where}: start one with `robofleet run CONFIG`")
-    raise NoArenaError(f"the arena {arena} has no run: name one of {', '.join(run.arena for run in everybody.runs)}")
+        raise NoRunError(f"no arena has a run in {where}: start one with `robofleet run CONFIG`")
+    raise NoRunError(f"the arena {arena} has no run: name one of {', '.join(run.arena for run in everybody.runs)}")
 
 
 def _complain(search: Search) -> None:

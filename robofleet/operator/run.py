@@ -1,13 +1,16 @@
 """A run as the operator sees it: the live view, the terminal's keys, and the summary in the end."""
 
+import threading
 from collections.abc import Mapping
 from contextlib import closing
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robofleet.config.tree import Config
 from robofleet.core.clock import WallClock, utc_now
 from robofleet.core.refusal import RefusedError
+from robofleet.core.starting import Starting
 from robofleet.operator.ending import Result, columns_of, result_of
 from robofleet.operator.terminal.live import LiveView
 from robofleet.operator.terminal.terminal import Terminal, hangup_interrupts
@@ -26,10 +29,18 @@ def in_lockstep(config: Config, name: str, folder: Path, *, quiet: bool) -> Resu
     from robofleet.runs.lockstep import Lockstep  # noqa: PLC0415 - it loads all that its processes need
 
     began = _now()
-    view_of = LiveView(config, WallClock(), Terminal(), quiet=quiet)
+    terminal = Terminal()
+    view_of = LiveView(config, WallClock(), terminal, quiet=quiet)
     with hangup_interrupts(), view_of as view, closing(LogBeside(folder / FILE, config)) as log:
+
+        def show(starting: Starting) -> None:
+            terminal.starting = starting
+            view(nothing, "starting")
+
+        nothing = Recording(config)
         try:
-            run = Lockstep(config, log=log)
+            run = Lockstep(config, log=log, starting=show)
+            terminal.starting = None
         except DriverError as error:
             raise RefusedError(str(error)) from error
 
@@ -74,7 +85,11 @@ def in_real_time(
         run = Launcher(
             config, folder, view, terminal, reset=reset, take_over=take_over, web=web, viewers=viewers
         )  # fmt: skip
+        threading.Thread(target=import_module, args=("robofleet.reports.after",), daemon=True).start()  # takes a second
         outcome, cause = run.run()
-    columns = columns_of(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
-    columns.recording.elapsed_s = run.recording.elapsed_s
-    return result_of(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
+        view(run.recording, "summary")
+        columns = columns_of(config, folder) if run.began or outcome != "stopped" else Run(Recording(config))
+        columns.recording.elapsed_s = run.recording.elapsed_s
+        result = result_of(columns, name=name, mode="realtime", outcome=outcome, cause=cause, began=began)
+        view(run.recording, outcome)
+    return result

@@ -10,28 +10,30 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from typer.core import TyperCommand
 
 from robofleet.bus.arena_file import claimed
 from robofleet.bus.endpoint import check_router, settled
 from robofleet.config.files.yamlfile import printable
 from robofleet.config.load import Typed
 from robofleet.config.tree import Config
-from robofleet.core.clock import utc_now
 from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra, new_file, new_folder, unkept
 from robofleet.hosts.network import network
 from robofleet.nodes.unit.state_store import FileStateStore
 from robofleet.operator import viewer_address as viewers
 from robofleet.operator.config_commands import ConfigFile, Overrides
 from robofleet.operator.ending import Ending, Result
+from robofleet.operator.latches import local_robots, refuse_latched, tell_latched
 from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.page_address import LOOPBACK, listening
 from robofleet.operator.run import in_lockstep, in_real_time
 from robofleet.operator.terminal.outlet import unhindered
 from robofleet.operator.terminal.plain_terminal import as_shown
+from robofleet.operator.usage import Command
 from robofleet.reports.tables import proofs_table
+from robofleet.runs import folder as folders
 from robofleet.runs.check import load_checked, proofs, start_warnings
 from robofleet.runs.companion import PageWanted
+from robofleet.runs.folder import DEFAULT_FOLDER
 
 _GOAL = re.compile(r"([a-z][a-z0-9_-]*)=([^,=]+),([^,=]+),([^,=]+)")
 _PATIENCE_S = 600.0  # a robot crosses any shipped arena in 20 s; many of them wait for each other
@@ -63,7 +65,7 @@ def goal_overrides(goals: list[str]) -> list[str]:
     ]
 
 
-class RunCommand(TyperCommand):
+class RunCommand(Command):
     """``run``, whose options --foxglove and --rerun may stand without a value."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -74,44 +76,60 @@ class RunCommand(TyperCommand):
 def run(
     config: ConfigFile,
     lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="One process on a simulated clock: fast and repeatable.")
+        bool,
+        typer.Option(
+            "--lockstep", help="Simulate in one process on a simulated clock: fast, and the same result each time."
+        ),
     ] = False,
-    duration: Annotated[float | None, typer.Option(metavar="S", help="Seconds; default: run.duration_s.")] = None,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Default: run.seed.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Length of the run in seconds. Default: run.duration_s of CONFIG.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Seed of all random numbers. Default: run.seed of CONFIG.")
+    ] = None,
     overrides: Overrides = [],  # noqa: B006 - typer copies it
-    faults: Annotated[Path | None, typer.Option(metavar="FILE", help="Timed faults: configs/faults.")] = None,
-    reset: Annotated[bool, typer.Option("--reset", help="Clear the latches that an earlier run left.")] = False,
-    takeover: Annotated[
-        bool, typer.Option("--takeover", help="Take over robots that another controller holds.")
+    faults: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Inject the faults of this file; configs/faults has examples.")
+    ] = None,
+    reset: Annotated[
+        bool, typer.Option("--reset", help="Clear an emergency stop or a fault of an earlier run.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
+    takeover: Annotated[bool, typer.Option("--takeover", help="Take robots over from another controller.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for the results. {DEFAULT_FOLDER}")] = None,
     web: Annotated[bool, typer.Option("--web", help="Open the operator's page in your browser.")] = False,
     web_host: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="Open it at this address of the machine, for a phone too: by TLS, with a QR code."
+            metavar="ADDRESS",
+            help="Serve the page at this address of the computer, also for a phone: encrypted, with a QR code.",
         ),
     ] = None,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the page's address.")] = False,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the page's address; open no browser.")
+    ] = False,
     foxglove: Annotated[
         str | None,
         typer.Option(
             metavar="[HOST:PORT]",
-            help=f"Show it in Foxglove or Lichtblick; default: {viewers.DEFAULTS[viewers.FOXGLOVE]}.",
+            help=f"Show the run in Foxglove or Lichtblick. Default: {viewers.DEFAULTS[viewers.FOXGLOVE]}.",
         ),
     ] = None,
     rerun: Annotated[
         str | None,
-        typer.Option(metavar="[HOST:PORT]", help=f"Show it in rerun; default: {viewers.DEFAULTS[viewers.RERUN]}."),
+        typer.Option(metavar="[HOST:PORT]", help=f"Show the run in rerun. Default: {viewers.DEFAULTS[viewers.RERUN]}."),
     ] = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Exit 1 also where a bound of run.bounds is not met.")
+        bool, typer.Option("--strict", help="Exit with 1 also if a limit in run.bounds is not met.")
     ] = False,
-    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="The bounds as JUnit XML, for a CI.")] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No live view.")] = False,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the results of run.bounds as JUnit XML, for CI.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no live view in the terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> None:
-    """Drive the groups of a configuration: start, arm, run, stop; then a table, and DIR/summary.json.
+    """Drive the robots of a configuration.
+
+    At the end it prints a table and writes a recording, summary.json and report.html into a folder.
 
     $ robofleet run configs/platoon.yaml
 
@@ -119,14 +137,15 @@ def run(
 
     $ robofleet run configs/platoon.yaml --lockstep --strict --junit bounds.xml
 
-    Ctrl-C ends it, twice is the emergency stop; from another terminal: robofleet stop, hold, resume, status.
+    Ctrl-C ends the run; twice is the emergency stop. From any terminal: `robofleet stop`, `hold`, `resume`, `status`.
+    Exit code 0: completed. 1: ended by a fault or by you, or results were lost. 2: bad input.
     """
     changes = [*overrides]
     if duration is not None:
         changes.append(f"run.duration_s={duration}")
     if seed is not None:
         changes.append(f"run.seed={seed}")
-    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{config.stem}"
+    folder = out or folders.new(config.stem)
     with ExitStack() as held:
         page = _page(web, web_host, browser=not no_browser, lockstep=lockstep)
         tree = load_checked(config, changes, faults, lockstep=lockstep)
@@ -143,6 +162,9 @@ def run(
             if tree.run.attended and not sys.stdin.isatty():
                 raise RefusedError("run.attended: stdin is not a terminal: start the run in one, or set it to false")
             _refuse_forgetful(tree)
+            if not reset and tree.run.start == "auto":  # else the operator resets before the start
+                typed = sys.argv[1:] if sys.argv[1:2] == ["run"] else ()  # not of a command that calls this one
+                refuse_latched(tree, ["robofleet", *typed, "--reset"] if typed else ())
             network(tree)  # refuses keys that are missing, before anything starts
             tree = settled(tree, listen=True)
             held.enter_context(claimed(tree, folder))
@@ -151,23 +173,30 @@ def run(
         how = {} if lockstep else {"reset": reset, "take_over": takeover, "web": page, "viewers": shown}
         result = _result(tree, config.stem, folder, lockstep=lockstep, quiet=quiet, **how)
     ending = Ending(tree, folder, result)
-    ending.tell(as_json=as_json)
+    ending.tell(as_json=as_json, quiet=quiet)
     if junit is not None:
         ending.write_junit(junit)
+    if not lockstep:
+        tell_latched(tree, ask=not (quiet or as_json))
     if ending.bad(strict=strict):
         raise typer.Exit(1)
 
 
 def go(
     config: ConfigFile,
-    goals: Annotated[list[str], typer.Argument(metavar="ROBOT=X,Y,DEG...", help="Poses in metres and degrees.")],
-    lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulation, on a simulated clock.")] = False,
+    goals: Annotated[
+        list[str],
+        typer.Argument(metavar="ROBOT=X,Y,DEG...", help="A robot and its pose, in metres and degrees. Repeatable."),
+    ],
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Simulate on a simulated clock.")] = False,
     overrides: Overrides = [],  # noqa: B006 - typer copies it
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<config name>.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for the results. {DEFAULT_FOLDER}")] = None,
     web: Annotated[bool, typer.Option("--web", help="Open the operator's page in your browser.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No live view.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Show no live view in the terminal.")] = False,
 ) -> None:
-    """Let robots go to poses by themselves, round each other; all others stand. It ends when they are there.
+    """Drive robots to given poses, around each other.
+
+    All other robots stand. The run ends when the robots are at their poses.
 
     $ robofleet go configs/platoon.yaml r1=0.5,0.2,90 r2=-0.5,0.2,0 --lockstep
     """
@@ -176,7 +205,9 @@ def go(
 
 
 def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
-    """Refuse what cannot work, before a wheel turns; exit 0 and a table of what was proved.
+    """Check a configuration; nothing moves.
+
+    It prints what was proved, or every mistake with its line and how to mend it.
 
     $ robofleet check configs/platoon.yaml --set groups.0.settings.path_rate=0.06
     """
@@ -185,7 +216,7 @@ def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 
     rows = [tuple(as_shown(cell, console.encoding) for cell in row) for row in proofs(tree)]
     console.print(proofs_table(printable(f"{config} can run. What was proved:"), rows))
     for warning in start_warnings(tree):
-        print(f"May take long: {warning}")
+        print(f"This may take long: {warning}")
     print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
 
 
@@ -213,12 +244,10 @@ def _refuse_viewers(shown: dict[str, str], tree: Config, *, lockstep: bool) -> N
 
 def _refuse_forgetful(tree: Config) -> None:
     """Refuse a run whose drivers could not keep what they must remember."""
-    here = tuple(robot for robot in tree.ids if tree.unit_of[robot] not in tree.daemons)
-    if tree.drivers.started_by != "systemd":
-        try:
-            FileStateStore(tree.arena.name).try_place(here)
-        except OSError as error:
-            raise unkept(error) from error
+    try:
+        FileStateStore(tree.arena.name).try_place(local_robots(tree))
+    except OSError as error:
+        raise unkept(error) from error
 
 
 def _result(tree: Config, name: str, folder: Path, *, lockstep: bool, quiet: bool, **how: Any) -> Result:

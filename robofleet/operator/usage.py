@@ -1,4 +1,4 @@
-"""A command that was typed wrongly: one line that names the argument and says how to mend it."""
+"""How commands are used: their help, and one line for a command that was typed wrongly, which says how to mend it."""
 
 import difflib
 import re
@@ -6,11 +6,34 @@ import sys
 from typing import Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
+
+from robofleet.core.sentences import in_words
 
 # Typer keeps its own copy of click, in a place that differs between versions: this name leads to it in all of them.
 UsageError: Any = typer.BadParameter.__mro__[1]
 
 _EXAMPLE = re.compile(r"^\s*\$ (robofleet .+)$", re.MULTILINE)
+
+
+class Command(TyperCommand):
+    """A command."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Lay its help out."""
+        from robofleet.operator import help as layout  # noqa: PLC0415 - a driver's process loads no rich
+
+        formatter.write(layout.of_command(self, ctx))
+
+
+class Commands(TyperGroup):
+    """A group of commands."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Lay its help out."""
+        from robofleet.operator import help as layout  # noqa: PLC0415
+
+        formatter.write(layout.of_group(self, ctx))
 
 
 def show(error: Any) -> None:
@@ -20,7 +43,7 @@ def show(error: Any) -> None:
         return
     from robofleet.config.files.yamlfile import printable  # noqa: PLC0415 - a command in a hurry needs no YAML
 
-    print(printable(_line(error)), file=sys.stderr)
+    print(in_words(printable(_line(error)), sys.stderr), file=sys.stderr)
 
 
 def _line(error: Any) -> str:  # noqa: PLR0911 - one answer for each kind of mistake

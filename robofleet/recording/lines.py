@@ -47,7 +47,8 @@ def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...
         if out != out_before:
             yield Line(Level.INFO, robot, out or "it is driven out no more")
         elif now and now != was:
-            yield Line(Level.WARNING, robot, f"stands still: {now}")
+            starts = state.phase == Phase.ARMED  # then the checks wait for it
+            yield Line(Level.INFO if starts else Level.WARNING, robot, f"stands still: {now}")
         elif was and not now and row < len(state.robots) and state.robots[row].permitted:
             yield Line(Level.INFO, robot, "may move again")
 

@@ -14,6 +14,8 @@ from robofleet.safety.supervisor import Phase
 
 GOES_ON = "Every robot stands. Everything is simulated: the run goes on by itself."
 ROBOT_WORDS = {  # what a robot does, in the terminal and on the page; the first that is so
+    "drill": "its emergency stop is tried",
+    "starting": "starting",  # it has not begun yet
     "latched": "latched: {}",
     "lost": "lost: no image of it",
     "halted": "halted: {}",

@@ -90,7 +90,7 @@ def _floor(view: ArenaView) -> Iterator[str]:
         fill = "none" if solid.floor else "currentColor"
         yield f'<path d="{_path(solid.outline)}Z" fill="{fill}" fill-opacity=".15" stroke-opacity=".5"/>'
         if not solid.floor:
-            yield _name(solid.name, *solid.outline.mean(axis=0), "middle")
+            yield _name(solid.name, solid.outline.mean(axis=0), "middle")
     most = _MOST_SHAPE_POINTS // max(len(view.shapes), 1)
     for shape in view.shapes[:_MOST_SHAPE_POINTS]:
         points = _thinned(shape.points[np.isfinite(shape.points).all(axis=1)], most)
@@ -118,7 +118,7 @@ def _robots(view: ArenaView) -> Iterator[str]:
         if np.isfinite(reference).all():
             cross = f"M{_point(reference - [0.03, 0.0])}h.06M{_point(reference - [0.0, 0.03])}v-.06"
             yield f'<path d="{cross}" stroke="{colour}"/>'
-        yield _name(robot.id, *(at + radius * np.array([0.8, 0.9])), "start")
+        yield _name(robot.id, at + radius * np.array([0.8, 0.9]), "start")
 
 
 def _crowd(view: ArenaView) -> Iterator[str]:
@@ -127,10 +127,9 @@ def _crowd(view: ArenaView) -> Iterator[str]:
     yield f'<path d="{places}" stroke="{robot_colours(1)[0]}" stroke-width="{2 * radius:.3f}"/>'
 
 
-def _name(name: str, x: float, y: float, anchor: str) -> str:
-    return (
-        f'<text x="{x:.3f}" y="{-y:.3f}" text-anchor="{anchor}" fill="currentColor" stroke="none">{_text(name)}</text>'
-    )
+def _name(name: str, at: Array, anchor: str) -> str:
+    x, y = (f"{value:.3f}" for value in (at[0], -at[1]))
+    return f'<text x="{x}" y="{y}" text-anchor="{anchor}" fill="currentColor" stroke="none">{_text(name)}</text>'
 
 
 def _path(points: Array) -> str:

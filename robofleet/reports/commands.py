@@ -29,33 +29,37 @@ from robofleet.reports import junit as xml
 from robofleet.reports.bounds import complaints
 from robofleet.reports.layouts.layouts import VIEWERS
 from robofleet.runs import replay as replaying
+from robofleet.runs.folder import chosen
 
 _NO_ROOM = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
 
 Modules = Annotated[
     Path | None,
     typer.Option(
-        "--behaviours", metavar="DIR", help="Folder of your own behaviours' modules: else what they measure is missing."
+        "--behaviours", metavar="DIR", help="Folder of your own behaviours; without it their measures are left out."
     ),
 ]
 ReplayedModules = Annotated[
     Path | None,
-    typer.Option("--behaviours", metavar="DIR", help="Folder of your own behaviours' modules, if the run has such."),
+    typer.Option("--behaviours", metavar="DIR", help="Folder of your own behaviours, if the run has any."),
 ]
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="The run's folder, or its run.mcap.")]
+RunFolder = Annotated[
+    Path | None, typer.Argument(metavar="RUN", help="A run's folder or its run.mcap. Default: the newest in runs/.")
+]
 
 
-def replay(run: RunFolder, behaviours: ReplayedModules = None) -> None:
-    """Give today's controller a recording's inputs, tick by tick, and compare each command.
+def replay(run: RunFolder = None, behaviours: ReplayedModules = None) -> None:
+    """Compute a recorded run's commands again, and compare.
 
-    Bit for bit where machine and versions are those of the recording, else within 1e-9. Exit 1 where anything is
-    different, or could not be compared. It runs the groups' behaviours: one that the recording names as `module:Class`
-    is imported only from the folder that you name.
+    It gives the recorded inputs to the installed controller. Commands must be equal to the bit on the same computer
+    with the same versions, else within 1e-9. Exit code 1: a command differs, or could not be compared. Your own
+    behaviours are imported only from the folder that you name.
 
     $ robofleet replay runs/20260102T030405Z-platoon
 
     $ robofleet replay runs/20260102T030405Z-swirl --behaviours configs
     """
+    run = chosen(run)
     times_ns = [stopwatch_ns()]
     with readable():
         recording = read(run, partial(_needed, run, behaviours))
@@ -84,11 +88,14 @@ def _load_behaviours(run: Path, config: "Config") -> None:
             raise RefusedError(f"{run}: {error}") from error
 
 
-def repair(run: RunFolder) -> None:
-    """Complete the recording of a run that was killed: all that was written stays, and gets an index.
+def repair(run: RunFolder = None) -> None:
+    """Complete the recording of a run that was killed.
+
+    It keeps everything that was written. Other programs can then read the file.
 
     $ robofleet repair runs/20260102T030405Z-platoon
     """
+    run = chosen(run)
     with readable():
         try:
             done = mend(run)
@@ -108,25 +115,31 @@ def repair(run: RunFolder) -> None:
 
 
 def report(
-    run: RunFolder,
-    other: Annotated[
-        Path | None, typer.Argument(metavar="RUN", help="A second run, to compare with the first.")
-    ] = None,
+    run: RunFolder = None,
+    other: Annotated[Path | None, typer.Argument(metavar="RUN", help="A second run to compare with.")] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The page of two runs; default: RUN/compare-<other>.html.")
+        Path | None, typer.Option(metavar="FILE", help="File of the comparison. Default: RUN/compare-<other>.html.")
     ] = None,
-    figures: Annotated[Path | None, typer.Option(metavar="DIR", help="Each figure as SVG and as PDF.")] = None,
-    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="The bounds as JUnit XML, for a CI.")] = None,
+    figures: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Also write each figure into this folder, as SVG and PDF.")
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the results of run.bounds as JUnit XML, for CI.")
+    ] = None,
     behaviours: Modules = None,
 ) -> None:
-    """Write RUN/report.html and RUN/metrics.csv; of two runs, a page with both side by side.
+    """Write the report of a run, or compare two runs.
 
-    Exit 1 if the run did not meet one of its bounds.
+    It writes RUN/report.html and RUN/metrics.csv; for two runs, a page with both. Exit code 1: the run did not meet a
+    limit in its run.bounds.
+
+    $ robofleet report
 
     $ robofleet report runs/20260102T030405Z-platoon
 
     $ robofleet report runs/20260102T030405Z-platoon --figures paper/figures --junit bounds.xml
     """
+    run = chosen(run)
     with _without_garbage_collection(), readable():
         _refuse_misplaced(other, out, figures, junit)
         try:
@@ -146,26 +159,31 @@ def report(
 
 def layout(
     viewer: Annotated[str, typer.Argument(metavar="VIEWER", help="foxglove, lichtblick, plotjuggler or rerun.")],
-    run: RunFolder,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Default: in the run's folder.")] = None,
+    run: RunFolder = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File of the layout. Default: in the run's folder.")
+    ] = None,
     behaviours: Modules = None,
 ) -> None:
-    """Write a viewer's layout for a run: the groups' own figures, wheels, poses and latency, robot by robot.
+    """Write a viewer's layout for a recorded run.
+
+    It arranges poses, wheels, latency and the groups' own figures, robot by robot.
 
     $ robofleet layout foxglove runs/20260102T030405Z-platoon
     """
     with readable():
         if viewer not in VIEWERS:
             raise RefusedError(f"VIEWER: {viewer!r} is not known: take one of {', '.join(VIEWERS)}")
-        chosen, file = VIEWERS[viewer], file_of(run)
+        run = chosen(run)
+        layout_kind, file = VIEWERS[viewer], file_of(run)
         try:
             with importing(behaviours) as imports:
-                written = chosen.make(about(run, imports), file)
+                written = layout_kind.make(about(run, imports), file)
         except ModuleNotFoundError as error:
             if not (error.name or "").startswith("rerun"):
                 raise
             raise RefusedError(f"rerun: its package is missing, or too old: {how_to_install('rerun')}") from error
-        target = out or file.with_name(chosen.file)
+        target = out or file.with_name(layout_kind.file)
         try:
             write_bytes(target, written)
         except OSError as error:
@@ -173,7 +191,7 @@ def layout(
                 f"{target}: cannot be written: {error.strerror}: name another file with --out"
             ) from error
     print(printable(str(target)))
-    for line in chosen.opening:
+    for line in layout_kind.opening:
         print("Next:", printable(line.format(run=shlex.quote(str(file)), layout=shlex.quote(str(target)))))
 
 

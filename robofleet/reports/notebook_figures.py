@@ -36,7 +36,7 @@ def of_run(view: RunView) -> Figure:
     heights = floor_inch(view.config), _STRIP_INCH * max(len(curves), 1) + 0.3
     with mpl.rc_context(STYLE):
         figure = NotebookFigure(figsize=(WIDTH, sum(heights)))
-        above, below = figure.subfigures(2, height_ratios=heights)
+        (above,), (below,) = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)
         axes = above.add_axes((0.0, 0.0, 1.0, 1.0))
         draw_floor(axes, view.config, floor_shapes(view.run))
         draw_paths(axes, view)

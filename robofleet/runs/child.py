@@ -55,12 +55,17 @@ def main(
             _new(folder)
         clock, waker = WallClock(), row.waker()
         # Take the process's place on the bus, then put it together: who is refused has cost the others nothing.
+        state_store = FileStateStore(config.arena.name, simulated=config.simulated)
         with closing(_joined(config, roles, clock)) as bus:
             edges = Edges(
                 config.trackers.get(name, config), bus, clock, waker, entropy(config.run.seed, roles[0]),
-                FileStateStore(config.arena.name), lambda progress: held.say(progress.encode()), robots, real_time=True,
+                state_store, lambda progress: held.say(progress.encode()), robots, real_time=True,
                 folder=folder, last_word=lambda: held.last_word, take_over=take_over,
             )  # fmt: skip
+            try:
+                state_store.prove(robots)
+            except OSError as error:
+                raise unkept(error) from error
             node = _put_together(row, _injected(edges, roles[0]) if config.faults and row.injectable else edges)
             if row.priority:
                 realtime_priority(row.priority)
@@ -155,12 +160,8 @@ def _injected(edges: Edges, name: str) -> Edges:
 
 
 def _put_together(row: Row, edges: Edges) -> Node:
-    """Return the process; RefusedError or SystemExit with a line where a disk, a robot or a camera is not there."""
+    """Return the process; RefusedError or SystemExit with a line where a robot or a camera is not there."""
     assert row.make is not None
-    try:
-        FileStateStore(edges.config.arena.name).prove(edges.robots)
-    except OSError as error:
-        raise unkept(error) from error
     try:
         return row.make(edges)
     except DriverError as error:

@@ -65,11 +65,6 @@ class Child:
             else:
                 self.progress = progress
 
-    @property
-    def compiles(self) -> bool:
-        """Whether it compiles, and is not ready for that reason."""
-        return self.progress is not None and not self.ready
-
     def last_lines(self) -> str:
         lines = self.log.read_text(errors="replace").strip().splitlines()[-_LAST_LINES:]
         return "".join(f"\n    {line}" for line in lines)
@@ -84,7 +79,7 @@ class Children:
     children: list[Child] = field(default_factory=list)
 
     def start(self, name: str, *arguments: str) -> Child:
-        """Start ``robofleet NAME CONFIG ...`` as a new interpreter."""
+        """Start ``robofleet ARGUMENTS CONFIG`` as a new interpreter."""
         child = self.started(name, arguments)
         self.children.append(child)
         return child
@@ -94,7 +89,7 @@ class Children:
         ours, theirs = socket.socketpair()
         log = self.folder / f"{name}.log"
         with theirs, log.open("ab") as output:
-            command = [sys.executable, "-P", "-m", "robofleet", arguments[0], str(self.config_file), *arguments[1:]]
+            command = [sys.executable, "-P", "-m", "robofleet", *arguments, str(self.config_file)]
             process = subprocess.Popen(
                 [*command, "--lifeline", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
@@ -142,9 +137,6 @@ class Children:
                     child.hear(word)
                     if child.progress is not None:
                         deadline_ns = clock.now_ns() + round(_READY_WITHIN_S * S)
-
-    def compiling(self) -> tuple[Progress, ...]:
-        return tuple(child.progress for child in self.children if child.progress is not None and child.compiles)
 
     def check(self, spare: Collection[str] = ()) -> None:
         """Raise RunError with its name and last lines if a child has died.

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from robofleet.core.clock import Clock, S
 from robofleet.runs.children import Child
 
+ENDS = "ends: "  # before the launcher's last words, which say how the run ends
 STAYS = "stays"  # what it says after the end of the run, where somebody looks
 _LEAVE_WITHIN_S = 1.2
 _LONGEST_LINE_BYTES = 1024

@@ -7,9 +7,10 @@ from typing import Protocol
 
 from robofleet.bus.bus import Bus
 from robofleet.core.clock import Clock
-from robofleet.core.compiling import Progress
+from robofleet.core.starting import Starting
 
 EMERGENCY_KEYS = frozenset("e ")
+ENDING = "ending"  # a phase: how the run ended is known, and its processes end
 READY = "ready"  # a phase: every process is ready, and the run has not begun
 
 
@@ -36,7 +37,7 @@ class Console(Protocol):
 
     lost: bool  # the terminal was closed
     note: str  # what the operator should read
-    compiling: tuple[Progress, ...]  # of each process, before the run begins
+    starting: Starting | None  # how far the start is; None: it is over
     emergency: Callable[[], object]  # called at once, from another thread, when an emergency key is pressed
 
     @property

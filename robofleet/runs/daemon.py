@@ -123,7 +123,7 @@ class Daemon:
                 raise HandedError(f"{name}: {self._file} on this robot does not allow {refusal}")
 
     def _made(self, config: Config, bus: ZenohBus) -> DriverProcess:
-        state_store = FileStateStore(config.arena.name)
+        state_store = FileStateStore(config.arena.name, simulated=config.simulated)
         state_store.prove(config.units[self._robot.unit])
         drivers = ConfiguredDrivers(config, self._clock.now_ns)
         boot_id, phase_ns = 1 + secrets.randbelow((1 << 63) - 1), secrets.randbelow(LOOP_NS)

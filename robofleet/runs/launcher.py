@@ -18,20 +18,23 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S, WallClock
 from robofleet.core.errors import RobofleetError
 from robofleet.core.files import write_text
+from robofleet.core.starting import Start
 from robofleet.nodes.machine import Silence
 from robofleet.recording.run import SHOWN, Recording, Watch
 from robofleet.recording.state_words import state_words
 from robofleet.runs import table
 from robofleet.runs.children import Children, RunError
-from robofleet.runs.companion import Companion, PageWanted
-from robofleet.runs.console import EMERGENCY_KEYS, READY, Console, Interrupts
+from robofleet.runs.companion import ENDS, Companion, PageWanted
+from robofleet.runs.console import EMERGENCY_KEYS, ENDING, READY, Console, Interrupts
 from robofleet.runs.readiness import missing
 from robofleet.safety.arming import Stage
 from robofleet.safety.busy import GONE_NS, SPOILT
 from robofleet.safety.latches import Latch
-from robofleet.safety.supervisor import Event, Phase
+from robofleet.safety.supervisor import CAUSES, Event, Phase
 from robofleet.simulation.faults import Schedule
 
+# Of a start, as measured on two cores: a process until it is there, on one of them; the checks, and more of each robot.
+_LOADING_S, _CHECKS_S, _CHECKS_OF_ROBOT_S = 1.1, 3.0, 0.09
 _HANDED_WITHIN_NS = 10 * S  # they join within a second of the router's start, and open their ports
 _REST_WITHIN_NS = S
 _SILENT_NS = 2 * S
@@ -49,6 +52,7 @@ _PHASES = {
     Phase.HOLD: "held",
 }
 _EMERGENCY = "emergency stop"
+_ENDS = {"fault": "ended by a fault"}
 _TWICE = 2
 _REQUESTS_BY_KEY = {"a": b"arm", "s": b"start", "h": b"hold", "r": b"resume"}
 
@@ -89,10 +93,15 @@ class Launcher:
         self._others = [process for process in started if not process.row.first]
         self._phase = "starting"
         self._ending = False
+        self._reached_ticks = 0  # of the run, which the holds do not count
         self._attended_ns = 0  # when the supervisor was told last that the operator is there
         self._silence = Silence(self._clock.now_ns())  # of the supervisor
         self._answer: Answer | None = None  # to what a key asked
         self._interrupts: Interrupts
+        self._begun = Start(
+            [process.name for process in started], loading_s=_LOADING_S,
+            checks_s=_CHECKS_S + _CHECKS_OF_ROBOT_S * len(self._robots),
+        )  # fmt: skip
         self._companions: list[Companion] = []
 
     def run(self) -> Outcome:
@@ -106,8 +115,12 @@ class Launcher:
             try:
                 outcome = self._outcome_of(fleet, held)
                 self.recording.outcome, self.recording.cause = outcome
+                self._tell_end(*outcome)
+                self._phase = ENDING
+                self._watch(self.recording, ENDING)
                 return outcome
             finally:
+                self._console.starting = None
                 for companion in self._companions:
                     companion.end()
                 fleet.reap(self._clock, but=len(self._first))
@@ -127,6 +140,7 @@ class Launcher:
             return "stopped", str(why)
 
     def _start(self, fleet: Children) -> None:
+        self._show_start()
         for process in self._first:
             if process.row is not table.RECORDER:
                 fleet.start(process.name, *process.command)
@@ -134,12 +148,15 @@ class Launcher:
 
         def wait() -> None:
             self._listen()
-            self._console.compiling = compiling = fleet.compiling()
-            words = ". ".join(progress.words() for progress in compiling) or "Starting the processes."
-            self._show("compiling" if compiling else "starting", words)
+            for child in fleet.children:
+                if child.ready:
+                    self._begun.ready(child.name)
+                elif child.progress is not None:
+                    self._begun.compiles(child.name, child.progress)
+            self._show_start()
 
         fleet.wait_ready(self._clock, wait)
-        fleet.start(table.RECORDER.name, table.RECORDER.name)  # it may compile kernels, too
+        fleet.start(table.RECORDER.name, *table.RECORDER.command)  # it may compile kernels, too
         for process in self._others:
             taking = ["--takeover"] if self._take_over and process.row is table.CONTROLLER else []
             fleet.start(process.name, *process.command, *taking)
@@ -159,12 +176,19 @@ class Launcher:
             gone = partial(console.viewers_gone, viewer, child.log)
             self._companions.append(Companion(child, partial(console.viewers_found, viewer), gone))
 
-    def _show(self, phase: str, words: str) -> None:
-        """Show what the launcher does before the supervisor speaks, on the page too."""
+    def _show_start(self, *, over: bool = False) -> None:
+        """Show how far the start is, on the page too."""
+        self._console.starting = None if over else self._begun.look()
         for companion in self._companions:
-            companion.tell(words)
-        self._phase = phase
-        self._watch(self.recording, phase)
+            companion.tell(self._console.starting.encode() if self._console.starting else "started")
+        self._watch(self.recording, self._phase)
+
+    def _tell_end(self, outcome: str, cause: str | None) -> None:
+        """Say on the page how the run ends: nobody has judged it yet."""
+        reached_s = self._reached_ticks * self._config.controller.tick_s
+        how = f" after {reached_s:.1f} s" if cause is None else f": {cause.splitlines()[0]}"
+        for companion in self._companions:
+            companion.tell(f"{ENDS}{_ENDS.get(outcome, outcome)}{how}")
 
     def _drive(self, fleet: Children, held: ExitStack) -> Outcome:
         bus = ZenohBus(self._arena, self._config.bus.endpoint, "launcher", self._clock)
@@ -201,6 +225,9 @@ class Launcher:
             self._ask(b"reset")
         self._phase = "waiting" if waits else "arming"
         if not waits:
+            self._begun.checks("the checks begin")
+        self._show_start(over=waits)
+        if not waits:
             self._ask(b"start")
         last_tick = round(self._config.run.duration_s / self._config.controller.tick_s)
         phases, began_ns, over = {Phase.IDLE: self._phase, **_PHASES}, 0, False
@@ -210,12 +237,14 @@ class Launcher:
                 if state is not None:
                     proved = state.phase == Phase.ARMED and state.stage == Stage.DONE
                     self._enter("armed" if proved else phases[Phase(state.phase)])
+                    self._look_at_checks(state)
                     phases = phases if state.phase in before else _PHASES
                 if self._phase == "running":
                     self._faults.begin()
                     began_ns = began_ns or self._clock.now_ns()
                     tick = self.recording.newest(TICK)
-                    if tick is not None and tick.run_tick >= last_tick and not over:
+                    self._reached_ticks = max(self._reached_ticks, -1 if tick is None else tick.run_tick)
+                    if self._reached_ticks >= last_tick and not over:
                         if self._config.run.end != "park":
                             return "completed", None
                         over = True
@@ -226,6 +255,14 @@ class Launcher:
         if state.cause == Event.ACCOMPLISHED or (over and state.cause == Event.PARKED):
             return "completed", None
         return self._outcome(state)
+
+    def _look_at_checks(self, state: RunState) -> None:
+        """Show the checks as the end of the start, until wheels drive or the run waits for its operator."""
+        if self._phase == "arming":
+            self._begun.checks(state_words(state, None, self._robots).check if state.phase == Phase.ARMED else "checks")
+            self._show_start()
+        elif self._console.starting is not None:
+            self._show_start(over=True)
 
     def _wait_for_daemons(self) -> None:
         """Return when every robot's own computer has this run's configuration, or does not take it in time."""
@@ -283,6 +320,7 @@ class Launcher:
     def _ended(self, outcome: str, cause: str | None) -> Outcome:
         """Ask for the controlled stop and wait until every wheel is at rest; then it is over."""
         self._phase, self._ending = "stopping", True
+        self._tell_end(outcome, cause)
         try:
             asked(self._bus, self._clock, "supervisor", b"stop", self._listen)
             self._rest()
@@ -295,12 +333,11 @@ class Launcher:
         self._phase = _EMERGENCY
         self._watch(self.recording, self._phase)
         stopped = self._console.emergency_stop(self._bus, self._clock, self._config.units)
-        next_step = ""
         if not stopped.silent:
             with suppress(RunError):  # whoever is silent or gone: every gate is latched
                 self._rest()
-            next_step = ": look at the robots, then start with --reset"
-        return "stopped", f"emergency stop ({why}); {stopped.describe()}{next_step}"
+        by = "" if why == CAUSES[Event.ESTOP_REQUESTED] else f" ({why})"
+        return "stopped", f"emergency stop{by}; {stopped.describe()}"
 
     def _rest(self) -> None:
         deadline_ns = self._clock.now_ns() + _REST_WITHIN_NS
@@ -314,7 +351,9 @@ class Launcher:
             raise RunError(str(error)) from error
         if not answer.startswith(b"ok"):
             why = answer.decode(errors="replace").removeprefix("refused: ")
-            way_out = ": `robofleet run --reset` does it" if what == b"start" and why.endswith("then reset") else ""
+            way_out = (
+                ": the same command with --reset does it" if what == b"start" and why.endswith("then reset") else ""
+            )
             raise RunError(f"{what.decode()} was refused: {why}{way_out}")
 
     def _polled(self) -> RunState | None:

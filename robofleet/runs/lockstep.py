@@ -18,6 +18,7 @@ from robofleet.config.slices import generator
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S, SimulatedClock, stopwatch_ns
 from robofleet.core.compiling import on_stderr
+from robofleet.core.starting import Start, Starting, followed
 from robofleet.nodes.node import Node
 from robofleet.nodes.unit.gated_robot import Probe
 from robofleet.nodes.unit.state_store import MemoryStateStore
@@ -34,6 +35,7 @@ from robofleet.simulation.faulty_bus import FaultyBus
 _ANSWER_WITHIN_NS = S  # to the request for a start
 _ARMED_WITHIN_NS = 600 * S  # the supervisor's own patience is shorter
 _TIMED = table.CONTROLLER, table.TRACKER
+_LOADING_S, _CHECKS_S = 0.2, 0.5  # of a start, as measured: a process, and the checks on the simulated clock
 _REST_NS = S  # after the stop: wheels come to rest
 _OVER = frozenset(Phase) - {Phase.RUNNING, Phase.PARKING}  # nobody is there who resumes a held run
 _UNDER_WAY = {Phase.POSITIONING: "positioning", Phase.PARKING: "parking"}
@@ -45,8 +47,14 @@ class Lockstep:
     Or drive it: ``request`` and ``advance`` as often as you like, look at ``status`` and ``nodes``, ``close`` it.
     """
 
-    def __init__(self, config: Config, probe: Probe | None = None, log: RunLog | LogBeside | None = None) -> None:
-        """Build every process; ``probe`` is told what each gate decides, ``log`` keeps what is said."""
+    def __init__(
+        self, config: Config, probe: Probe | None = None, log: RunLog | LogBeside | None = None,
+        starting: Callable[[Starting], None] | None = None,
+    ) -> None:  # fmt: skip
+        """Build every process; ``probe`` is told what each gate decides, ``log`` keeps what is said.
+
+        ``starting`` is called again and again meanwhile, from a thread. None: lines on stderr, where kernels compile.
+        """
         self._config = config
         self.clock = SimulatedClock()
         self.clock.advance_to(S)  # 0 means "never" in many fields
@@ -59,8 +67,15 @@ class Lockstep:
         self.faults = Schedule(config, self.clock) if config.faults else None
         self._queue = EventQueue(self.clock)
         self._probe, self._log = probe, log
-        self._progress = on_stderr()
-        self._add_processes()
+        self._say = on_stderr()
+        self._start: Start | None = None
+        if starting is None:
+            self._add_processes()
+        else:
+            names = [process.name for process in table.in_lockstep(config)]
+            self._start = Start(names, loading_s=_LOADING_S, checks_s=_CHECKS_S, cores=1)
+            with followed(self._start, starting):
+                self._add_processes()
         self._tick_key, self._state_key = key(config.arena.name, TICK), key(config.arena.name, STATE)
         self._run_tick = -1
         self.status = RunStatus()  # as the supervisor said it last
@@ -81,12 +96,16 @@ class Lockstep:
         make = process.row.make
         assert make is not None
         bus, clock = self._edges(slot)
-        return make(
+        say = self._say if self._start is None else partial(self._start.compiles, process.name)
+        node = make(
             table.Edges(
                 process.config(self._config), bus, clock, slot, self._rng(slot, process), self.state_store,
-                self._progress, process.robots, self.faults, probe=self._probe,
+                say, process.robots, self.faults, probe=self._probe,
             )
         )  # fmt: skip
+        if self._start is not None:
+            self._start.ready(process.name)
+        return node
 
     def _edges(self, slot: Slot) -> tuple[Bus, Clock]:
         """Return a process's bus and clock."""

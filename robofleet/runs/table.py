@@ -71,6 +71,11 @@ class Row(NamedTuple):
     ends_within_s: float = 0.8  # of its lifeline's end
     missing: str = ""  # what a configuration lacks that has no such process, and how to mend it
 
+    @property
+    def command(self) -> tuple[str, ...]:
+        """The words behind ``robofleet``."""
+        return (self.name,) if self is PAGE else ("node", self.name)
+
     def instances(self, config: "Config") -> "Sequence[Process]":
         """Return the processes of this kind that a run of a configuration has."""
         if self is DRIVER:
@@ -91,10 +96,11 @@ class Process(NamedTuple):
 
     @property
     def command(self) -> tuple[str, ...]:
-        """What ``robofleet`` is called with, beside the configuration: its command first."""
-        if self.camera:
-            return self.row.name, "--camera", self.camera
-        return (self.row.name, "--robots", ",".join(self.robots)) if self.robots else (self.row.name,)
+        """What ``robofleet`` is called with, before the configuration."""
+        options = (
+            ("--camera", self.camera) if self.camera else ("--robots", ",".join(self.robots)) if self.robots else ()
+        )
+        return *self.row.command, *options
 
     def config(self, config: "Config") -> "Config":
         """Return the configuration as this process has it: a tracker's camera is its own."""

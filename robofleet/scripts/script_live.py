@@ -187,7 +187,8 @@ class OwnRun:
         self.folder = directory / "run" if folder is None else folder
         file = directory / f"{name}.yaml"
         file.write_text(resolved_yaml(config))
-        self._stderr = (directory / "stderr").open("w+b")
+        self._stderr = (directory / "stderr").open("wb")
+        self._passed_on = 0  # lines of it
         theirs, self._lifeline = os.pipe()
         command = [sys.executable, "-P", "-m", script_own.__name__, str(theirs), "run", str(file), "--quiet"]
         self._process = subprocess.Popen(
@@ -197,10 +198,15 @@ class OwnRun:
         os.close(theirs)
 
     def check(self) -> None:
-        """Raise FleetError with what it said last, where it has ended."""
-        if self.over:
-            self._stderr.seek(0)
-            lines = self._stderr.read().decode(errors="replace").strip().splitlines()[-5:]
+        """Raise FleetError with what it said last, where it has ended; pass on how far its start is."""
+        over, lines = self.over, Path(self._stderr.name).read_text(errors="replace").splitlines(keepends=True)
+        for line in lines[self._passed_on :]:
+            if line.endswith("\n"):
+                self._passed_on += 1
+                if line.startswith("starting "):
+                    print(line, end="", file=sys.stderr, flush=True)
+        if over:
+            lines = [line.strip() for line in lines[-5:]]
             code = self._process.returncode
             raise FleetError("\n".join(lines if lines and code >= 0 else [*lines, f"the run {ended_by(code)}"]))
 

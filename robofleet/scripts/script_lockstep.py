@@ -9,6 +9,7 @@ from robofleet.bus.keys import NOTE, TICK, WISH, Topic, key
 from robofleet.config.tree import Config
 from robofleet.core.clock import S, stopwatch_ns, utc_now
 from robofleet.operator.ending import Ending, columns_of, result_of
+from robofleet.operator.terminal.start_view import StartView
 from robofleet.recording.beside import LogBeside
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.run import SHOWN, Run
@@ -34,7 +35,8 @@ class LockstepLink:
         self._began, self._began_ns = f"{utc_now():%Y-%m-%dT%H:%M:%SZ}", stopwatch_ns()
         self._log = None if folder is None else _log(folder / FILE, config)
         try:
-            self.run = Lockstep(config, log=self._log)
+            with StartView() as view:
+                self.run = Lockstep(config, log=self._log, starting=view)
         except BaseException:
             if self._log is not None:
                 self._log.end(b"")

@@ -9,10 +9,11 @@ from robofleet.bus.permissions import SCRIPT
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.core.clock import utc_now
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import RefusedError, new_folder
+from robofleet.operator.latches import refuse_latched
 from robofleet.operator.requests import NoArenaError, chosen, joined_arena
+from robofleet.runs import folder as folders
 from robofleet.runs.check import load_checked
 from robofleet.scripts.script_link import FleetError, Link, first, scripted
 from robofleet.vehicles.interface import DriverError
@@ -32,6 +33,8 @@ def opened(
                 raise FleetError(f"{where}: the run of an arena is as it is: name a configuration, {where}.yaml")
             return _joined(str(where), group, copy)
         config = load_checked(file, changes, lockstep=lockstep, change=lambda tree: scripted(first(tree, robots)))
+        if not lockstep:
+            refuse_latched(config)
         mine, folder = group_of(config, group), _folder(out, file.stem)
         link: Link
         if lockstep:
@@ -64,7 +67,7 @@ def _folder(out: Out, name: str) -> Path | None:
     """Return a new folder for what a run leaves; None: it leaves nothing."""
     if out is False:
         return None
-    folder = Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}" if out is None else Path(out)
+    folder = folders.new(name) if out is None else Path(out)
     new_folder(folder, "out")
     return folder
 

@@ -10,12 +10,14 @@ from typing import Annotated
 
 import typer
 
-from robofleet.core.clock import S, WallClock, utc_now
+from robofleet.core.clock import S, WallClock
 from robofleet.core.refusal import how_to_install
 from robofleet.core.valid_json import dumps
 from robofleet.nodes.controller import compile_kernels
 from robofleet.operator.terminal.terminal import hangup_interrupts
+from robofleet.runs import folder as folders
 from robofleet.runs.check import load_checked
+from robofleet.runs.folder import DEFAULT_FOLDER
 from robofleet.studies import cluster
 from robofleet.studies.engine import Engine
 from robofleet.studies.progress import bar
@@ -52,25 +54,32 @@ def run(study: Study, engine: Engine, journal: Journal, watch: Watch) -> list[Ra
 On = Annotated[
     str,
     typer.Option(
-        "--on", metavar="ENGINE", help="Where the runs are played: local, ray (this machine), or ray://HOST:PORT."
+        "--on", metavar="ENGINE", help="Where the runs are computed: local, ray (this computer), or ray://HOST:PORT."
     ),
 ]
-Jobs = Annotated[int | None, typer.Option(metavar="N", min=1, help="How many at once; default: one a processor.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Number of runs at the same time. Default: one for each processor."),
+]
 
 
 def storm(
-    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A configuration of simulated robots.")],
-    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="How many random storms.")],
-    first: Annotated[int, typer.Option(metavar="K", min=0, help="The first seed.")] = 1,
-    pixels: Annotated[bool, typer.Option("--pixels", help="Render the camera's images: slower.")] = False,
+    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A configuration (YAML) of simulated robots.")],
+    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="Number of runs with random faults.")],
+    first: Annotated[int, typer.Option(metavar="K", min=0, help="First seed; the others follow.")] = 1,
+    pixels: Annotated[
+        bool, typer.Option("--pixels", help="Draw the camera's images and find tags in them: slower.")
+    ] = False,
     on: On = "local",
     jobs: Jobs = None,
 ) -> None:
-    """Fuzz a simulated fleet with random faults, in lockstep, and check what must always hold.
+    """Test a configuration with random faults, in simulation.
+
+    Every run is checked against rules that must always hold, for example that no two robots touch.
 
     $ robofleet storm configs/platoon.yaml --seeds 50
 
-    A failure is printed with the command that plays its seed again.
+    A failure is printed with the command that repeats it.
     """
     source = "camera" if pixels else "truth"
     tree = load_checked(config, [f"tracker.source={source}"], None, lockstep=True)
@@ -89,22 +98,27 @@ def storm(
 
 
 def sweep(
-    sweep: Annotated[Path, typer.Argument(metavar="SWEEP", help="What varies: robofleet/studies describes the file.")],
+    sweep: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SWEEP", help="File (YAML) with a configuration and what varies; configs/sweeps has examples."
+        ),
+    ],
     on: On = "local",
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<sweep name>. The same again goes on.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for the results. {DEFAULT_FOLDER}")] = None,
     jobs: Jobs = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> None:
-    """Run a configuration many times in lockstep, with keys, seeds and faults varied: a table and a page in DIR.
+    """Run a configuration many times, with settings varied.
+
+    Runs are simulated. It varies keys, seeds and faults, and writes a table and a page into a folder.
 
     $ robofleet sweep configs/sweeps/gains.yaml --out gains
 
-    Every run is checked before the first one starts. Ctrl-C keeps what is finished; the same command with the same
-    --out goes on from there. Exit 1: some run did not complete, and is named with the command that replays it.
+    All runs are checked before the first one starts. After Ctrl-C the same command with the same --out continues. Exit
+    code 1: a run did not complete; it is printed with the command that repeats it.
     """
-    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{sweep.stem}"
+    folder = out or folders.new(sweep.stem)
     with hangup_interrupts():
         study = load(sweep, lambda total: bar("checks", total))
         with cluster.opened(on, jobs) as where, journal.opened(folder, study) as kept:

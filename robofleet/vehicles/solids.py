@@ -71,6 +71,8 @@ def outlines(solids: Sequence[Solid]) -> Outlines:
 def distances(solids: Sequence[Solid], points: Array) -> Array:
     """Return how far points (M, 2) are from each solid (R, M) [m]; below 0 inside it."""
     found = np.empty((len(solids), len(points)))
+    if not solids:  # numba takes a second to load
+        return found
     _distances(*outlines(solids), np.ascontiguousarray(points, np.float64), found)
     return found
 
@@ -127,6 +129,11 @@ def is_solid_side(edges: Array, ring: Array, k: int, t: float, x: float, y: floa
         corner = k + 1 if k + 1 < last else first
     before = corner - 1 if corner > first else last - 1
     return bool(left_of(edges, before, edges[corner, 2], edges[corner, 3]) < 0.0)  # the solid has a notch there
+
+
+def rehearse() -> None:
+    """Call every kernel once: numba compiles it then, or loads it from disk."""
+    _distances(*outlines(()), np.zeros((1, 2)), np.empty((0, 1)))
 
 
 KERNELS = (_distances,)  # that are called from Python

@@ -20,7 +20,7 @@ def test_each_camera_has_a_tracker_whose_camera_is_its_own() -> None:
         assert view.camera.name == name.removeprefix("tracker-")
         assert slices.build(view) == slices.build(config), "every process of a run has one build"
     commands = [process.command for process in table.processes(config) if process.row is table.TRACKER]
-    assert commands == [("tracker", "--camera", "left"), ("tracker", "--camera", "right")]
+    assert commands == [("node", "tracker", "--camera", "left"), ("node", "tracker", "--camera", "right")]
     assert load_config(EXAMPLE, ["tracker.source=truth"]).trackers.keys() == {"tracker"}
 
 

@@ -206,18 +206,12 @@ def test_a_folder_is_made_and_kept_closed(folder: Path) -> None:
     assert folder.stat().st_mode & 0o7777 == 0o700
 
 
-@as_root
-def test_where_the_folder_beside_the_package_is_anothers_the_users_own_is_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(store, "_PACKAGE", tmp_path)
+def test_they_are_kept_in_the_users_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    beside = tmp_path / "__pycache__" / "kernels"
-    assert store.folder() == beside
-    beside.mkdir(parents=True)
-    assert store.folder() == beside
-    of_nobody(beside)
     assert store.folder() == tmp_path / "cache" / "robofleet" / "kernels"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert store.folder() == tmp_path / ".cache" / "robofleet" / "kernels"
 
 
 SHIPPED = "import sys; from pathlib import Path; from robofleet.core.kernels import store; "

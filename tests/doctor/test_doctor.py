@@ -113,7 +113,7 @@ for arguments in ([], ["--robots", "r1,r2"]):
     code, found = drivers
     mark, says = found["packages of lab"]
     assert (code, mark) == (0, "ok")
-    assert "not one that runs `robofleet driver`" in says
+    assert "not one that runs `robofleet node driver`" in says
     assert "browser" not in found
 
 

@@ -65,6 +65,21 @@ def test_a_folder_that_is_not_empty_is_refused(folder: Path) -> None:
     assert [path.name for path in (folder / "old").iterdir()] == ["kept"]
 
 
+def test_another_experiment_goes_into_the_same_folder_and_the_same_one_does_not(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        paper, "report", lambda name, _parameters, out, *, quiet: (out / f"{name}.json").write_text(f"{quiet}")
+    )
+    for name in ("closed-curve", "lane-change"):
+        assert robofleet(name, "--out", "results").exit_code == 0
+    assert sorted(path.name for path in (folder / "results").iterdir()) == ["closed-curve.json", "lane-change.json"]
+    for name in ("lane-change", "all"):
+        result = robofleet(name, "--out", "results")
+        assert result.exit_code == 2
+        assert re.fullmatch(r"--out: results has \S+ already: name another folder\n", result.stderr)
+
+
 def test_an_unknown_name_is_refused_with_a_hint(folder: Path) -> None:
     result = robofleet("lane-chnage", "--out", "new")
     assert result.exit_code == 2

@@ -77,7 +77,7 @@ class Fleet:
 
     def begin(self, robot: str) -> None:
         """Start a robot's driver."""
-        self.daemons[robot] = self.network[robot].begin("driver", "--unit", robot, log=self.logs[robot])
+        self.daemons[robot] = self.network[robot].begin("node", "driver", "--unit", robot, log=self.logs[robot])
         self._stack.callback(ended, self.daemons[robot])
 
     def end(self, robot: str, number: signal.Signals) -> None:

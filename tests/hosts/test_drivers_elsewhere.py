@@ -27,7 +27,7 @@ def test_a_driver_that_waits_for_the_bus_serves_one_run_after_the_other(
     changes = [SYSTEMD, f"bus.endpoint={own_endpoint()}", "run.duration_s=0.5"]
     config = tmp_path / "lab.yaml"
     config.write_text(resolved_yaml(load_config(PLATOON, [*ALONE[1::2], *changes])))
-    command = [sys.executable, "-m", "robofleet", "driver", str(config), "--robots", "r1"]
+    command = [sys.executable, "-m", "robofleet", "node", "driver", str(config), "--robots", "r1"]
     driver = subprocess.Popen(command, env=own_folders(tmp_path), stderr=subprocess.PIPE, text=True)
     try:
         for name in ("first", "second"):

@@ -112,7 +112,7 @@ def test_from_nothing_to_a_robot_that_has_joined(lab: Path, bundle: Path, desk: 
     robot = desk / "robot"
     lines = said("join", bundle, "--into", robot)
     assert len(lines) <= 5
-    assert "robofleet driver --unit r1" in "\n".join(lines)
+    assert "robofleet node driver --unit r1" in "\n".join(lines)
     assert load_robot_file(robot / "robot.yaml") == RobotFile(arena="lab", unit="r1", router=(ROUTER,))
     keys = robot / "keys" / "lab"
     assert stat.S_IMODE(keys.stat().st_mode) == 0o700
@@ -493,7 +493,7 @@ def test_a_service_starts_the_units_driver(bundle: Path, desk: Path, monkeypatch
     assert len(lines) <= 5
     assert "Next: systemctl enable --now robofleet-unit" in lines
     service = (desk / "systemd" / "robofleet-unit.service").read_text()
-    assert re.search(r"^ExecStart=/\S.* driver --unit r1$", service, re.MULTILINE)
+    assert re.search(r"^ExecStart=/\S.* node driver --unit r1$", service, re.MULTILINE)
     assert load_robot_file(desk / "etc" / "robot.yaml").unit == "r1"
 
 

@@ -327,7 +327,7 @@ def test_proving_makes_room_and_changes_nothing(folder: Path) -> None:
         StoredRobot(7, Latch.WIRED_STOP, 3),
         StoredRobot(),
     ]
-    assert {file.name: file.stat().st_size for file in folder.iterdir()} == {"r1.json": 8192, "r2.json": 8192}
+    assert {file.name: file.stat().st_size for file in folder.glob("*.json")} == {"r1.json": 8192, "r2.json": 8192}
 
 
 def fill(disk: Path) -> None:

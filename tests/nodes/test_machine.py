@@ -87,7 +87,9 @@ def started() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
     processes: list[subprocess.Popen[bytes]] = []
 
     def start(program: str, *command: str) -> subprocess.Popen[bytes]:
-        process = subprocess.Popen([sys.executable, "-c", program, "robofleet", *command], stdout=subprocess.PIPE)
+        process = subprocess.Popen(
+            [sys.executable, "-c", program, "robofleet", "node", *command], stdout=subprocess.PIPE
+        )
         processes.append(process)
         assert process.stdout is not None
         process.stdout.read(1)

@@ -137,7 +137,7 @@ def test_a_run_that_is_shown_keeps_the_newest_messages_and_where_they_stood(plat
 
 
 def recorder(folder: Path) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-m", "robofleet", "recorder", str(folder / "config.yaml")]
+    command = [sys.executable, "-m", "robofleet", "node", "recorder", str(folder / "config.yaml")]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 

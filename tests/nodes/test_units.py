@@ -86,7 +86,7 @@ def test_a_status_tells_of_every_robot_in_the_units_order(bench_of: Any, platoon
 def test_robots_that_are_no_unit_are_refused_in_a_line(tmp_path: Path, robots: str) -> None:
     config = tmp_path / "one.yaml"
     config.write_text(PLATOON.read_text())
-    result = CliRunner().invoke(app, ["driver", str(config), "--robots", robots])
+    result = CliRunner().invoke(app, ["node", "driver", str(config), "--robots", robots])
     assert result.exit_code == 2
     assert result.stderr == (
         "--robots: a process drives all robots of one unit: name r1,r2,r3,r4, or give robots[].unit or "
@@ -97,6 +97,6 @@ def test_robots_that_are_no_unit_are_refused_in_a_line(tmp_path: Path, robots: s
 def test_a_robot_that_is_not_there_is_refused_too(tmp_path: Path) -> None:
     config = tmp_path / "one.yaml"
     config.write_text(PLATOON.read_text())
-    result = CliRunner().invoke(app, ["driver", str(config), "--robots", "r1,r9"])
+    result = CliRunner().invoke(app, ["node", "driver", str(config), "--robots", "r1,r9"])
     assert result.exit_code == 2
     assert result.stderr.startswith("--robots: there is no robot 'r9' in ")

@@ -1,13 +1,16 @@
-"""A gamepad's stick, on the page and at a computer: what is wished, by which tick, and what happens at the release."""
+"""A person's stick, a gamepad's and the page's own: what is wished, by which tick, and what happens at the release."""
 
+import itertools
 import math
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from selenium.webdriver import Chrome
+from selenium.webdriver import ActionChains, Chrome, Keys
+from selenium.webdriver.common.by import By
 
 from robofleet.behaviours.interface import WishKind
 from robofleet.bus import keys
@@ -15,11 +18,13 @@ from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import STATE, STATUS, TICK, key, split
 from robofleet.bus.messages import RUN_STATE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, RunState, ScriptWish
 from robofleet.bus.permissions import PAGE
+from robofleet.config import groups
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
+from robofleet.core.clock import MS
 from robofleet.gateways.gamepad import command
 from robofleet.gateways.gamepad.pads import ABS_X, ABS_Y, BTN_TR, EV_ABS, EV_KEY, EventPad
-from robofleet.operator.hand import Hand, Hands, Stick
+from robofleet.operator.hand import Hand, Hands, Stick, drivers
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.gateways.piped_pad import PipedDevice
@@ -42,8 +47,8 @@ WHEELS_WITHIN_S, STANDS_WITHIN_S = 0.060, 0.150
 class Wished:
     """What was wished of the group, in order."""
 
-    def __init__(self, stand: WebStand) -> None:
-        self._stream = stand._bus.stream(key(stand.config.arena.name, keys.TELEOP, GROUP), capacity=4096)
+    def __init__(self, stand: WebStand, group: str = GROUP) -> None:
+        self._stream = stand._bus.stream(key(stand.config.arena.name, keys.TELEOP, group), capacity=4096)
         self.all: list[ScriptWish] = []
         self.roles: set[str] = set()  # of the senders, as their keys say
 
@@ -54,9 +59,9 @@ class Wished:
                 self.roles.add(split(full)[1].partition("/")[0])
         return self.all[-1] if self.all else None
 
-    def is_(self, kind: WishKind, v: float = 0.0, omega: float = 0.0) -> bool:
+    def is_(self, kind: WishKind, v: float = 0.0, omega: float = 0.0, within: float = 1e-6) -> bool:
         wish = self.newest()
-        return wish is not None and wish.kind == kind and wish.robots[0][1:3] == pytest.approx((v, omega), abs=1e-6)
+        return wish is not None and wish.kind == kind and wish.robots[0][1:3] == pytest.approx((v, omega), abs=within)
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +85,14 @@ def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
 
 def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
-    page.becomes(lambda: "Press a button of a gamepad" in page.text("gamepad-words"))
+    page.becomes(lambda: "press any button" in page.text("drive-gamepad"))
     page.run("pads = [pad]; pad.axes = [-0.5, -1, 0, 0]")
-    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
-    page.becomes(lambda: wished.is_(WishKind.STAND))
-    assert len(wished.all) == 1, "without the button nothing is said, but once that it is up"
+    page.becomes(lambda: "hold L1 or R1" in page.text("drive-gamepad"))
+    assert wished.newest() is None, "without the button nothing is said"
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V, 0.5 * MOST_OMEGA))
-    assert page.text("gamepad-words") == "r1 is driven."
+    assert [wish.kind for wish in wished.all[:2]] == [WishKind.STAND, WishKind.BODY], "but that it was up"
+    assert page.text("drive-words") == "You drive r1."
     before = wished.all[-1].echo_tick
     page.becomes(lambda: (wished.newest() or wished.all[-1]).echo_tick > before)
     assert wished.all[-1].echo_tick <= stand._seq, "of a tick that it has seen"
@@ -98,7 +103,7 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
     page.becomes(lambda: wished.is_(WishKind.STAND))
     page.run("pad.axes = [0, -1, 0, 0]")
     count = len(wished.all)
-    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+    page.becomes(lambda: page.text("drive-words").startswith("Hold the stick to drive r1."))
     wished.newest()
     assert len(wished.all) == count, "the release is said once, and nothing after it"
 
@@ -106,31 +111,32 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
 def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_go(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
     page.run("pads = [pad]; pad.axes = [0, -1, 0, 0]")
-    page.becomes(lambda: wished.is_(WishKind.STAND))
+    page.becomes(lambda: "hold L1 or R1" in page.text("drive-gamepad"))
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
-    assert not page.shown("gamepad-out")
+    assert not page.shown("drive-robot")
     page.fleet.phase, page.fleet.cause = Phase.HOLD, Event.DEADLOCKED
     page.becomes(lambda: wished.is_(WishKind.STAND))
-    page.becomes(lambda: page.shown("gamepad-out"))
-    page.run("document.getElementById('gamepad-out').value = 'r3'")
-    page.becomes(lambda: page.text("gamepad-words") == "r3 is driven out, at a crawl.")
+    page.becomes(lambda: page.shown("drive-robot"))
+    page.run("document.getElementById('drive-robot').value = 'r3'")
+    page.becomes(lambda: page.text("drive-words") == "Let go, then press again.")
     count = len(wished.all)
     page.becomes(lambda: page.run("return window.robofleet.state.tick.phase") == "hold")
     wished.newest()
     assert len(wished.all) == count, "it was held for something else, and not let go since"
     page.run("pad.buttons[5].pressed = false")
-    page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words") and "r3" in page.text("gamepad-words"))
+    page.becomes(lambda: "Hold the stick to drive r3 out" in page.text("drive-words"))
     page.run("pad.buttons[5].pressed = true")
     page.becomes(lambda: (wish := wished.newest()) is not None and wish.kind == WishKind.RESCUE)
     newest = wished.all[-1]
+    assert page.text("drive-words") == "You drive r3 out at a crawl."
     assert [robot.told for robot in newest.robots] == [0, 0, 1, 0]
     assert newest.robots[2].first == pytest.approx(CRAWL)
     assert wished.roles == {PAGE}, "who commands is known by the key"
     page.fleet.phase, page.fleet.cause = Phase.RUNNING, Event.RESUME_REQUESTED
     page.becomes(lambda: wished.is_(WishKind.STAND))
     page.run("pad.buttons[5].pressed = false")
-    page.becomes(lambda: not page.shown("gamepad-out"))
+    page.becomes(lambda: not page.shown("drive-robot"))
 
 
 def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_stand(page: Seen, stand: WebStand) -> None:
@@ -138,11 +144,69 @@ def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_sta
     for ending in ("pads = []", "location.href = 'about:blank'"):
         wished.all.clear()
         page.run("pad.buttons[4].pressed = false; pad.axes = [0, -1, 0, 0]; pads = [pad]")
-        page.becomes(lambda: "Hold a shoulder button" in page.text("gamepad-words"))
+        page.becomes(lambda: "hold L1 or R1" in page.text("drive-gamepad"))
         page.run("pad.buttons[4].pressed = true")
         page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
         page.browser.execute_script(ending)
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0), ending
+
+
+@pytest.mark.slow
+def test_a_gamepad_drives_nothing_from_another_tab_nor_when_the_page_is_seen_again(page: Seen, stand: WebStand) -> None:
+    wished, window = Wished(stand), page.browser.current_window_handle
+    page.run("pads = [pad]; pad.buttons[5].pressed = false; pad.axes = [0, -1, 0, 0]")
+    page.becomes(lambda: "hold L1 or R1" in page.text("drive-gamepad"))
+    page.run("pad.buttons[5].pressed = true")
+    page.becomes(lambda: wished.is_(WishKind.BODY, MOST_V))
+    page.browser.switch_to.new_window("tab")
+    assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+    page.browser.close()
+    page.browser.switch_to.window(window)
+    page.becomes(lambda: page.text("drive-words") == "Let go, then press again.")
+    assert wished.is_(WishKind.STAND)
+
+
+def test_a_mouse_and_keys_drive_while_they_hold_the_pages_stick(page: Seen, stand: WebStand) -> None:
+    wished, acts = Wished(stand), ActionChains(page.browser, duration=0)
+    ring = page.browser.find_element(By.ID, "drive-stick")
+    acts.move_to_element_with_offset(ring, 0, -44).click_and_hold().perform()
+    page.becomes(lambda: wished.is_(WishKind.BODY, 0.5 * MOST_V, within=0.02))  # a pixel
+    acts.reset_actions()
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+    assert page.run("return document.activeElement") == ring
+    acts.key_down("s").key_down(Keys.ARROW_RIGHT).perform()
+    page.becomes(lambda: wished.is_(WishKind.BODY, -MOST_V, -MOST_OMEGA))
+    acts.reset_actions()
+    page.becomes(lambda: wished.is_(WishKind.STAND))
+
+
+@pytest.mark.parametrize("cut", [True, False], ids=["cut", "closed"])
+def test_a_page_whose_link_ends_lets_the_robots_stand(stand: WebStand, cut: bool) -> None:
+    wished = Wished(stand)
+    with stand.page() as page:
+        for held in False, True:
+            page.say(drive=GROUP, stick=[1, 0, held], tick=3)
+        assert wait(lambda: wished.is_(WishKind.BODY, MOST_V), 5.0)
+        if cut:
+            page.socket.socket.shutdown(socket.SHUT_RDWR)
+        else:
+            page.socket.close()
+        assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+
+
+def test_a_page_that_floods_drives_no_oftener_and_delays_no_stop(stand: WebStand) -> None:
+    wished, count = Wished(stand), 3000
+    with stand.page() as page, stand.page() as other:
+        page.say(drive=GROUP, stick=[0, 0, False], tick=3)
+        began_ns = CLOCK.now_ns()
+        for k in range(count):
+            page.say(drive=GROUP, stick=[k / count, 0, True], tick=3)
+        other.say(do="estop")
+        assert wait(lambda: b"estop" in stand.requests, 1.0)
+        page.say(drive=GROUP, stick=[0, 0, False], tick=4)
+        assert wait(lambda: wished.is_(WishKind.STAND) and wished.all[-1].echo_tick == 4, 5.0)
+        took_ns = CLOCK.now_ns() - began_ns
+    assert 1 < len(wished.all) <= 3 + took_ns / (4 * MS)
 
 
 def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> None:
@@ -150,7 +214,7 @@ def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> 
     config = load_config(TELEOP)
     bus, kinds = Lockstep(config).bus, list[WishKind]()
     bus.tap(lambda message: kinds.append(WishKind(wish.kind)) if (wish := SCRIPT_WISH.decode(message[1])) else None)
-    hands = Hands(bus, config)
+    hands, instants = Hands(bus, config, lambda: next(instants)), itertools.count(0, 10 * MS)
     for tick, stick, out in ((0, HELD, None), (1, HELD, None), (2, HELD, "r2"), (3, HELD, "r2")):
         assert hands.drive(GROUP, stick, tick, out)
     assert not kinds
@@ -167,7 +231,10 @@ def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> 
     [
         {"drive": "nobody", "stick": [0, 0, True], "tick": 1},
         {"drive": GROUP, "stick": [math.nan, 0, True], "tick": 1},
+        {"drive": GROUP, "stick": [0, math.nan, True], "tick": 1},
         {"drive": GROUP, "stick": [math.inf, 0, True], "tick": 1},
+        {"drive": GROUP, "stick": [0, -1.01, True], "tick": 1},
+        {"drive": GROUP, "stick": [10**300, 0, True], "tick": 1},
         {"drive": GROUP, "stick": [0, 0, 1], "tick": 1},
         {"drive": GROUP, "stick": [0, 0, True], "tick": -1},
         {"drive": GROUP, "stick": [0, 0, True], "tick": 1 << 40},
@@ -176,7 +243,7 @@ def test_a_new_hand_drives_nothing_until_it_has_said_that_the_button_is_up() -> 
         {"drive": GROUP, "stick": [0, 0, True], "tick": 1, "out": 3},
     ],
 )
-def test_what_no_gamepad_says_drives_nothing_and_closes_the_page(stand: WebStand, message: dict[str, object]) -> None:
+def test_what_no_stick_says_drives_nothing_and_closes_the_page(stand: WebStand, message: dict[str, object]) -> None:
     wished = Wished(stand)
     with stand.page() as page:
         page.say(**message)
@@ -195,7 +262,7 @@ def _closed(receive: Callable[[float], object]) -> bool:
 
 
 @contextmanager
-def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tuple[PipedDevice, Wished]]:
+def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tuple[PipedDevice, Wished, Fleet]]:
     """Drive by a gamepad of this computer, or the robot ``out`` of a held run; it stands when that is ended."""
     wished, pad, over = Wished(stand), PipedDevice(), threading.Event()
     arguments = EventPad(pad), stand.config, stand._bus, CLOCK, GROUP, over.is_set, out
@@ -203,7 +270,7 @@ def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tupl
     with Fleet(stand).alive() as fleet:
         fleet.phase = phase
         thread.start()
-        yield pad, wished
+        yield pad, wished, fleet
         over.set()
     thread.join(10.0)  # the supervisor is silent now
     assert not thread.is_alive()
@@ -212,7 +279,7 @@ def at_a_computer(stand: WebStand, phase: Phase, out: str = "") -> Iterator[tupl
 
 @pytest.mark.slow
 def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(stand: WebStand) -> None:
-    with at_a_computer(stand, Phase.RUNNING) as (pad, wished):
+    with at_a_computer(stand, Phase.RUNNING) as (pad, wished, _):
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
         pad.happens((EV_ABS, ABS_Y, -32768), (EV_ABS, ABS_X, 0))
         pad.happens((EV_KEY, BTN_TR, 1))
@@ -221,6 +288,33 @@ def test_a_gamepad_at_a_computer_drives_and_stands_when_it_is_let_go_or_ended(st
         assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
         pad.happens((EV_KEY, BTN_TR, 1))
         assert wait(lambda: wished.is_(WishKind.BODY, MOST_V, MOST_OMEGA), 5.0)
+
+
+@pytest.mark.slow
+def test_a_gamepad_at_a_computer_is_told_that_another_person_drives(
+    stand: WebStand, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with at_a_computer(stand, Phase.RUNNING) as (pad, wished, fleet):
+        fleet.figures = {"wish_epoch": [77.0] * 4, "command_age": [0.033] * 4}
+        pad.happens((EV_ABS, ABS_Y, -32768), (EV_KEY, BTN_TR, 0))
+        assert wait(lambda: wished.is_(WishKind.STAND), 5.0)
+
+        def pressed() -> None:
+            for value in 0, 1:
+                pad.happens((EV_KEY, BTN_TR, value))
+
+        def refused() -> bool:
+            """Press again where the tick was not known yet."""
+            pressed()
+            return "another person drives teleop: let go, wait, then press again" in capsys.readouterr().err
+
+        assert wait(refused, 5.0)
+        for figures in fleet.figures, {}:  # when the other one has let go, it needs a new press
+            fleet.figures, tick = figures, fleet.ticks
+            count = len(wished.all)
+            assert wait(lambda tick=tick: fleet.ticks > tick + 8, 5.0)
+            assert wished.newest() and {wish.kind for wish in wished.all[count:]} <= {WishKind.STAND}
+        assert wait(lambda: pressed() or wished.is_(WishKind.BODY, MOST_V), 5.0)
 
 
 def test_a_gamepad_at_a_computer_drives_no_robot_of_the_arenas_next_run() -> None:
@@ -274,6 +368,27 @@ def driven(stick_of: Callable[[int], Stick | None]) -> np.ndarray:
     return np.array(found)
 
 
+def test_the_second_person_waits_and_everybody_sees_who_drives() -> None:
+    config = load_config(TELEOP, ["run.duration_s=3", "tracker.source=truth"])
+    run, described = Lockstep(config), groups.descriptions(config)
+    first, second = (Hand(run.bus, config, GROUP) for _ in range(2))
+    seen: dict[int, int | None] = {}
+
+    def tap(message: tuple[str, bytes]) -> None:
+        if message[0] == key(config.arena.name, TICK) and (record := TICK_RECORD.decode(message[1])) is not None:
+            tick = record.run_tick
+            seen[tick] = drivers(described, record).get(GROUP)
+            first.drive(HELD if 5 <= tick < 20 else LET_GO, record.tick)
+            second.drive(HELD if 10 <= tick < 40 else LET_GO, record.tick)
+
+    run.bus.tap(tap)
+    run.run()
+    names = {first.epoch: 1, second.epoch: 2, None: 0}
+    turns = [names[seen[tick]] for tick in range(60)]
+    assert [number for number, _ in itertools.groupby(turns)] in ([0, 1, 2, 0], [0, 1, 0, 2, 0])
+    assert turns[15] == 1 and turns[30] == 2
+
+
 HELD, LET_GO, TICK_S = Stick(1.0, 0.0, True), Stick(1.0, 0.0, False), 0.033
 
 
@@ -296,7 +411,7 @@ def test_without_the_button_nothing_is_driven() -> None:
 
 @pytest.mark.slow
 def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand: WebStand) -> None:
-    with at_a_computer(stand, Phase.HOLD, "r2") as (pad, wished):
+    with at_a_computer(stand, Phase.HOLD, "r2") as (pad, wished, _):
         pad.happens((EV_ABS, ABS_Y, 32767), (EV_ABS, ABS_X, 128), (EV_KEY, BTN_TR, 0))
 
         def out() -> bool:
@@ -313,5 +428,5 @@ def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand
 
 def test_a_group_that_nobody_drives_by_hand_has_no_hand() -> None:
     config = load_config(SHIPPED / "platoon.yaml")
-    hands = Hands(Lockstep(config).bus, config)
+    hands = Hands(Lockstep(config).bus, config, lambda: 0)
     assert not hands.drive("platoon", HELD, 1)

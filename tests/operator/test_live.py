@@ -23,8 +23,10 @@ from robofleet.bus.messages import (
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, SimulatedClock
+from robofleet.core.starting import Starting
 from robofleet.operator.terminal.live import LiveView
 from robofleet.operator.terminal.on_the_way import OnTheWay
+from robofleet.operator.terminal.start_view import StartLines
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.run import Recording
 from robofleet.safety.arming import Stage
@@ -92,6 +94,28 @@ def view(platoon_of: Callable[..., Config]) -> Stand:
 def row(text: str, robot: str) -> str:
     (found,) = [line for line in text.splitlines() if line.startswith(robot)]
     return found
+
+
+def test_until_wheels_drive_a_bar_says_how_far_the_start_is_and_what_has_not_begun_is_no_alarm(view: Stand) -> None:
+    view.recording.messages.pop(key(view.arena, STATUS, "r1"))
+    assert "silent" in row(view.shown("running"), "r1")
+    view.terminal.starting = Starting(0.32, 23.6, "compiling kernels, 31 of 61")
+    shown = view.shown("starting")
+    assert shown.startswith("starting 32 %, about 24 s left   \u2501")
+    assert "\ncompiling kernels, 31 of 61" in shown
+    assert "starting" in row(shown, "r1")
+    assert "silent" not in shown
+
+
+def test_lines_say_how_far_a_start_is_where_it_is_not_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+    lines, quiet = StartLines(), StartLines(long_ones=True)
+    for left_s, phase in ((24.0, "starting"), (23.0, "starting"), (4.0, "arming")):
+        for say in (lines, quiet):
+            say(Starting(0.3, left_s, "compiling kernels, 31 of 61"), phase)
+    output = capsys.readouterr().err.splitlines()
+    assert [line.split(":")[0] for line in output] == [
+        f"starting 30 %, about {left_s} s left" for left_s in (24, 24, 4)
+    ]
 
 
 def test_while_arming_it_says_what_is_tried(view: Stand) -> None:

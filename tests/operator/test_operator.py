@@ -123,9 +123,11 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     FileStateStore("platoon").save("r1", StoredRobot(4, Latch.EMERGENCY_STOP, 7))
     refused = real_run(*ALONE)
-    assert refused.ended() == 1
-    assert "fault: start was refused: r1: the gate is latched: " in refused.said
-    assert "`robofleet run --reset` does it" in refused.said
+    assert refused.ended() == 2
+    assert "platoon: r1 is latched by an emergency stop (" in refused.said
+    assert "`robofleet reset platoon` or: `robofleet run " in refused.said
+    assert refused.said.endswith(" --reset`\n"), "the whole command"
+    assert not refused.folder.exists()
     assert refused.latched() == {"r1": 2}
 
     run = real_run(*ALONE, "--reset", name="again")
@@ -136,7 +138,7 @@ def test_latches_outlive_a_run_until_they_are_reset_and_robofleet_stop_latches_a
     assert stopped.stdout.startswith("emergency stop of platoon: every robot has latched its gate, the last one after ")
     assert run.ended() == 1
     assert run.latched() == {"r1": 2}
-    assert run.summary["cause"].startswith("emergency stop (emergency stop requested); every robot")
+    assert run.summary["cause"].startswith("emergency stop; every robot has latched its gate")
 
 
 @pytest.mark.long
@@ -154,7 +156,7 @@ def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run:
 
 
 def test_without_a_run_there_is_nothing_to_stop(tmp_path: Path) -> None:
-    for command in ("stop", "hold", "resume", "reset", "status"):
+    for command in ("stop", "hold", "resume", "status"):
         done = CliRunner().invoke(app, [command], env=own_folders(tmp_path))
         assert (done.exit_code, done.stdout) == (2, ""), command
         where = f"{tmp_path}/tmp/robofleet or {tmp_path}/rt/robofleet"

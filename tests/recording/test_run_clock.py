@@ -9,10 +9,13 @@ from numpy.testing import assert_allclose
 
 from robofleet.bus.keys import TICK, key
 from robofleet.bus.messages import TICK_RECORD
+from robofleet.core.clock import MS
 from robofleet.recording.columns import write_csv
+from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.run_clock import LiveClock, in_words
 from robofleet.reports.metrics import summary
+from robofleet.reports.sampled import look, looks
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from tests.recording import recorded
@@ -90,6 +93,21 @@ def test_run_time_stands_still_in_the_hold_and_clock_time_goes_on(rows: list[dic
     assert (np.diff(run_s) >= 0).all()
     assert (clock_s - run_s)[running][-1] == pytest.approx(HOLD_S, abs=0.1)
     assert (column(rows, "t_s") == column(rows, "clock_time_s")).all()
+
+
+@pytest.mark.slow
+def test_a_run_that_is_read_in_parts_has_the_same_table(held: Recording, tmp_path: Path) -> None:
+    with RunLog(tmp_path / FILE, held.config, drawn=False) as log:
+        for index, (full, payload) in enumerate(recorded.in_order(held)):
+            log.add(full, payload, index * 10 * MS)
+    write_csv(looks(tmp_path), tmp_path / "whole.csv")
+    parts = [*looks(tmp_path, together=100_000)]
+    assert len(parts) > 3
+    write_csv(parts, tmp_path / "parts.csv")
+    assert (tmp_path / "parts.csv").read_text() == (tmp_path / "whole.csv").read_text()
+    clock, in_parts = (look(tmp_path, together=size).clock for size in (1 << 62, 100_000))
+    stamps = clock.start_ns + np.arange(0, 6_000, 7) * MS
+    assert_allclose(in_parts.run_time_s(stamps), clock.run_time_s(stamps))
 
 
 def test_a_live_clock_agrees_and_does_not_know_the_clock_time_of_what_it_did_not_hear(held: Recording) -> None:

@@ -45,9 +45,16 @@ print(run.recording.trace_hash)
 
 @pytest.mark.slow
 def test_a_run_that_compiles_its_kernels_has_the_trace_of_one_that_loads_them(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", TRACE, str(tmp_path / "kernels"), str(CONFIGS / "platoon.yaml")]
-    compiled, loaded = (subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2))
+    compiled, loaded = _trace(tmp_path, "platoon"), _trace(tmp_path, "platoon")
     assert compiled == loaded
+    files = {file.name for file in (tmp_path / "kernels").iterdir()}
+    _trace(tmp_path, "obstacles")
+    assert {file.name for file in (tmp_path / "kernels").iterdir()} == files, "another behaviour compiles nothing more"
+
+
+def _trace(folder: Path, config: str) -> str:
+    command = [sys.executable, "-c", TRACE, str(folder / "kernels"), str(CONFIGS / f"{config}.yaml")]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 @pytest.mark.slow_after_first
@@ -84,8 +91,7 @@ def test_kernels_are_counted_with_those_that_they_call() -> None:
 
 
 def test_progress_crosses_a_lifeline_and_other_words_are_none() -> None:
-    progress = Progress("control", 3, 14, 8.0, 0.25)
+    progress = Progress(3, 14, 2.0, 8.25)
     assert decoded(progress.encode()) == progress
-    assert progress.words() == "compiling the control kernels, once for this installation: 3 of 14, about 8 s left"
     assert decoded("ready") is None
     assert decoded("http://127.0.0.1:8080/#token") is None

@@ -47,11 +47,11 @@ def test_a_second_of_each_process_is_refused_and_the_run_goes_on(real_run: Start
         ("supervisor", "supervisor"), ("tracker", "tracker"), ("controller", "controller"), ("recorder", "recorder"),
         ("driver", "driver-r1", "--robots", "r1"),
     ):  # fmt: skip
-        second = run.robofleet(name, str(copy / "config.yaml"), *more)
+        second = run.robofleet("node", name, str(copy / "config.yaml"), *more)
         (pid,) = [process.pid for process in run.children(name)]
         assert second.returncode == 2, (name, second.stderr)
         assert f"the arena platoon has a {role} already (process {pid}): end that one first" in second.stderr
-    router = run.robofleet("router", str(copy / "config.yaml"))
+    router = run.robofleet("node", "router", str(copy / "config.yaml"))
     assert router.returncode == 2
     assert "bus.endpoint: " in router.stderr
     assert "in use" in router.stderr

@@ -34,8 +34,8 @@ def test_a_run_starts_what_its_configuration_needs_and_nothing_else(platoon_of: 
     ]
     shared = table.processes(platoon_of("drivers.robots_per_process=3"))
     assert [process.command for process in shared[-2:]] == [
-        ("driver", "--robots", "r1,r2,r3"),
-        ("driver", "--robots", "r4"),
+        ("node", "driver", "--robots", "r1,r2,r3"),
+        ("node", "driver", "--robots", "r4"),
     ]
 
 
@@ -54,13 +54,13 @@ def test_lockstep_steps_the_rows_that_have_a_turn(platoon_of: Callable[..., Conf
 
 @pytest.mark.parametrize("row", table.TABLE, ids=lambda row: row.name)
 def test_every_row_is_a_command(row: table.Row) -> None:
-    done = CliRunner().invoke(app, [row.name, "--help"])
+    done = CliRunner().invoke(app, [*row.command, "--help"], prog_name="robofleet")
     assert done.exit_code == 0
-    assert f"robofleet {row.name}" in done.output
+    assert f"Usage: robofleet {' '.join(row.command)}" in done.output
 
 
 def test_a_process_that_a_configuration_does_not_have_is_refused_before_anything_else() -> None:
-    done = CliRunner().invoke(app, ["twins", str(PLATOON)])
+    done = CliRunner().invoke(app, ["node", "twins", str(PLATOON)])
     assert (done.exit_code, done.stderr) == (2, "no robot has a twin: name one in robots[].twin\n")
 
 

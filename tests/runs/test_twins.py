@@ -168,7 +168,7 @@ def test_a_run_ends_by_the_cables_name_and_the_next_one_drives_after_a_reset(rea
     assert pulled.latched() == {"r1": Latch.DRIVER_FAILED}
     latched = real_run(*of_a_create2(), name="latched")
     assert latched.ended() == 1
-    assert "robofleet run --reset" in latched.summary["cause"]
+    assert "robofleet run CONFIG --reset" in latched.summary["cause"]
     again = real_run(*of_a_create2(), "--reset", name="again")
     assert again.ended() == 0, again.said
     assert again.summary["outcome"] == "completed"

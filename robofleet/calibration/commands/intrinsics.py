@@ -25,37 +25,49 @@ _USUAL: dict[Kind, int] = {"pinhole": 5, "fisheye": 4}  # coefficients
 def intrinsics(
     camera: shared.CameraName,
     source: Annotated[
-        Path | None, typer.Argument(metavar="[IMAGES]", help="Folder of images, or a video, of the board.")
+        Path | None, typer.Argument(metavar="IMAGES", help="Images of the board: a folder, or a video.")
     ] = None,
     live: shared.Live = None,
     overrides: shared.Overrides = [],  # noqa: B006 - typer copies it
-    squares: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Of the board.")] = "11x8",
-    square_mm: Annotated[float, typer.Option(help="Side of a square of the board.")] = 40.0,
-    marker_mm: Annotated[float, typer.Option(help="Side of a marker in it.")] = 30.0,
-    dictionary: Annotated[str, typer.Option(help="The markers'.")] = "DICT_5X5_250",
-    lens: Annotated[Literal["pinhole", "fisheye"], typer.Option(help="OpenCV's model of the lens.")] = "pinhole",
+    squares: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Squares of the board.")] = "11x8",
+    square_mm: Annotated[float, typer.Option(metavar="MM", help="Side of a square of the board, in mm.")] = 40.0,
+    marker_mm: Annotated[float, typer.Option(metavar="MM", help="Side of a marker in a square, in mm.")] = 30.0,
+    dictionary: Annotated[
+        str, typer.Option(metavar="NAME", help="OpenCV's dictionary of the markers.")
+    ] = "DICT_5X5_250",
+    lens: Annotated[
+        Literal["pinhole", "fisheye"], typer.Option(metavar="pinhole|fisheye", help="OpenCV's model of the lens.")
+    ] = "pinhole",
     coefficients: Annotated[
-        int | None, typer.Option(help="Number of a pinhole's distortion coefficients: 4, 5, 8, 12 or 14.")
+        int | None,
+        typer.Option(metavar="N", help="Number of a pinhole's distortion coefficients: 4, 5, 8, 12 or 14. Default: 5."),
     ] = None,
-    height_m: Annotated[float, typer.Option(help="Height of the camera above the floor, for figures in mm.")] = 2.5,
-    tag_height_m: Annotated[float, typer.Option(help="Height of the robots' tags above the floor.")] = 0.08,
+    height_m: Annotated[float, typer.Option(metavar="M", help="Height of the camera above the floor, in m.")] = 2.5,
+    tag_height_m: Annotated[
+        float, typer.Option(metavar="M", help="Height of the robots' tags above the floor, in m.")
+    ] = 0.08,
     arena_m: Annotated[
         str,
-        typer.Option(metavar="LONGxSHORT", help="Sides of the arena, as 3.5x2.3; default: all seen within 45 degrees."),
+        typer.Option(
+            metavar="LONGxSHORT",
+            help="Sides of the arena in m, for example 3.5x2.3. Default: all that is seen within 45 degrees.",
+        ),
     ] = "",
     device: Annotated[
-        str, typer.Option("--device", help="The device, as camera.source names it; --live finds it out.")
+        str, typer.Option("--device", metavar="NAME", help="The device, as in camera.source; not needed with --live.")
     ] = "",
     configs: shared.ConfigsFolder = None,
     report: shared.ReportFile = None,
 ) -> None:
-    """Measure a lens from views of a ChArUco board (robofleet sheet prints it).
+    """Measure a camera's lens from images of a board.
+
+    `robofleet sheet board` draws the board.
 
     $ robofleet calibrate intrinsics ceiling photos/ --squares 9x6
 
     $ robofleet calibrate intrinsics ceiling --live configs/lab.yaml --squares 9x6
 
-    The camera's file is written: configs/cameras/ceiling.yaml.
+    The result is the camera's file, here configs/cameras/ceiling.yaml.
     """
     file = shared.camera_file(camera, configs, live)
     if (source is None) == (live is None):

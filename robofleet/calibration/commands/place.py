@@ -12,10 +12,19 @@ from robofleet.calibration.extrinsics.verify import verify as verify_camera
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.tree import Config
 
-SurveyFile = Annotated[Path, typer.Argument(metavar="SURVEY", help="YAML with floor_tags and points, in metres.")]
-Images = Annotated[list[Path] | None, typer.Argument(metavar="[IMAGES]...", help="Images, or folders of them.")]
-FrameCount = Annotated[int, typer.Option("--frames", min=1, max=1000, help="Images to average, at most.")]
-SurveyMm = Annotated[float | None, typer.Option(min=0.01, max=100.0, help="Survey's standard deviation, a coordinate.")]
+SurveyFile = Annotated[
+    Path, typer.Argument(metavar="SURVEY", help="File (YAML) with the positions of floor_tags and points, in metres.")
+]
+Images = Annotated[
+    list[Path] | None, typer.Argument(metavar="IMAGES...", help="Images, or folders of images; not with --live.")
+]
+FrameCount = Annotated[
+    int, typer.Option("--frames", metavar="N", min=1, max=1000, help="Largest number of images to average.")
+]
+SurveyMm = Annotated[
+    float | None,
+    typer.Option(metavar="MM", min=0.01, max=100.0, help="Standard deviation of the survey's coordinates, in mm."),
+]
 
 
 def arena(
@@ -29,16 +38,20 @@ def arena(
     arena_m: Annotated[
         str,
         typer.Option(
-            metavar="LONGxSHORT", help="Sides of the arena, as 3.5x2.3; default: --live's, else the area of the marks."
+            metavar="LONGxSHORT",
+            help="Sides of the arena in m, for example 3.5x2.3. Default: from --live, else the surveyed area.",
         ),
     ] = "",
     tag_height_m: Annotated[
-        float | None, typer.Option(min=0.0, help="Height of the robots' tags; default: --live's, or 0.")
+        float | None,
+        typer.Option(metavar="M", min=0.0, help="Height of the robots' tags, in m. Default: from --live, else 0."),
     ] = None,
     configs: shared.ConfigsFolder = None,
     report: shared.ReportFile = None,
 ) -> None:
-    """Find where the camera hangs, from surveyed tags and points on the floor.
+    """Measure where a camera hangs, from tags on the floor.
+
+    The positions of tags and points on the floor come from a survey. `robofleet sheet floor` draws the tags.
 
     $ robofleet calibrate arena ceiling survey.yaml --live configs/lab.yaml
 
@@ -46,8 +59,8 @@ def arena(
 
     $ robofleet calibrate arena left,right survey.yaml --live configs/two-cameras.yaml
 
-    The camera's file is written again, with its place; `robofleet sheet floor` prints tags for the floor. Several
-    cameras, with commas between them, are placed at once, by one survey and by the tags that two of them see.
+    The result is written into the camera's file. Several cameras, separated by commas, are measured together, by one
+    survey and by the tags that two of them see.
     """
     files = [shared.known_camera(name, configs, live) for name in camera.split(",")]
     if twice := [
@@ -101,7 +114,9 @@ def verify(
     survey_mm: SurveyMm = None,
     configs: shared.ConfigsFolder = None,
 ) -> None:
-    """Say whether the camera still hangs where it was calibrated; writes nothing.
+    """Check whether a camera still hangs where it was measured.
+
+    It writes no file.
 
     $ robofleet calibrate verify ceiling survey.yaml --live configs/lab.yaml
     """

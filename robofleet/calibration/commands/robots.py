@@ -24,16 +24,22 @@ from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
+from robofleet.runs.folder import DEFAULT_FOLDER
 
-DriveConfig = Annotated[Path, typer.Argument(metavar="CONFIG", help="The configuration, e.g. configs/platoon.yaml.")]
-DriveLockstep = Annotated[bool, typer.Option("--lockstep", help="Drive simulated robots on a simulated clock.")]
-DriveRobots = Annotated[str, typer.Option("--robots", metavar="r1,r2", help="Default: the robots of all groups.")]
+DriveConfig = Annotated[
+    Path, typer.Argument(metavar="CONFIG", help="The configuration (YAML), for example configs/platoon.yaml.")
+]
+DriveLockstep = Annotated[bool, typer.Option("--lockstep", help="Simulate on a simulated clock.")]
+DriveRobots = Annotated[
+    str, typer.Option("--robots", metavar="r1,r2", help="Which robots. Default: the robots of all groups.")
+]
 DriveFolder = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="For drive.npz and report.html. Default: runs/<UTC time>-..."),
+    typer.Option("--out", metavar="DIR", help=f"Folder for drive.npz and report.html. {DEFAULT_FOLDER}"),
 ]
 DriveRecording = Annotated[
-    Path | None, typer.Option("--recording", metavar="FILE", help="The drive.npz of an earlier drive: nothing moves.")
+    Path | None,
+    typer.Option("--recording", metavar="FILE", help="Use the drive.npz of an earlier drive; nothing moves."),
 ]
 
 Found = TypeVar("Found")
@@ -47,7 +53,9 @@ def offsets(
     out: DriveFolder = None,
     recording: DriveRecording = None,
 ) -> None:
-    """Let the robots drive, one after the other, and find where their tags sit, and their wheels' radius and base.
+    """Drive each robot; measure its tag's place and its wheels.
+
+    The robots drive one after the other. It finds the radius of the wheels and the distance between them.
 
     $ robofleet calibrate offsets configs/lab.yaml
 
@@ -70,7 +78,9 @@ def latency(
     out: DriveFolder = None,
     recording: DriveRecording = None,
 ) -> None:
-    """Let the robots drive, one after the other, and find how late their wheels follow: delay and motor lag.
+    """Drive each robot; measure its delay and motor lag.
+
+    The robots drive one after the other.
 
     $ robofleet calibrate latency configs/lab.yaml
     """

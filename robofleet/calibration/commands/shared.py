@@ -11,30 +11,33 @@ import typer
 from robofleet.calibration.frames import live_config
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.tree import Config
-from robofleet.core.clock import utc_now
 from robofleet.core.patterns import NAME_PATTERN
+from robofleet.runs import folder as folders
 
 ReportFile = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE", help="Default: runs/<UTC time>-<command>/report.html.")
+    Path | None,
+    typer.Option("--report", metavar="FILE", help="File of the report. Default: runs/<time>-<name>/report.html."),
 ]
 CameraName = Annotated[
     str,
     typer.Argument(
         metavar="CAMERA",
-        help="The camera's name in `camera.model` (ceiling: the file cameras/ceiling.yaml), or its file, NAME.yaml.",
+        help="The camera's name as in camera.model (ceiling: file cameras/ceiling.yaml), or its file, NAME.yaml.",
     ),
 ]
 ConfigsFolder = Annotated[
     Path | None,
     typer.Option(
-        "--configs", metavar="DIR", help="Folder that holds cameras/. Default: beside --live's CONFIG, else configs."
+        "--configs", metavar="DIR", help="Folder that contains cameras/. Default: the folder of --live, else configs."
     ),
 ]
-Live = Annotated[Path | None, typer.Option(metavar="CONFIG", help="Take images with this configuration's camera.")]
+Live = Annotated[
+    Path | None, typer.Option(metavar="CONFIG", help="Take images now, with the camera of this configuration.")
+]
 Overrides = Annotated[
     list[str],
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="Change a key of CONFIG, e.g. camera.exposure_s=0.002. Repeatable."
+        "--set", metavar="KEY=VALUE", help="Change a key of CONFIG, for example camera.exposure_s=0.002. Repeatable."
     ),
 ]
 
@@ -43,7 +46,7 @@ _LARGEST = 1000.0
 
 
 def report_file(requested: Path | None, command: str) -> Path:
-    return requested or Path("runs") / f"{utc_now().strftime('%Y%m%dT%H%M%SZ')}-{command}" / "report.html"
+    return requested or folders.new(command) / "report.html"
 
 
 def live(

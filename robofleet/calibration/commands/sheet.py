@@ -1,4 +1,4 @@
-"""Draws sheets to print, as PDF or SVG, true to scale: AprilTags for robots and floor, boards to calibrate a camera.
+"""Draw tags and calibration boards to print.
 
 $ robofleet sheet tags --ids 1-4,10 --side-mm 70 --paper a4 --out tags.pdf
 
@@ -6,8 +6,8 @@ $ robofleet sheet floor configs/lab.yaml --out floor.pdf
 
 $ robofleet sheet board --squares 11x8 --paper a2 --out board.pdf
 
-Print at 100 % ("actual size"), and check both rulers. An SVG holds one page: several become NAME-1.svg, NAME-2.svg.
-Exit 0: drawn; 2: cannot be drawn, one line says why.
+Sheets are PDF or SVG, true to scale. Print at 100 % ("actual size"), and check both rulers on the sheet. An SVG has one
+page: several pages become NAME-1.svg, NAME-2.svg.
 """
 
 import math
@@ -24,22 +24,23 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.config.load import load_config
 from robofleet.core.settings import FAMILIES, LAST_TAG, FamilyName, is_family
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
-
-PaperName = Annotated[str, typer.Option("--paper", help=", ".join(PAPERS))]
-_SIDE = "Side of the black square; of Standard41h12, of the white square in the black one"
-OutFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="FILE.pdf or FILE.svg")]
+PaperName = Annotated[str, typer.Option("--paper", metavar="SIZE", help=f"{', '.join(PAPERS)}.")]
+_SIDE = "Side of the black square, in mm; for Standard41h12, of the white square in it."
+OutFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="FILE.pdf or FILE.svg.")]
 
 
-@app.command()
 def tags(
-    ids: Annotated[str, typer.Option("--ids", help="As 1-4,10")],
+    ids: Annotated[str, typer.Option("--ids", metavar="IDS", help="The tags' numbers, for example 1-4,10.")],
     out: OutFile,
-    side_mm: Annotated[float, typer.Option("--side-mm", help=_SIDE)] = 70.0,
+    side_mm: Annotated[float, typer.Option("--side-mm", metavar="MM", help=_SIDE)] = 70.0,
     paper: PaperName = "a4",
-    family: Annotated[str, typer.Option("--family", help=f"{', '.join(FAMILIES)}: as tracker.family")] = "36h11",
+    family: Annotated[
+        str, typer.Option("--family", metavar="NAME", help=f"{', '.join(FAMILIES)}; as tracker.family.")
+    ] = "36h11",
 ) -> None:
-    """AprilTags, to cut out. A print's right is its robot's forward.
+    """Draw AprilTags for robots, to cut out.
+
+    The right side of a print is the robot's front.
 
     $ robofleet sheet tags --ids 1-4,10 --side-mm 70 --out tags.pdf
     """
@@ -52,28 +53,32 @@ def tags(
         print(file)
 
 
-@app.command()
 def floor(
     config: Annotated[
         Path,
-        typer.Argument(
-            metavar="CONFIG", help="The configuration: its arena, its path, and its floor tags if it has any."
-        ),
+        typer.Argument(metavar="CONFIG", help="The configuration (YAML), with arena, paths and floor tags."),
     ],
     out: OutFile,
-    overrides: Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key of CONFIG.")] = [],  # noqa: B006 - typer copies it
-    count: Annotated[int, typer.Option("--count", help="Number of tags, 4 to 8")] = floor_sheet.MOST,
-    side_mm: Annotated[float, typer.Option("--side-mm", help=_SIDE)] = 100.0,
+    overrides: Annotated[
+        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key of CONFIG. Repeatable.")
+    ] = [],  # noqa: B006 - typer copies it
+    count: Annotated[int, typer.Option("--count", metavar="N", help="Number of tags, 4 to 8.")] = floor_sheet.MOST,
+    side_mm: Annotated[float, typer.Option("--side-mm", metavar="MM", help=_SIDE)] = 100.0,
     first_id: Annotated[
-        int, typer.Option("--first-id", min=0, max=LAST_TAG, help="First id; robots' ids are left out")
+        int,
+        typer.Option(
+            "--first-id", metavar="N", min=0, max=LAST_TAG, help="First number; robots' numbers are left out."
+        ),
     ] = 500,
     paper: PaperName = "a4",
 ) -> None:
-    """Tags for the floor, and a sheet for their survey: where they lie, what to measure.
+    """Draw tags for the floor, and a sheet for their survey.
+
+    The sheet shows where the tags lie, and what to measure.
 
     $ robofleet sheet floor configs/lab.yaml --out floor.pdf
 
-    Where CONFIG has `tracker.floor_tags`, those are printed again; --count, --side-mm and --first-id are for new ones.
+    If CONFIG has tracker.floor_tags, these are drawn again. --count, --side-mm and --first-id are for new tags.
     """
     _check(paper, out, {"--side-mm": side_mm})
     tree = load_config(config, overrides)
@@ -88,15 +93,20 @@ def floor(
         print(f"Then: robofleet calibrate arena CAMERA survey.yaml --live {shlex.quote(str(config))}")
 
 
-@app.command()
 def board(
     out: OutFile,
-    squares: Annotated[str | None, typer.Option("--squares", help="COLUMNSxROWS; default: 11x8, or what fits")] = None,
-    square_mm: Annotated[float, typer.Option("--square-mm")] = 40.0,
-    marker_mm: Annotated[float, typer.Option("--marker-mm")] = 30.0,
+    squares: Annotated[
+        str | None, typer.Option("--squares", metavar="COLUMNSxROWS", help="Squares. Default: 11x8, or what fits.")
+    ] = None,
+    square_mm: Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square, in mm.")] = 40.0,
+    marker_mm: Annotated[
+        float, typer.Option("--marker-mm", metavar="MM", help="Side of a marker in a square, in mm.")
+    ] = 30.0,
     paper: PaperName = "a3",
 ) -> None:
-    """A ChArUco board for `robofleet calibrate intrinsics`. Glue it to something flat and stiff.
+    """Draw a board for measuring a camera's lens.
+
+    It is for `robofleet calibrate intrinsics`. Glue it to something flat and stiff.
 
     $ robofleet sheet board --paper a3 --out board.pdf
     """

@@ -22,6 +22,7 @@ from robofleet.config import groups
 from robofleet.config.tree import Config, Group
 from robofleet.core.arrays import Array
 from robofleet.core.clock import S
+from robofleet.operator.latches import refuse_latched
 from robofleet.operator.terminal.live_state import WAITING
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.reading import RecordingError, read
@@ -95,6 +96,7 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
 def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, str | None, Recording]:
     try:
         with claimed(config, folder), Terminal() as terminal:
+            refuse_latched(config)
             check_router(config)
             outcome, cause = Launcher(config, folder, watch, terminal).run()
         if outcome != "completed":

@@ -6,13 +6,16 @@ Numba, and the modules here that need it, are loaded where a kernel is first cal
 import functools
 import types
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
+SHIPPED = Path(__file__).parent / "compiled"  # what a built wheel brings
 P = ParamSpec("P")
 R = TypeVar("R")
 
 INFINITE: dict[str, Any] = {"error_model": "numpy"}  # a division by zero is an infinity, which is then reported
 _NO_CALLBACK = {"no_cfunc_wrapper": True}  # nobody calls a kernel from C
+_LABEL = 16  # signs of a function's digest in the names of its files
 _models: dict[str, Any] = {}
 
 
@@ -123,6 +126,11 @@ def snapshot(function: Callable[..., Any], options: dict[str, Any]) -> tuple[Any
 
 def _kernel(function: Callable[P, R], options: dict[str, Any]) -> Callable[P, R]:
     return cast("Callable[P, R]", Kernel(function, options))
+
+
+def label(name: str, meaning: str) -> str:
+    """Return how the names of a function's files begin: one for each signature follows."""
+    return f"{name}-{meaning[:_LABEL]}"
 
 
 def reached(*kernels: Callable[..., Any]) -> frozenset[Kernel]:

@@ -166,7 +166,8 @@ class _Walk:
         if isinstance(value, Dispatcher):
             options = {**value.targetoptions, "locals": value.locals}
             self._say("compiled", repr(sorted(options.items(), key=str)))
-            return self._function(value.py_func, numba.jit(**options))
+            inner = INNER if self._is_part(value) else {}
+            return self._function(value.py_func, numba.jit(**{**options, **inner}))
         if (library := _library_name(value)) is not None:
             self._say("library", library)
             return value
@@ -176,6 +177,12 @@ class _Walk:
             f"{', which calls '.join(self._path)} reads {name}, of type {type(value).__name__}: nobody can tell when "
             "it changes; use numbers, tuples, arrays or functions"
         )
+
+    def _is_part(self, compiled: Dispatcher) -> bool:
+        """Whether a function may become a part of its callers: it has the model's options, and does not call itself."""
+        code = compiled.py_func.__code__
+        calls_itself = code.co_name in (*code.co_names, *code.co_freevars)
+        return {**self._options, "nopython": True, "boundscheck": None} == compiled.targetoptions and not calls_itself
 
     def _function(self, function: types.FunctionType, placed: Callable[[types.FunctionType], Any]) -> Any:
         """Take the digest of a function; return its copy as ``placed``."""

@@ -29,12 +29,12 @@ from numba.core.compiler import CompileResult
 
 from robofleet.core.clock import MS, Clock, S
 from robofleet.core.files import open_plain
+from robofleet.core.folders import kernels_folder
+from robofleet.core.kernels import SHIPPED, label
 
-_PACKAGE = Path(__file__).parents[1]
 _TURN_EVERY_NS, _LONGEST_WAIT_NS = 20 * MS, 60 * S
 _LARGEST = 256_000_000  # bytes in the folder; those that nobody has read for longest go first
 _CHECK = 16  # bytes of digest before the content
-SHIPPED = Path(__file__).parent / "compiled"
 SHIPPED_CPU = "x86-64-v3"
 _SHIPPED_CPU_FEATURES = (
     "avx",
@@ -51,15 +51,17 @@ _SHIPPED_CPU_FEATURES = (
 
 
 def folder() -> Path:
-    """Return where they are kept: beside the package, where this user can have a folder, else in this user's cache."""
-    beside = _PACKAGE / "__pycache__" / "kernels"
-    with contextlib.suppress(OSError):
-        if _is_own(beside.lstat()):
-            return beside
-    above = beside.parent if beside.parent.exists() else _PACKAGE
-    if not os.path.lexists(beside) and os.access(above, os.W_OK):
-        return beside
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robofleet" / "kernels"
+    """Return where they are kept: in this user's cache."""
+    return kernels_folder()
+
+
+def labels() -> frozenset[str]:
+    """Return those of which there are files that this processor may run: the package's, and this user's."""
+    found = set[str]()
+    for where in (folder(), *([SHIPPED] if runs_shipped() else [])):
+        with contextlib.suppress(OSError):
+            found |= {file.name.rpartition("-")[0] for file in where.iterdir()}
+    return frozenset(found)
 
 
 def kept(compiled: Any, meaning: Callable[[], str]) -> Any:
@@ -122,7 +124,7 @@ class KernelCache(_Cache):
     def _name_of(self, sig: Any, machine: tuple[str, ...]) -> str:
         fields = [getattr(kind, "fields", ()) for kind in getattr(sig, "args", sig)]
         what = repr((self._meaning(), sig, fields, machine))
-        return f"{self._name}-{_digest(what.encode()).hex()}"
+        return f"{label(self._name, self._meaning())}-{_digest(what.encode()).hex()}"
 
 
 def _rebuilt(target_context: Any, content: bytes) -> Any:

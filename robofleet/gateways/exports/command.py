@@ -16,6 +16,7 @@ from robofleet.config.tree import Config
 from robofleet.core.refusal import RefusedError, need_extra, new_place
 from robofleet.recording.reading import about
 from robofleet.reports.commands import Modules, RunFolder, importing, readable
+from robofleet.runs.folder import chosen
 from robofleet.studies.progress import bar
 
 FORMATS = {"csv": ("pyarrow",), "parquet": ("pyarrow",), "rosbag2": ("rosbags",), "lerobot": ("av", "pyarrow")}
@@ -34,7 +35,7 @@ def export(
     ] = None,
     behaviours: Modules = None,
 ) -> None:
-    """Write a recorded run as tables, as a ROS 2 bag, or as a LeRobot dataset.
+    """Write a run as tables, ROS 2 bag or LeRobot dataset.
 
     Several runs become one LeRobot dataset, each with its episodes. Also of a run that was killed.
 
@@ -79,7 +80,7 @@ def _lerobot(runs: Sequence[Path], folder: Path, task: str | None) -> None:
 
 
 def film(
-    run: RunFolder,
+    run: RunFolder = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A new .mp4 or .gif file; default: RUN/film.mp4.")
     ] = None,
@@ -96,7 +97,9 @@ def film(
         str | None, typer.Option(metavar="TEXT", help="Words above it; default: the arena's name.")
     ] = None,
 ) -> None:
-    """Make a film of a recorded run: the camera's images, or the arena, with robots, trails and references.
+    """Make a film of a run: MP4 or GIF.
+
+    It shows the camera's images, or the arena, with robots, trails and references.
 
     A camera's film is fluent if the run recorded enough images: `--set camera.picture_rate_hz=15`.
 
@@ -104,6 +107,7 @@ def film(
 
     $ robofleet film runs/20260102T030405Z-platoon --out lap.gif --view arena --speed 8 --width 720
     """
+    run = chosen(run)
     target = out or _beside(run, "film.mp4")
     ending = target.suffix.lower()
     if ending not in {_VIDEO, _GIF}:

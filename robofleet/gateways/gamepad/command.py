@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from robofleet.bus.bus import Bus
-from robofleet.bus.keys import STATE
-from robofleet.bus.messages import RunState
+from robofleet.bus.keys import STATE, TICK
+from robofleet.bus.messages import RunState, TickRecord
 from robofleet.bus.observer import Observer
-from robofleet.bus.ticks import TickFollower
+from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra
 from robofleet.gateways.gamepad.pads import EventPad
 from robofleet.gateways.place import Served, answering, is_over, joined_bus, joined_otherwise, run_of
 from robofleet.operator.commands import ArenaName
-from robofleet.operator.hand import Hand
+from robofleet.operator.hand import Hand, drivers
 from robofleet.safety.supervisor import Phase
 
 if TYPE_CHECKING:
@@ -37,24 +37,28 @@ def drive(
 
     ``out``: the robot of the group that is driven out while the run is held; by default the first one.
     """
-    hand, observer = Hand(bus, config, group), Observer(bus, [STATE])
+    hand, observer, described = Hand(bus, config, group), Observer(bus, [STATE, TICK]), groups.descriptions(config)
     out = out or next(own.robots[0] for own in config.groups if own.title == group)
-    ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
-    stick, served = pad.read(), Served(over, clock.now_ns())
+    stick, served, refused = pad.read(), Served(over, clock.now_ns()), False
     try:
         while True:
             readable, _, _ = select.select([pad], [], [], _REPEAT_NS / S)
             if readable:
                 stick = pad.read()
-            ticks.update()
             now_ns = clock.now_ns()
-            if observer.update(now_ns):
+            if STATE in observer.update(now_ns):
                 served.take(observer[STATE].epoch, now_ns)
             if served.is_over(now_ns):
                 return
             state: RunState | None = observer[STATE]
+            record: TickRecord | None = observer[TICK]
             held = state is not None and state.phase == Phase.HOLD
-            hand.drive(stick, ticks.newest, out if held else None)
+            other = drivers(described, record).get(group, hand.epoch) != hand.epoch
+            if stick.held and other and not refused:
+                print(f"another person drives {group}: let go, wait, then press again", file=sys.stderr)
+            refused = stick.held and (refused or other)  # until the button is let go
+            tick = 0 if record is None else record.tick
+            hand.drive(stick._replace(held=stick.held and not refused), tick, out if held else None)
     finally:
         hand.let_go()
 
@@ -62,25 +66,31 @@ def drive(
 def teleop(
     arena: ArenaName = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
+        Path | None,
+        typer.Option(metavar="FILE", help="A copy of the run's configuration, if the run is on another computer."),
     ] = None,
-    group: Annotated[str | None, typer.Option(metavar="NAME", help="The group, if several can be driven.")] = None,
+    group: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Which group, if several have the behaviour teleop.")
+    ] = None,
     out: Annotated[
         str | None,
-        typer.Option(metavar="ROBOT", help="Robot to drive out of a held run; default: the group's first."),
+        typer.Option(metavar="ROBOT", help="The robot to drive during a hold. Default: the group's first."),
     ] = None,
     device: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="/dev/input/event*; default: the only gamepad.")
+        Path | None,
+        typer.Option(metavar="PATH", help="The gamepad, for example /dev/input/event3. Default: the only one."),
     ] = None,
 ) -> None:
-    """Drive a robot by a gamepad of this computer: the first robot of a group with behaviour teleop.
+    """Drive a robot with a gamepad.
+
+    It drives the first robot of a group with the behaviour teleop.
 
     $ robofleet teleop
 
     $ robofleet teleop --out r3
 
-    Hold a shoulder button (L1 or R1): the left stick drives. Let it go, and the robot stands. While the run is held, it
-    drives one robot out at a crawl. Ctrl-C ends this, and not the run.
+    Press and hold L1 or R1: the left stick drives. Release it: the robot stands. During a hold it drives one robot,
+    slowly. Ctrl-C ends this command; the run goes on.
     """
     from robofleet.bus.permissions import OPERATOR as PERSON  # noqa: PLC0415
     from robofleet.core.clock import WallClock  # noqa: PLC0415

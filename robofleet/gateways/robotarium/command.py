@@ -19,33 +19,45 @@ from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra, new_fo
 from robofleet.gateways.robotarium import script as scripts
 from robofleet.gateways.robotarium import stand_in
 from robofleet.gateways.robotarium.runs import Runs, Wanted
+from robofleet.runs.folder import DEFAULT_FOLDER
 from robofleet.scripts.fleet import FleetError
 
 _CONFIG = SHIPPED / "robotarium.yaml"
 
 
 def robotarium(
-    script: Annotated[Path, typer.Argument(metavar="SCRIPT", help="A script for the Robotarium's Python simulator.")],
+    script: Annotated[Path, typer.Argument(metavar="SCRIPT", help="A Python script for the Robotarium's simulator.")],
     rest: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[CONFIG] [-- ARGUMENTS]", help="Robots and arena, a .yaml file; then what the script is given."
+            metavar="[CONFIG] [-- ARGUMENTS]",
+            help="A configuration (YAML) with arena and robots; then the script's own arguments.",
         ),
     ] = None,
     real_time: Annotated[
-        bool, typer.Option("--real-time", help="In real time; without it in lockstep, as fast as it goes.")
+        bool, typer.Option("--real-time", help="Run in real time; without it, simulate as fast as possible.")
     ] = False,
     ideal: Annotated[
-        bool, typer.Option("--ideal", help="Simulated robots without lag, dead band and slip, as the original's.")
+        bool,
+        typer.Option(
+            "--ideal", help="Simulate robots without lag, dead band and slip, as the original simulator does."
+        ),
     ] = False,
-    api: Annotated[int | None, typer.Option(metavar="1|2", help="The script's version; default: as it looks.")] = None,
+    api: Annotated[
+        int | None,
+        typer.Option(metavar="1|2", help="Version of the Robotarium's interface. Default: found in the script."),
+    ] = None,
     overrides: Annotated[
-        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the configuration. Repeatable.")
+        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key of CONFIG. Repeatable.")
     ] = [],  # noqa: B006 - typer copies it
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: runs/<UTC time>-<script>.")] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No window, and nothing but what the script prints.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for the results. {DEFAULT_FOLDER}")] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="Open no window, and print only what the script prints.")
+    ] = False,
 ) -> None:
-    """Run a script of the Robotarium on a fleet, unmodified.
+    """Run a script written for the Robotarium.
+
+    The script stays as it is. Its robots are those of a configuration, simulated or real.
 
     $ robofleet robotarium go_to_point.py
 

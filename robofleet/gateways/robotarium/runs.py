@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
-from robofleet.core.clock import utc_now
 from robofleet.gateways.robotarium.drawing import Drawing
+from robofleet.runs import folder as folders
 from robofleet.scripts.fleet import Fleet, FleetError
 from robofleet.vehicles.readings import SensorReading
 
@@ -39,7 +39,7 @@ class Runs:
         """Take how they are made; ConfigError where the configuration is none."""
         self.wanted = wanted
         self._config = load_config(wanted.config, wanted.changes)
-        self._began = f"{utc_now():%Y%m%dT%H%M%SZ}-{wanted.name}"
+        self._default = folders.new(wanted.name)
         self._count = 0
         self.moved = False  # in some run, by a step
         self.run: Run | None = None  # that is on
@@ -74,7 +74,7 @@ class Runs:
             run.end(failed)
 
     def _folder(self) -> Path:
-        first = self.wanted.out or Path("runs") / self._began
+        first = self.wanted.out or self._default
         return first if self._count == 1 else first.with_name(f"{first.name}-{self._count}")
 
     def _settings(self, starts: Array, sensors: bool, walls: Walls | None) -> Iterator[str]:

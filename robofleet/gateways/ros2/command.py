@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from robofleet.core.clock import utc_now
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import LAB_MODULES, RefusedError, how_to_install, need_extra, new_folder
 from robofleet.gateways.place import answering, run_of
 from robofleet.gateways.ros2 import topics
 from robofleet.operator.commands import running_names
+from robofleet.runs import folder as folders
+from robofleet.runs.folder import DEFAULT_FOLDER
 
 if TYPE_CHECKING:
     from robofleet.config.tree import Config
@@ -34,34 +35,38 @@ def ros2(
         str | None,
         typer.Argument(
             metavar="ARENA|CONFIG",
-            help="Whose run; leave it out if only one arena has a run. With --lockstep a configuration.",
+            help="The run's arena; not needed if only one run is on. With --lockstep, a configuration.",
             autocompletion=running_names,
             show_default=False,
         ),
     ] = None,
     lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="A run of CONFIG on a simulated clock, which /clock tells.")
+        bool, typer.Option("--lockstep", help="Simulate CONFIG on a simulated clock, which is published as /clock.")
     ] = False,
-    speed: Annotated[float, typer.Option(metavar="X", help="Simulated seconds a second, with --lockstep.")] = 1.0,
+    speed: Annotated[float, typer.Option(metavar="X", help="Simulated seconds per second, with --lockstep.")] = 1.0,
     overrides: Annotated[
-        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Change a key, with --lockstep. Repeatable.")
+        list[str],
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a key of CONFIG, with --lockstep. Repeatable."),
     ] = [],  # noqa: B006 - typer copies it
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="With --lockstep; default: runs/<UTC time>-<config name>.")
+        Path | None, typer.Option(metavar="DIR", help=f"Folder for the results, with --lockstep. {DEFAULT_FOLDER}")
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
+        Path | None,
+        typer.Option(metavar="FILE", help="A copy of the run's configuration, if the run is on another computer."),
     ] = None,
-    namespace: Annotated[str, typer.Option(metavar="NS", help="ROS namespace of the run's topics and frames.")] = "",
+    namespace: Annotated[str, typer.Option(metavar="NS", help="ROS namespace of topics and frames.")] = "",
     rviz: Annotated[
-        bool, typer.Option("--rviz", help="Print a configuration of RViz for the run, or for CONFIG.")
+        bool, typer.Option("--rviz", help="Print an RViz configuration for the run, or for CONFIG.")
     ] = False,
     urdf: Annotated[
         str | None, typer.Option("--urdf", metavar="ROBOT", help="Print the URDF of a robot of the run, or of CONFIG.")
     ] = None,
     share: Annotated[bool, typer.Option("--share", help="Print the folder of the launch file.")] = False,
 ) -> None:
-    """Be a ROS 2 node: a run's poses, odometry, images and state for ROS 2; cmd_vel of groups with behaviour ros2.
+    """Connect a run to ROS 2.
+
+    It publishes poses, odometry, images and state, and takes cmd_vel for groups with the behaviour ros2.
 
     $ robofleet ros2
 
@@ -73,7 +78,7 @@ def ros2(
 
     $ robofleet ros2 configs/ros2.yaml --urdf r1
 
-    It needs your ROS 2 Jazzy, or newer. The run does not need it: start and end it at any time.
+    It needs ROS 2 Jazzy or newer. You can start and end it at any time; the run goes on.
     """
     if share:
         print(SHARE)
@@ -166,7 +171,7 @@ def _simulate(file: str | None, overrides: list[str], out: Path | None, namespac
     _check_names(tree)
     with node(namespace):
         pass  # what ROS refuses is refused before anything begins
-    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{Path(file).stem}"
+    folder = out or folders.new(Path(file).stem)
     new_folder(folder)
     try:
         summary = simulated.serve(tree, Path(file).stem, folder, namespace, speed)

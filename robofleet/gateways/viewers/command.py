@@ -6,11 +6,13 @@ from typing import Annotated
 import typer
 
 from robofleet.gateways.place import JOINED_WITHIN_S, ArenaAccess, answering, run_of
-from robofleet.operator.commands import ArenaName, LifelineFd
+from robofleet.operator.commands import ArenaName
+from robofleet.operator.node_commands import LifelineFd
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, RERUN, Address, need
 
 _Copy = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="The run's configuration, if the arena is another computer's.")
+    Path | None,
+    typer.Option(metavar="FILE", help="A copy of the run's configuration, if the run is on another computer."),
 ]
 
 
@@ -18,17 +20,19 @@ def foxglove(
     arena: ArenaName = None,
     config: _Copy = None,
     at: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="Address to serve at; TLS beyond this computer.")
+        str, typer.Option(metavar="HOST:PORT", help="Address for the viewer; encrypted (TLS) for other computers.")
     ] = DEFAULTS[FOXGLOVE],
     lifeline: LifelineFd = None,
 ) -> None:
-    """Show a run that is on in Foxglove or Lichtblick: all that its recording has, and an operator's buttons.
+    """Show a run in Foxglove or Lichtblick.
+
+    The viewer shows everything that is recorded, and has an operator's buttons.
 
     $ robofleet foxglove
 
     $ robofleet foxglove lab --at 127.0.0.1:9000
 
-    The run does not need it: start and end it at any time. `robofleet run --foxglove` starts it with the run.
+    You can start and end it at any time; the run goes on. `robofleet run --foxglove` starts it with the run.
     """
     _serve(FOXGLOVE, arena, config, at, lifeline)
 
@@ -36,18 +40,20 @@ def foxglove(
 def rerun(
     arena: ArenaName = None,
     config: _Copy = None,
-    at: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where viewers of this computer find it.")] = DEFAULTS[
+    at: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address for viewers on this computer.")] = DEFAULTS[
         RERUN
     ],
     lifeline: LifelineFd = None,
 ) -> None:
-    """Show a run that is on in rerun: arena, robots, pictures, plots and log.
+    """Show a run in rerun.
+
+    The viewer shows arena, robots, images, plots and log.
 
     $ robofleet rerun
 
     $ robofleet rerun lab --at 127.0.0.1:9000
 
-    The run does not need it: start and end it at any time. `robofleet run --rerun` starts it with the run.
+    You can start and end it at any time; the run goes on. `robofleet run --rerun` starts it with the run.
     """
     _serve(RERUN, arena, config, at, lifeline)
 

@@ -221,7 +221,7 @@ def compile_kernels(say: Say) -> None:
     body = bodies[0], builds[0], coming[0], noise[0]
     nobody = bodies[:0], builds[:0], coming[:0], noise[:0]
     statuses, truths = np.zeros(0, UNIT_STATUS.item_dtype), np.zeros(0, UNIT_TRUTH.item_dtype)
-    with told("robots", KERNELS, say):
+    with told(KERNELS, say):
         _pass_on(gates[:0], inputs[:0], links[:0], drives[:0], *nobody, *_NO_COMMAND, *_NO_ENABLE, 0, 0, False)
         _look(gates[0], links[0], *body, 0, 0)
         simulated.write(*body, 0.0, 0.0, 0)

@@ -1,21 +1,28 @@
 """What a driver must remember when it is started again: the epoch of its lease, and what latched its gate."""
 
 import errno
+import fcntl
 import json
 import os
+import re
 import sys
+import weakref
 import zlib
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from robofleet.core.errors import BadInputError
+from robofleet.core.patterns import NAME_PATTERN
 from robofleet.safety.gate import GateState
 from robofleet.safety.latches import Latch
 
 _MOST = 1 << 63  # half of what the wire carries: so many leases or latches nobody lives to see
 _HALF = 4096  # bytes: the halves of a file share no block of a disk
 _SPARE = b'"spare": '
+_LOCK = "lock"  # beside the robots' files: drivers share it, and who clears latches has it alone
 
 
 class StoredRobot(NamedTuple):
@@ -25,8 +32,30 @@ class StoredRobot(NamedTuple):
     latch: Latch = Latch.NONE
     latch_id: int = 0
 
+    def latched_as(self, other: "StoredRobot") -> bool:
+        """Whether the same latch holds both."""
+        return self.latch != Latch.NONE and (self.latch, self.latch_id) == (other.latch, other.latch_id)
 
-_UNKNOWN = StoredRobot(0, Latch.MEMORY_LOST, 1)
+
+_LOST = Latch.MEMORY_LOST
+_UNKNOWN = StoredRobot(0, _LOST, 1)
+
+
+class StoredLatch(NamedTuple):
+    """A latch that a robot's driver has left on this computer."""
+
+    robot: str
+    memory: StoredRobot
+    simulated: bool  # nothing real was in the run that left it
+    since: datetime  # UTC; when it was written
+
+    @property
+    def latch(self) -> Latch:
+        return self.memory.latch
+
+
+class DriverRunningError(BadInputError):
+    """Raised where a driver uses the stored latches. The message says what to do."""
 
 
 class StateStore(Protocol):
@@ -63,6 +92,20 @@ def state_folder() -> Path:
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "robofleet"
 
 
+def latched_arenas() -> tuple[str, ...]:
+    """Return the arenas whose drivers have left a latch on this computer."""
+    arenas = [name for name in _names(state_folder()) if re.fullmatch(NAME_PATTERN, name)]
+    return tuple(arena for arena in arenas if FileStateStore(arena).latches())
+
+
+def _names(folder: Path) -> list[str]:
+    """Return what is in a folder, r2 before r10; nothing where there is none."""
+    try:
+        return sorted((entry.name for entry in folder.iterdir()), key=lambda name: (len(name), name))
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
 class FileStateStore:
     """One file a robot, in the user's state folder, of full size from the start: a full disk has room for a latch.
 
@@ -70,16 +113,88 @@ class FileStateStore:
     written first: a half that was not written to its end counts for nothing, and then the other one is whole.
     """
 
-    def __init__(self, arena: str) -> None:
-        self._folder = state_folder() / arena
+    def __init__(self, arena: str, *, simulated: bool = False) -> None:
+        """``simulated``: nothing is real in the run whose drivers write here."""
+        self._arena, self._folder, self._simulated = arena, state_folder() / arena, simulated
+        self._holds = False  # the lock, as a driver, for as long as this lives
 
     def prove(self, robots: tuple[str, ...]) -> None:
-        """Make room for what these robots must keep, and write it once; OSError, which names the place, if not."""
+        """Make room for what these robots must keep, and write it once; OSError, which names the place, if not.
+
+        From now on nobody else clears their latches.
+        """
         for robot in robots:
             try:
+                if not self._holds:
+                    weakref.finalize(self, os.close, self._locked(fcntl.LOCK_SH))
+                    self._holds = True
                 self.save(robot, self.load(robot))
             except OSError as error:
                 raise OSError(error.errno, error.strerror, str(self._file(robot))) from error
+
+    def latches(self, robots: Sequence[str] | None = None) -> tuple[StoredLatch, ...]:
+        """Return the latches that drivers have left, of these robots or of all; what cannot be read is one.
+
+        OSError where the arena's folder cannot be read.
+        """
+        if robots is None:
+            robots = [name.removesuffix(".json") for name in _names(self._folder) if name.endswith(".json")]
+        found = ((robot, *self._read(robot)) for robot in robots if re.fullmatch(NAME_PATTERN, robot))
+        return tuple(
+            StoredLatch(robot, memory, simulated, self._written(robot))
+            for robot, memory, simulated, _ in found
+            if memory.latch
+        )
+
+    @property
+    def known(self) -> bool:
+        """Whether a driver of this arena was ever started on this computer."""
+        return self._folder.is_dir()
+
+    def clear(self, latches: Sequence[StoredLatch]) -> tuple[str, ...]:
+        """Clear these latches; return the robots whose latch is another one by now, and stays.
+
+        DriverRunningError while a driver runs, which has its latches in memory; OSError where a file cannot be written.
+        """
+        with self._alone():
+            same = [stored for stored in latches if self._read(stored.robot)[0] == stored.memory]
+            for stored in same:
+                self.save(stored.robot, stored.memory._replace(latch=Latch.NONE))
+        return tuple(stored.robot for stored in latches if stored not in same)
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        try:
+            lock = self._locked(fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DriverRunningError(
+                f"a driver of {self._arena} runs on this computer and keeps its latches: end it first, or reset while "
+                "its run is on"
+            ) from None
+        try:
+            yield
+        finally:
+            os.close(lock)
+
+    def _locked(self, how: int) -> int:
+        file = self._folder / _LOCK
+        try:
+            lock = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except FileNotFoundError:
+            self._folder.mkdir(parents=True)
+            return self._locked(how)
+        try:
+            fcntl.flock(lock, how)
+        except OSError as error:
+            os.close(lock)
+            raise OSError(error.errno, error.strerror, str(file)) from error
+        return lock
+
+    def _written(self, robot: str) -> datetime:
+        try:
+            return datetime.fromtimestamp(self._file(robot).stat().st_mtime, UTC)
+        except OSError:
+            return datetime.fromtimestamp(0, UTC)
 
     def try_place(self, robots: tuple[str, ...]) -> None:
         """Raise OSError, which names the place, where these robots' memories could not be written; touch none of
@@ -101,14 +216,21 @@ class FileStateStore:
 
     def load(self, robot: str) -> StoredRobot:
         """Return what was kept; a file that cannot be read latches the robot: nobody knows what was before."""
-        file = self._file(robot)
+        memory, _, trouble = self._read(robot)
+        if trouble:
+            file = self._file(robot)
+            print(f"{robot}: {file}: cannot be read ({trouble}): look at the robot, then reset", file=sys.stderr)
+        return memory
+
+    def _read(self, robot: str) -> tuple[StoredRobot, bool, str]:
+        """Return what was kept, whether nothing was real in its run, and why it cannot be read."""
         try:
-            found = _found(file.read_bytes())
+            found = _found(self._file(robot).read_bytes())
         except FileNotFoundError:
-            return StoredRobot()
+            return StoredRobot(), False, ""
         except OSError as error:
-            return self._unreadable(robot, error)
-        return max(found)[1] if found else self._unreadable(robot, "it is damaged, or of another version")
+            return _UNKNOWN, False, str(error)
+        return (*max(found)[1:], "") if found else (_UNKNOWN, False, "it is damaged, or of another version")
 
     def save(self, robot: str, kept: StoredRobot) -> None:
         """Write it over what is there, which stays where that fails and the disk lets it."""
@@ -121,7 +243,9 @@ class FileStateStore:
         if len(content) != 2 * _HALF or not found:
             self._make(file, kept)
             return
-        main, spare = _halves(max(found)[0] + 1, kept)
+        number, before, simulated = max(found)
+        simulated = simulated if before.latched_as(kept) else self._simulated
+        main, spare = _halves(number + 1, kept, simulated=simulated)
         with file.open("r+b", buffering=0) as stream:
             try:
                 _write(stream.fileno(), _HALF, spare)
@@ -141,7 +265,7 @@ class FileStateStore:
         file.parent.mkdir(parents=True, exist_ok=True)
         beside = file.with_suffix(".new")
         with beside.open("wb", buffering=0) as stream:
-            _write(stream.fileno(), 0, b"".join(_halves(1, kept)))
+            _write(stream.fileno(), 0, b"".join(_halves(1, kept, simulated=self._simulated and kept.latch != _LOST)))
         beside.replace(file)
         folder = os.open(file.parent, os.O_RDONLY)  # the new name is not on disk before its folder is
         try:
@@ -149,17 +273,13 @@ class FileStateStore:
         finally:
             os.close(folder)
 
-    def _unreadable(self, robot: str, why: object) -> StoredRobot:
-        print(f"{robot}: {self._file(robot)}: cannot be read ({why}): look at the robot, then reset", file=sys.stderr)
-        return _UNKNOWN
-
     def _file(self, robot: str) -> Path:
         return self._folder / f"{robot}.json"
 
 
-def _halves(number: int, kept: StoredRobot) -> tuple[bytes, bytes]:
+def _halves(number: int, kept: StoredRobot, *, simulated: bool) -> tuple[bytes, bytes]:
     """Return the halves of a file; spaces fill them."""
-    fields = {"number": number, **kept._asdict()}
+    fields = {"number": number, **kept._asdict(), "simulated": simulated}
     whole = json.dumps(fields | {"check": _check(fields)}).encode()
     return whole[:-1].ljust(_HALF - 2) + b",\n", (_SPARE + whole).ljust(_HALF - 2) + b"}\n"
 
@@ -175,8 +295,11 @@ def _write(descriptor: int, at: int, data: bytes) -> None:
     os.fsync(descriptor)
 
 
-def _found(content: bytes) -> list[tuple[int, StoredRobot]]:
-    """Return what the halves of a file say, with their numbers; one that nobody can have written says nothing."""
+def _found(content: bytes) -> list[tuple[int, StoredRobot, bool]]:
+    """Return what the halves of a file say, with their numbers; one that nobody can have written says nothing.
+
+    The last value: whether nothing was real in the run. A file of an older version does not say so.
+    """
     main, spare = content[:_HALF], content[_HALF:]
     found = []
     for half in (main.rstrip().removesuffix(b",") + b"}", spare.removeprefix(_SPARE).rstrip().removesuffix(b"}")):
@@ -185,7 +308,7 @@ def _found(content: bytes) -> list[tuple[int, StoredRobot]]:
             check = fields.pop("check")
             if check != _check(fields):
                 raise ValueError("a half that was not written to its end")
-            found.append((_number(fields["number"]), _checked(fields)))
+            found.append((_number(fields["number"]), _checked(fields), fields.get("simulated") is True))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             continue
     return found

@@ -5,11 +5,12 @@ from collections.abc import Callable
 
 from robofleet.bus.bus import Bus
 from robofleet.core.clock import Clock
-from robofleet.operator.asking import ESTOP, Asking
+from robofleet.operator.asking import ESTOP, Asking, Outcome
 from robofleet.operator.estop import Units
 from robofleet.operator.page.frames import Frame, answer
 
-REQUESTS = ("arm", "start", "hold", "resume", "stop", "reset")
+RESET = "reset"
+REQUESTS = ("arm", "start", "hold", "resume", "stop", RESET)
 _MOST_REQUESTS = 8  # under way: more are refused
 
 
@@ -20,6 +21,7 @@ class Controls:
         self._asking = Asking(bus, clock, units, at_once=2)
         self._under_way = 0
         self._begun: set[asyncio.Task[None]] = set()
+        self.reset_ended: Callable[[], Outcome] | None = None  # after the run: then nobody is left to be asked
         self.close = self._asking.close
 
     def begin(self, what: str, tell: Callable[[Frame], None]) -> None:
@@ -40,6 +42,8 @@ class Controls:
             return answer(what, False, "too much was asked at once: wait for the answers")
         self._under_way += 1
         try:
+            if what == RESET and self.reset_ended is not None:
+                return answer(what, *await asyncio.to_thread(self.reset_ended))
             done, text = await asyncio.wrap_future(self._asking(what))
         finally:
             self._under_way -= 1

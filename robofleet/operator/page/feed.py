@@ -20,12 +20,14 @@ from robofleet.core.valid_json import dumps
 from robofleet.operator.page import frames
 from robofleet.operator.page.frames import Frame, event
 from robofleet.operator.page.hearing import Hearing
-from robofleet.operator.page.words import phase_name
-from robofleet.recording.lines import Line, busy_line, latch_line, news_line, note_line, state_lines
+from robofleet.operator.page.words import end_words, phase_name
+from robofleet.recording.lines import Level, Line, busy_line, latch_line, news_line, note_line, state_lines
 from robofleet.recording.notes import Marks
 from robofleet.safety.latches import Latch
+from robofleet.safety.supervisor import Event
 from robofleet.tracking.outlines import TagOutlines
 
+_SUPERVISOR = "supervisor"
 _MOST_LINES = 100  # lines, for who opens the page later
 
 
@@ -37,6 +39,7 @@ class Diary:
         self._lines: deque[Frame] = deque(maxlen=_MOST_LINES)
         self._state: RunState | None = None
         self._busy = False
+        self._ends = ""
         self._latches: list[int] = [Latch.NONE] * len(robots)
         self.written = 0
 
@@ -45,10 +48,16 @@ class Diary:
         new = self.written - written
         return list(self._lines)[-new:] if new > 0 else []
 
-    def look(self, hearing: Hearing, news: list[tuple[str, TrackerNews]]) -> None:
+    def look(self, hearing: Hearing, news: list[tuple[str, TrackerNews]], ends: str = "") -> None:
+        """Make lines of what is new; ``ends``: how the run ends, if it does."""
         lines: list[Line] = []
+        if ends and not self._ends:
+            self._ends = ends
+            lines.append(Line(Level.INFO if ends.startswith("completed") else Level.WARNING, _SUPERVISOR, ends))
         if hearing.state is not None:
-            lines += state_lines(self._state, hearing.state, self._robots)
+            changed = state_lines(self._state, hearing.state, self._robots)
+            stopped = hearing.state.cause == Event.STOP_REQUESTED and self._ends  # by the launcher, which has said why
+            lines += [line for line in changed if not (stopped and line.name == _SUPERVISOR)]
             self._state = hearing.state
         if hearing.busy is not None and not self._busy:
             self._busy = True
@@ -58,8 +67,9 @@ class Diary:
         lines += [news_line(item, camera if several else "") for camera, item in news]
         lines += [note_line(group, note.line) for group, note in hearing.notes if note.line is not None]
         for level, name, words in lines:
-            line = words if name == "supervisor" else f"{name}: {words}"
-            self._lines.append(event(hearing.t_s, hearing.clock.clock_s, level.name.lower(), line))
+            line = words if name == _SUPERVISOR else f"{name}: {words}"
+            at_s = hearing.reached_s if self._ends else hearing.t_s
+            self._lines.append(event(at_s, hearing.clock.clock_s, level.name.lower(), line))
         self.written += len(lines)
 
     def _gates(self, hearing: Hearing) -> Iterator[Line]:
@@ -83,7 +93,7 @@ class Feed:
     """Hears the run, and wakes the pages when there is something to show."""
 
     def __init__(self, config: Config, folder: Path, bus: Bus, clock: Clock, progress: Callable[[], str]) -> None:
-        """``progress`` says what the launcher does, for as long as the supervisor has not spoken."""
+        """``progress`` returns the newest line of the launcher: how far the start is, or how the run ends."""
         self.config, self.bus, self.now_ns, self._progress = config, bus, clock.now_ns, progress
         self.folder = folder
         self.ended: Frame | None = None  # how the run did, once it has
@@ -114,6 +124,9 @@ class Feed:
 
     def end(self, frame: Frame | None) -> None:
         """Tell every page how the run ended, those too that come later."""
+        if frame is not None and self.ended is None:
+            self.hearing.over = True
+            self.diary.look(self.hearing, [], frame["text"])
         self.ended = frame
         for page in self.pages:
             page.wake()
@@ -164,7 +177,7 @@ class Feed:
         if not new and now_ns - self._looked_ns < _IDLE_POLL_NS:
             return
         self._looked_ns = now_ns
-        self.diary.look(self.hearing, self.hearing.hear_the_rest())
+        self.diary.look(self.hearing, self.hearing.hear_the_rest(), end_words(self._progress()))
         self._mark()
         self.seq += 1
         self.record_ns = self.hearing.run.arrival_ns(TICK) if self.hearing.record is not before else 0

@@ -17,9 +17,10 @@ from robofleet.config import barrier, obstacles
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
-from robofleet.operator.hand import driven
+from robofleet.core.starting import Starting
+from robofleet.operator.hand import driven, drivers
 from robofleet.operator.page.hearing import Hearing, Shown
-from robofleet.operator.page.words import phase_name, what_next
+from robofleet.operator.page.words import ENDING, end_words, phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import WAYS, OnTheWay
 from robofleet.recording.causes import named, own_state
@@ -121,21 +122,30 @@ def _figure(figure: Figure, groups: Sequence[Group], bounds: dict[str, float]) -
 
 
 def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, now_ns: int, launcher: str) -> Frame:
-    """Return the run as it stands; ``launcher``: what that one does before the supervisor speaks."""
-    state, way = hearing.state, hearing.way
+    """Return the run as it stands; ``launcher``: its newest line, how far the start is or how the run ends."""
+    state, way, starting = hearing.state, hearing.way, Starting.decode(launcher)
+    if starting and state and state.phase == Phase.IDLE:
+        state = None  # the supervisor is ready before the others are
     words = None if state is None else state_words(state, hearing.busy, config.ids)
+    check = words.check if state and words and state.phase == Phase.ARMED else None
+    ends = end_words(launcher)
+    ending = bool(ends) and (state is None or state.phase not in (Phase.FAULT, Phase.ESTOP))
     to_go_m = way.to_go_m(None if hearing.controller_silent() else hearing.record)
     return {
         "type": "tick",
         "seq": seq,
         "tick": 0 if hearing.record is None else hearing.record.tick,
-        "t_s": _rounded(hearing.t_s, 3),
+        "t_s": _rounded(hearing.reached_s if ending else hearing.t_s, 3),
         "clock_s": _rounded(hearing.clock.clock_s, 3),
-        "phase": phase_name(state),
+        "phase": "ending" if ending else phase_name(state),
         "cause": words and words.cause,
-        "stage": (words.check if state.phase == Phase.ARMED else None) if state and words else launcher or None,
-        "what_next": what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
+        "stage": ends or (starting.words() if starting else check),
+        "start_share": starting and starting.share,
+        "what_next": ENDING
+        if ending
+        else what_next(state, words, hearing.robots, config, way.phase, way.words(to_go_m)),
         "way": None if way.phase is None else named(Phase, way.phase),
+        "drivers": drivers(groups, None if hearing.controller_silent() else hearing.record),
         "health": _health(hearing),
         "robots": _rows(hearing, groups, state, to_go_m, now_ns),
     }
@@ -157,6 +167,11 @@ def event(run_s: float | None, clock_s: float | None, level: str, text: str) -> 
 
 def answer(to: str, ok: bool, text: str) -> Frame:
     return {"type": "answer", "to": to, "ok": ok, "text": text}
+
+
+def own_hands(epochs: Mapping[str, int]) -> Frame:
+    """Return by which numbers ``drivers`` of a tick names this page's own hand on each group."""
+    return {"type": "hands", "epochs": epochs}
 
 
 def picture(camera: str, shown: Shown, tags: Mapping[int, str], outlines: TagOutlines) -> Frame:

@@ -100,6 +100,8 @@ class Hearing:
         self._parked = {robot.tag: driven + k for k, robot in enumerate(config.bystanders)}
         self.standing: dict[int, TagPose] = {}  # bystanders by their rows, as seen last
         self.way = OnTheWay(config)
+        self.reached_s: float | None = None  # the same; stays also when the run is over
+        self.over = False  # the run: what was heard last stays in sight
         self.t_s: float | None = None  # of the run; stays while it is held
         self.clock = LiveClock(self._tick_s)  # of the same run, both times
 
@@ -137,7 +139,7 @@ class Hearing:
 
     def controller_silent(self) -> bool:
         """Whether what is known of the tick is of the past."""
-        return not self.run.alive(TICK, self.now_ns())
+        return not (self.over or self.run.alive(TICK, self.now_ns()))
 
     def _own_tick(self, payload: bytes) -> TickRecord | None:
         """Return a tick of this configuration's robots."""
@@ -151,4 +153,4 @@ class Hearing:
         self.placed = [placed or not robot.lost for placed, robot in zip(self.placed, record.robots, strict=True)]
         self.clock.take(record)
         if record.run_tick >= 0:
-            self.t_s = record.run_tick * self._tick_s
+            self.t_s = self.reached_s = record.run_tick * self._tick_s

@@ -37,7 +37,7 @@ def of_run(
     ``name`` is how browsers call this host; ``keys``: None where it is this computer's own.
     """
     os.nice(_NICE)
-    clock = WallClock()
+    clock, launcher = WallClock(), os.getppid()
     lifeline = Lifeline(descriptor, exit_within_s=_EXIT_WITHIN_S)
 
     def end_with_the_run() -> None:
@@ -47,7 +47,8 @@ def of_run(
     bus = joined(config.arena.name, config.bus.endpoint, PAGE, clock, _JOIN_WITHIN_S, end_with_the_run)
     served = Served(
         config=config, folder=folder, bus=bus, clock=clock, name=name, over=lambda: lifeline.cut, keys=keys,
-        line=lambda: lifeline.newest_line, stays=lambda: lifeline.say(STAYS),
+        line=lambda: lifeline.newest_line, launcher_lives=lambda: os.getppid() == launcher,
+        stays=lambda: lifeline.say(STAYS),
     )  # fmt: skip
     with closing(bus), lifeline.logged("web", config.arena.name):
         asyncio.run(serve(served, listening, lambda at: lifeline.ready(at.line()), lambda: lifeline.by_signal))
@@ -88,7 +89,15 @@ def by_hand(
         os.nice(_NICE)
         lifeline = Lifeline(None)
         served = Served(
-            config=config, folder=folder, bus=bus, clock=clock, name=host, over=over, keys=keys, by_hand=True
+            config=config,
+            folder=folder,
+            bus=bus,
+            clock=clock,
+            name=host,
+            over=over,
+            keys=keys,
+            by_hand=True,
+            launcher_lives=lambda: run is not None and Path(f"/proc/{run.pid}").exists(),
         )
         ending = asyncio.run(serve(served, listening, lambda at: lifeline.ready(announce(at)), lambda: lifeline.cut))
     return True, "" if ending.frame is None else how_ended(config, folder)

@@ -35,7 +35,7 @@ from robofleet.operator.page.connection_limiter import Complaints, Connection, C
 from robofleet.operator.page.controls import REQUESTS, Controls
 from robofleet.operator.page.ending import Ending
 from robofleet.operator.page.feed import Feed, Page
-from robofleet.operator.page.frames import answer
+from robofleet.operator.page.frames import answer, own_hands
 from robofleet.operator.page.guard import Guard, authorities
 from robofleet.operator.page.page_address import LOOPBACK, Addresses
 from robofleet.operator.page.refused import TEMPLATES
@@ -70,7 +70,8 @@ class Served:
     over: Callable[[], bool]  # whether the run is
     keys: PageKeys | None = None  # None: this computer only
     by_hand: bool = False  # somebody waits for this server beside its run
-    line: Callable[[], str] = str  # what the launcher does while nobody else speaks
+    line: Callable[[], str] = str  # what the launcher does while nobody else speaks, and how the run ends
+    launcher_lives: Callable[[], bool] = bool  # which makes the report after the end
     stays: Callable[[], object] = str  # called when the run is over and somebody looks
 
 
@@ -95,7 +96,7 @@ async def serve(
     secured = WeakSet[asyncio.Transport]()
     protocol = partial(TlsHandshake, keys.context, limiter, secured) if keys else partial(Connection, limiter)
     server = uvicorn.Server(_settings(guard, protocol))
-    ending = Ending(folder, clock, served.over, patient=served.by_hand)
+    ending = Ending(served)
     feeding, serving = asyncio.create_task(feed.run()), asyncio.create_task(server.serve([listening]))
     try:
         while not server.started:
@@ -106,6 +107,7 @@ async def serve(
             await asyncio.sleep(_POLL_S)
             if ending.look(feed.hearing.state, config.ids, watched=bool(feed.pages)):
                 feed.end(ending.frame)
+                controls.reset_ended = ending.reset
                 if not ending.done:
                     served.stays()
         if feeding.done():
@@ -182,7 +184,9 @@ def _code(address: str) -> str:
 
 async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) -> None:
     """Serve one page until it is closed, says what makes no sense, or the run ends."""
-    page, hands = Page(feed), Hands(feed.bus, feed.config) if role == OPERATOR else None
+    page, hands = Page(feed), Hands(feed.bus, feed.config, feed.now_ns) if role == OPERATOR else None
+    if hands is not None and hands.epochs:
+        page.tell(own_hands(hands.epochs))
     feed.pages.add(page)
     sender = asyncio.create_task(page.follow(link.send_text))
     obeying = asyncio.create_task(_obey(link, page, controls, role, hands))

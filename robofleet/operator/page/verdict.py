@@ -31,5 +31,6 @@ def verdict_of(folder: Path) -> Verdict | None:
             cause = f": {summary['cause']}" if summary["cause"] else ""
             return Verdict(f"{_ENDS.get(outcome, outcome)}{cause}", tuple(missed) if summary["ticks"] else (), False)
         how = f", {len(missed)} of {len(bounds)} bounds not met" if missed else ", every bound met" if bounds else ""
-        return Verdict(f"Completed{how}", tuple(missed), not missed)
+        after = f" after {summary['duration_s']:.1f} s" if summary.get("duration_s") else ""
+        return Verdict(f"Completed{after}{how}", tuple(missed), not missed)
     return None

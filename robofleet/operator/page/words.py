@@ -8,6 +8,7 @@ from robofleet.config.tree import Config
 from robofleet.operator.terminal.on_the_way import WAYS
 from robofleet.recording.causes import named
 from robofleet.recording.state_words import GOES_ON, StateWords
+from robofleet.runs.companion import ENDS
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Phase
 
@@ -20,6 +21,14 @@ _NEXT = {
     Phase.ESTOP: "Every robot has latched its gate. Look at the robots, then reset.",
 }
 ENDED = (Phase.IDLE, Phase.FAULT, Phase.ESTOP)  # nothing moves, and nothing will by itself
+
+
+ENDING = "The robots come to rest, and the recording is completed."
+
+
+def end_words(line: str) -> str:
+    """Return how a run ends, by the launcher's newest line; empty while it does not say so."""
+    return line.removeprefix(ENDS) if line.startswith(ENDS) else ""
 
 
 def phase_name(state: RunState | None) -> str:

@@ -16,9 +16,10 @@ from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, FleetPoses, RunStat
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S
 from robofleet.operator.terminal import live_robots
-from robofleet.operator.terminal.live_state import UNDER_WAY, WAITING, banner, compiling_line, keys
+from robofleet.operator.terminal.live_state import ENDED, ENDS, UNDER_WAY, WAITING, banner, keys
 from robofleet.operator.terminal.on_the_way import OnTheWay
 from robofleet.operator.terminal.qr_code import qr_code
+from robofleet.operator.terminal.start_view import StartLines, start_bar
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.run import Recording
 from robofleet.recording.run_clock import LiveClock, in_words
@@ -30,8 +31,14 @@ from robofleet.tracking.events import describe
 _REFRESH_NS = S // 5
 _PLAIN_NS = 10 * S
 _NEWS_SHOWN_NS = 5 * S
-_DOING = WAITING | UNDER_WAY
-_COLOURS = {"running": "bold green", "positioning": "bold green", "parking": "bold green", "emergency stop": "bold red"}
+_DOING = WAITING | UNDER_WAY | ENDS
+_COLOURS = {
+    "running": "bold green",
+    "positioning": "bold green",
+    "parking": "bold green",
+    "completed": "bold green",
+    "emergency stop": "bold red",
+}
 _WINDOW_TICKS = 300  # for the percentiles
 _TIME_COLUMNS, _BAR_END_COLUMN, _LEAST_BAR_COLUMNS = 23, 79, 10
 
@@ -44,6 +51,7 @@ class LiveView:
         self._ids = config.ids
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False) if self._console.is_terminal else None
+        self._start_lines = StartLines(long_ones=quiet)
         self._next_ns = 0
         self._phase = self._code = ""
         self._addresses: dict[str, str] = {}
@@ -75,8 +83,9 @@ class LiveView:
                 print(line, file=sys.stderr)  # also for who wants no live view: it was asked for
         self._addresses = addresses
         self._show_code()
-        if phase == "compiling" != self._phase and (self._quiet or self._live is None):
-            print(self._terminal.compiling[0].words(), file=sys.stderr)  # also for who wants no live view: it lasts
+        starting = self._terminal.starting
+        if starting is not None and phase != READY and (self._quiet or self._live is None):
+            self._start_lines(starting, phase)
         if not (self._quiet or self._noticed or self._live is not None):
             self._notice(recording)
         if self._quiet:
@@ -88,7 +97,7 @@ class LiveView:
         self._next_ns = now_ns + (_PLAIN_NS if self._live is None else _REFRESH_NS)
         if self._live is not None:
             self._live.update(self.picture(recording, phase), refresh=True)
-        elif (changed and phase != "compiling") or phase == "running":
+        elif (changed and starting is None) or phase == "running":
             print(self._line(recording), file=sys.stderr)
 
     def _show_code(self) -> None:
@@ -146,19 +155,18 @@ class LiveView:
         line = Table.grid()
         line.add_column(no_wrap=True)
         line.add_row(head, Text(doing, "cyan") if doing else ProgressBar(duration_s, reached_s, width=bar_columns))
-        compiling: list[Any] = [
-            compiling_line(progress) for progress in self._terminal.compiling if phase == "compiling"
-        ]
-        parts: list[Any] = [*(compiling or [line]), keys(self._terminal, phase)]  # what a low terminal cuts off is last
+        starting = self._terminal.starting
+        first = line if starting is None else start_bar(starting)
+        parts: list[Any] = [first, keys(self._terminal, phase)]  # what a low terminal cuts off is last
         by_key, held = self._terminal.present, self._way.phase
         if state is not None and words is not None and (seen := banner(state, words, by_key=by_key, way=held)):
             parts += ["", seen]
         elif (busy := recording.newest(BUSY)) is not None:
             parts += ["", Text(busy_notice(busy, self._ids), "yellow")]
-        if tick is not None:
+        if tick is not None and phase not in ENDED:  # then the summary follows
             statuses = [recording.newest_status(robot.id) for robot in self._config.members]
             way = live_robots.Way(self._way, to_go_m) if self._way.phase is not None else None
-            robots = live_robots.tables(recording.groups, tick, statuses, state, way)
+            robots = live_robots.tables(recording.groups, tick, statuses, state, way, starting=starting is not None)
             parts += ["", self._health(recording, tick), *robots]
         return Group(*parts)
 

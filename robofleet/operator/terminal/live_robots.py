@@ -48,7 +48,7 @@ class Way(NamedTuple):
 
 def tables(
     groups: Sequence[Group], tick: TickRecord, statuses: Sequence[RobotStatus | None], state: RunState | None,
-    way: Way | None = None,
+    way: Way | None = None, *, starting: bool = False,
 ) -> Iterator[str | Text | Fitting]:  # fmt: skip
     """Yield a table for each group, with its name where there are several; statuses: of the members.
 
@@ -67,7 +67,14 @@ def tables(
             item, status = tick.robots[row], statuses[row]
             texts = [live_figures.words(every[k], figures[row, k]) or _UNKNOWN for k in own]
             texts += [] if way is None else [_to_go(way, row)]
-            rows.append((robot.ljust(widest), *_common(item, status), *texts, _state(item, status, state, row)))
+            rows.append(
+                (
+                    robot.ljust(widest),
+                    *_common(item, status),
+                    *texts,
+                    _state(item, status, state, row, starting=starting),
+                )
+            )
             row += 1
         heads = {live_figures.title(every[k]): _head(every[k]) for k in own}
         yield _table(rows, heads | ({} if way is None else {_TO_GO: _TO_GO}))
@@ -108,8 +115,19 @@ def _common(item: RobotTick, status: RobotStatus | None) -> tuple[str, str, str]
     return _UNKNOWN if item.lost else pose, f"{item.left_rad_s:6.2f} {item.right_rad_s:6.2f}", battery
 
 
-def _state(item: RobotTick, status: RobotStatus | None, state: RunState | None, row: int) -> Text:
+def _begins(item: RobotTick, status: RobotStatus | None) -> str:
+    """Return what has not begun of a robot, or is tried, while the run starts; an empty string for all else."""
+    if status is not None and status.latch:
+        return ROBOT_WORDS["drill"] if status.latch == Latch.DRILL else ""
+    return ROBOT_WORDS["starting"] if status is None or item.lost else ""
+
+
+def _state(
+    item: RobotTick, status: RobotStatus | None, state: RunState | None, row: int, *, starting: bool
+) -> Text:  # fmt: skip
     """Why a robot may move, or why not: its latch, its own halt or its group's, its gate, the barrier."""
+    if starting and (words := _begins(item, status)):
+        return Text(words)
     if status is not None and status.latch:
         return Text(ROBOT_WORDS["latched"].format(named(Latch, status.latch)), "bold red")
     if item.lost:
@@ -119,8 +137,6 @@ def _state(item: RobotTick, status: RobotStatus | None, state: RunState | None, 
         return Text(own if out else ROBOT_WORDS["halted"].format(own), "yellow")
     if status is None:
         return Text(ROBOT_WORDS["silent"], "red")
-    if status.gate == GateStatus.OPEN and item.filtered:
-        apart = item.filtered == 1.0
-        return Text(ROBOT_WORDS["kept_apart" if apart else "unsafe"], "cyan" if apart else "yellow")
-    drives = status.gate == GateStatus.OPEN
-    return Text(ROBOT_WORDS["drives" if drives else "stands"], "green" if drives else "yellow")
+    moves = "drives" if not item.filtered else "kept_apart" if item.filtered == 1.0 else "unsafe"
+    word = moves if status.gate == GateStatus.OPEN else "stands"
+    return Text(ROBOT_WORDS[word], {"drives": "green", "kept_apart": "cyan"}.get(word, "yellow"))

@@ -1,17 +1,15 @@
 """What the supervisor says, drawn for the live view: the checks while arming, a hold, an emergency stop."""
 
 from rich.box import HEAVY
-from rich.console import Group
 from rich.panel import Panel
-from rich.progress_bar import ProgressBar
 from rich.text import Text
 
 from robofleet.bus.messages import RunState
-from robofleet.core.compiling import Progress
 from robofleet.operator.terminal.on_the_way import WAYS
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.causes import named
 from robofleet.recording.state_words import GOES_ON, StateWords
+from robofleet.runs.console import ENDING
 from robofleet.safety.supervisor import Event, Phase
 
 _KEYS = (("e", "emergency stop"), ("h", "hold"), ("r", "resume"), ("q", "end the run"))
@@ -20,6 +18,12 @@ WAITING = {
     "waiting": "everything is there: start it with key s, on the operator's page or by `robofleet start`",
     "armed": "every check is passed: start it with key s, on the operator's page or by `robofleet start`",
 }
+ENDS = {
+    "stopping": "the robots come to rest",
+    ENDING: "the processes end, and the recording is completed",
+    "summary": "the summary is made",
+}
+ENDED = ("completed", "stopped", "fault")  # phases: of the last picture
 UNDER_WAY = {named(Phase, phase): f"every robot drives {way.each}" for phase, way in WAYS.items()}
 
 
@@ -46,21 +50,23 @@ def banner(state: RunState, words: StateWords, *, by_key: bool, way: Phase | Non
     return None
 
 
-def compiling_line(progress: Progress) -> Group:
-    return Group(Text(progress.words(), "cyan"), ProgressBar(1.0, progress.share, width=50))
-
-
 def keys(terminal: Terminal, phase: str) -> Text:
     text = Text()
     for line in [*terminal.addresses.values()]:  # a thread may add one
         text.append(f"\n{line}\n", "cyan")
     if terminal.present:
         text.append("\n")
-        for key, does in _FIRST_KEYS if phase in WAITING else _KEYS:
+        for key, does in _keys(phase):
             text.append(f" {key} ", "bold red reverse" if key == "e" else "reverse").append(f" {does}   ")
     if terminal.note:
         text.append(f"\n\n{terminal.note}", "red" if terminal.note.startswith("refused") else "green")
     return text
+
+
+def _keys(phase: str) -> tuple[tuple[str, str], ...]:
+    if phase in (*ENDED, *ENDS, "emergency stop"):  # from the rest on nothing is left that a key could do
+        return _KEYS[:1] if phase == "stopping" else ()
+    return _FIRST_KEYS if phase in WAITING else _KEYS
 
 
 def _panel(title: str, cause: str, what: str, colour: str) -> Panel:

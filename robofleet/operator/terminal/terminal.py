@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from robofleet.bus.bus import Bus
 from robofleet.core.clock import Clock, S
-from robofleet.core.compiling import Progress
+from robofleet.core.starting import Starting
 from robofleet.operator.estop import Stopped, emergency_stop
 from robofleet.operator.page.browser import open_page
 from robofleet.operator.page.page_address import Addresses, address_lines
@@ -40,7 +40,7 @@ class Terminal:
     def __init__(self) -> None:
         self.lost = False  # it was closed
         self.note = ""  # what the operator should read
-        self.compiling: tuple[Progress, ...] = ()  # what each process compiles, before the run begins
+        self.starting: Starting | None = None  # how far the start is; None: it is over
         self.addresses: dict[str, str] = {}  # by command, where it serves the page or viewers, or that it is gone
         self.code = ""  # the page's address, where a phone can use it: shown once as a QR code
         self.emergency: Callable[[], object] = lambda: None  # called at once, by the thread that hears the keys

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from rich.console import Console
 from rich.table import Table
 
+from robofleet.config.faults import counted
+from robofleet.core.sentences import in_words
 from robofleet.safety.supervisor import Event
 from robofleet.studies.storm.episode import Episode
 from robofleet.studies.storm.schedule import KINDS
@@ -39,14 +41,13 @@ def summarise(tally: Tally, elapsed_s: float) -> bool:
         event = events[row] if row < len(events) else None
         fault = (kind, str(tally.scheduled[kind]), str(tally.injected[kind])) if kind else ("", "", "")
         table.add_row(*fault, *((event.name.lower(), str(tally.events[event])) if event else ("", "")))
-    console = Console()
-    console.print(table)
-    rate = tally.simulated_s / elapsed_s
-    console.print(
-        f"{tally.seeds} seeds, {len(tally.failed)} failed; {tally.simulated_s:.0f} s simulated in {elapsed_s:.0f} s"
-        f" ({rate:.0f} times real time); at most {tally.longest_queue} steps were queued;"
-        f" after {tally.crowded} storms outside the envelope the robots stood too close together to start"
+    Console().print(table)
+    ending = (
+        f"{len(tally.failed)} of {counted(tally.seeds, 'run')} failed. {tally.simulated_s:.0f} s were simulated in "
+        f"{elapsed_s:.0f} s ({tally.simulated_s / elapsed_s:.0f} times real time). Longest queue of steps: "
+        f"{tally.longest_queue}. Runs after which robots stood too close to start again: {tally.crowded}."
     )
+    print(in_words(ending, sys.stdout))
     shortfalls = list(tally.shortfalls())
     for shortfall in shortfalls:
         print(f"the storm proves too little: {shortfall}", file=sys.stderr)

@@ -11,6 +11,12 @@ from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.webstand import WebStand, web_stand
 
 
+@pytest.fixture(autouse=True)
+def no_latches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read none that a run of this user has left."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
 @pytest.fixture
 def stand(tmp_path: Path) -> Iterator[WebStand]:
     with web_stand(tmp_path, "tracker.source=truth") as stand:

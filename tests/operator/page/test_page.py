@@ -192,7 +192,10 @@ def test_a_run_that_has_ended_is_told_calmly(browser: Chrome, mortal: WebStand, 
         CLOCK.sleep_until(CLOCK.now_ns() + 3 * S // 2)  # longer than a silence that is a lost link
         assert not page.shown("lost-banner")
         assert page.estop_is_dead()
+        assert page.text("estop-button").startswith("The run has ended")
         assert not page.enabled()
+        states = page.browser.find_elements(By.CSS_SELECTOR, "td.state")
+        assert {state.text for state in states} == {"ended"}
 
 
 @pytest.mark.slow_after_first

@@ -15,8 +15,10 @@ from selenium.webdriver.common.by import By
 from robofleet.calibration.robots import offsets
 from robofleet.calibration.robots.results import offsets_page
 from robofleet.config.load import load_config
+from robofleet.nodes.unit.state_store import FileStateStore, StoredRobot
 from robofleet.recording.log import FILE
 from robofleet.reports import after
+from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
 from tests.calibration.robots.conftest import drive
 from tests.operator.page.axe import violations
@@ -78,8 +80,9 @@ def test_axe_finds_nothing_in_any_state_of_the_run(browser: Chrome, tmp_path: Pa
         found += found_by_axe(browser, "link lost")
         page.fleet.supervised, page.fleet.phase = True, Phase.IDLE
         page.becomes(lambda: not page.shown("lost-banner") and page.run("return robofleet.state.phase") == "idle")
+        FileStateStore(stand.config.arena.name, simulated=True).save("r1", StoredRobot(3, Latch.EMERGENCY_STOP, 2))
         stand.over.set()
-        page.becomes(lambda: page.shown("ended-banner"))
+        page.becomes(lambda: page.shown("ended-reset"))
         found += found_by_axe(browser, "ended")
     assert found == []
 

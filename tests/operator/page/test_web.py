@@ -13,6 +13,8 @@ from websockets.exceptions import ConnectionClosed
 from robofleet.bus import keys, messages
 from robofleet.bus.messages import Note, NoteKind, TagPose
 from robofleet.core.clock import MS, S
+from robofleet.core.starting import Starting
+from robofleet.nodes.unit.state_store import FileStateStore, StoredRobot
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.tracking.camera import CameraGeometry
@@ -75,7 +77,7 @@ def test_a_tick_shows_what_the_controller_the_supervisor_and_the_drivers_say(sta
         }
         stand.say_tick(30, *robots, lateness_ns=42_000, overruns=10, figures=figures)
         tick = page.next("tick", lambda tick: tick["t_s"] is not None)
-    assert (tick["t_s"], tick["cause"]) == (0.99, "every check passed")
+    assert (tick["t_s"], tick["clock_s"], tick["cause"]) == (0.99, 0.99, "every check passed")
     health = {"compute_us": 250, "late_us": 42, "overruns": 3, "latency_ms": 17.0, "tracker_hz": None, "seen_pct": None}
     assert tick["health"] == health
     first, second, third = (row(hello, tick, robot) for robot in ("r1", "r2", "r3"))
@@ -318,6 +320,63 @@ def test_a_page_that_is_ended_in_mid_run_does_not_say_that_the_run_has_ended(sta
         assert not [frame for frame in frames_until_closed(page) if frame["type"] == "ended"]
 
 
+def test_the_launchers_last_words_say_how_the_run_ends_while_nobody_has_judged_it(tmp_path: Path) -> None:
+    lines, lives = ["Starting the processes."], [True]
+    with (
+        web_stand(tmp_path, TRUTH, console=lambda: lines[-1], launcher_lives=lambda: lives[-1]) as stand,
+        stand.page() as page,
+    ):
+        stand.say_state(Phase.RUNNING, Event.PROVED)
+        stand.say_tick(100)
+        page.next("tick", lambda tick: tick["t_s"] == 3.3)
+        lines.append("ends: completed after 3.3 s")
+        stand.say_tick(100)
+        ending = page.next("tick", lambda tick: tick["phase"] == "ending")
+        assert (ending["stage"], ending["t_s"]) == ("completed after 3.3 s", 3.3)
+        end = page.next("event", lambda event: "completed" in event["text"])
+        assert (end["text"], end["level"], end["at"]) == ("completed after 3.3 s", "info", 3.3)
+        stand.say_state(Phase.IDLE, Event.STOP_REQUESTED)
+        stand.say_status("r1", GateStatus.LATCHED, Latch.EMERGENCY_STOP)
+        event = page.next("event")
+        assert event["text"] == "r1: gate latched: emergency stop", "the launcher's own request for the stop is no news"
+        stand.over.set()
+        ended = page.next("ended")
+        assert (ended["text"], ended["good"], ended["report"]) == ("Completed after 3.3 s", None, None)
+        assert ended["report_due"]
+        lives.append(False)
+        assert not page.next("ended")["report_due"], "nobody is left who makes it"
+
+
+def test_a_run_whose_launcher_was_killed_says_so(stand: WebStand, tmp_path: Path) -> None:
+    with stand.page() as page:
+        stand.say_state(Phase.RUNNING, Event.PROVED)
+        page.next("tick", lambda tick: tick["phase"] == "running")
+        stand.over.set()
+        ended = page.next("ended")
+        assert "was killed, or it crashed" in ended["text"]
+        assert ended["lines"] == [f"Its recording is completed by: robofleet repair {tmp_path}"]
+        assert page.next("event", lambda event: "killed" in event["text"])["level"] == "warning"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("simulated", [True, False])
+def test_latches_of_a_simulated_run_are_reset_on_its_page_after_the_end(stand: WebStand, *, simulated: bool) -> None:
+    store = FileStateStore("platoon", simulated=simulated)
+    store.save("r2", StoredRobot(3, Latch.EMERGENCY_STOP, 2))
+    with stand.page() as page:
+        stand.over.set()
+        ended = page.next("ended", lambda frame: frame["latched"], within_s=10)
+        assert (ended["latched"], ended["resets"]) == (["r2"], simulated)
+        assert ended["latched_words"].startswith("r2 is latched by an emergency stop (")
+        page.say(do="reset")
+        assert page.next("answer")["ok"] == simulated
+        if simulated:
+            ended = page.next("ended", lambda frame: not frame["latched"])
+            assert ended["latched_words"] == "platoon: r2: reset; nothing has moved, and the next run can start"
+        assert bool(store.latches()) != simulated
+        assert stand.requests == [], "nobody is there who could be asked"
+
+
 def test_the_end_of_a_run_is_told_with_its_verdict_and_its_report_to_who_still_looks(
     stand: WebStand, tmp_path: Path
 ) -> None:
@@ -350,11 +409,13 @@ def test_a_page_that_nobody_has_opened_ends_with_its_run(stand: WebStand) -> Non
     assert wait(lambda: not stand.serves(), 5)
 
 
-def test_before_the_supervisor_speaks_the_page_says_what_the_launcher_does(tmp_path: Path) -> None:
-    words = ["Compiling"]
-    with web_stand(tmp_path, TRUTH, console=lambda: words[0]) as stand, stand.page() as page:
-        page.next("tick", lambda tick: tick["stage"] == "Compiling")
-        words[0] = "Starting"
-        page.next("tick", lambda tick: tick["stage"] == "Starting")
+def test_until_wheels_drive_the_page_says_how_far_the_start_is(tmp_path: Path) -> None:
+    starting = Starting(0.32, 24.0, "compiling kernels, 31 of 61")
+    line = [starting.encode()]
+    with web_stand(tmp_path, TRUTH, console=lambda: line[0]) as stand, stand.page() as page:
+        page.next("tick", lambda tick: (tick["stage"], tick["start_share"]) == (starting.words(), 0.32))
+        stand.say_state(Phase.IDLE, Event.NOTHING)
+        page.next("tick", lambda tick: tick["phase"] == "starting")
+        line[0] = "started"
         stand.say_state(Phase.RUNNING, Event.PROVED)
-        page.next("tick", lambda tick: (tick["phase"], tick["stage"]) == ("running", None))
+        page.next("tick", lambda tick: (tick["phase"], tick["stage"], tick["start_share"]) == ("running", None, None))

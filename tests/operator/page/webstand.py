@@ -184,7 +184,7 @@ def placed(x: float, y: float, **changes: float) -> RobotTick:
 @contextmanager
 def web_stand(
     folder: Path, *overrides: str, console: Callable[[], str] = str, file: Path = PLATOON, host: str = _LOOPBACK,
-    keys: PageKeys | None = None,
+    keys: PageKeys | None = None, launcher_lives: Callable[[], bool] = bool,
 ) -> Iterator[WebStand]:  # fmt: skip
     """Start a router, the server and the stand; nothing is left of them."""
     config = load_config(file, ["drivers.robots_per_process=1", f"bus.endpoint={own_endpoint()}", *overrides])
@@ -194,7 +194,15 @@ def web_stand(
     urls: list[Addresses] = []
     cut, over = threading.Event(), threading.Event()
     served = Served(
-        config=config, folder=folder, bus=buses[1], clock=CLOCK, name=host, over=over.is_set, keys=keys, line=console
+        config=config,
+        folder=folder,
+        bus=buses[1],
+        clock=CLOCK,
+        name=host,
+        over=over.is_set,
+        keys=keys,
+        line=console,
+        launcher_lives=launcher_lives,
     )
     thread = threading.Thread(
         target=lambda: asyncio.run(serve(served, socket.create_server((host, 0)), urls.append, cut.is_set))

@@ -127,7 +127,7 @@ def _held(run: RealRun) -> bool:
 def _left(run: RealRun, folder: Path) -> list[str]:
     """Return the processes, files and sockets that outlive a run."""
     found = (
-        [] if run.nothing_is_left() else [f"process {' '.join(process.cmdline()[2:5])}" for process in run.children()]
+        [] if run.nothing_is_left() else [f"process {' '.join(process.cmdline()[2:6])}" for process in run.children()]
     )
     files = (path for name in ("rt", "tmp") for path in (folder / name).rglob("*") if not path.is_dir())
     return [*found, *(f"{'socket' if path.is_socket() else 'file'} {path.relative_to(folder)}" for path in files)]

@@ -7,6 +7,7 @@ const LET_GO_MS = 1000; // a click so soon after a press is the same press
 export class Controls {
   #link;
   #buttons = [...document.querySelectorAll("#run-controls button")];
+  #reset = document.getElementById("ended-reset"); // beside the words that name the latches
   #estop = document.getElementById("estop-button");
   #label = document.getElementById("estop-label");
   #note = document.getElementById("estop-note");
@@ -19,6 +20,7 @@ export class Controls {
   constructor(link) {
     this.#link = link;
     for (const button of this.#buttons) button.addEventListener("click", () => this.#ask(button.dataset.do));
+    this.#reset.addEventListener("click", () => this.#ask("reset"));
     this.#estop.addEventListener("pointerdown", (event) => event.button === 0 && this.#emergency());
     this.#estop.addEventListener("click", () => this.#sincePressed() > LET_GO_MS && this.#emergency());
     addEventListener("keydown", (event) => this.#key(event), { capture: true });
@@ -74,15 +76,30 @@ export class Controls {
 
   /** Permit what the phase permits; nothing where `inert` says in words why not. */
   permit(phase, latched, inert) {
+    this.#enable((what, phases) => !inert && phases.includes(phase) && (what !== "reset" || phase !== "idle" || latched));
+    this.#sayInert(inert, "CANNOT STOP");
+  }
+
+  /** The run has ended: nothing is left to be stopped; `resets`: its latches can be cleared here. */
+  end(resets) {
+    this.#reset.hidden = !resets;
+    this.#enable((what) => what === "reset" && resets);
+    this.#sayInert("nothing is left to stop", "The run has ended");
+    this.#notice.hidden = true;
+  }
+
+  #enable(permits) {
     for (const button of this.#buttons) {
-      const needless = button.dataset.do === "reset" && phase === "idle" && !latched;
-      const permitted = !inert && !needless && button.dataset.in.split(" ").includes(phase);
+      const permitted = permits(button.dataset.do, button.dataset.in.split(" "));
       if (button.disabled === permitted) button.disabled = !permitted;
     }
+  }
+
+  #sayInert(inert, label) {
     if (this.#inert === inert) return;
     this.#inert = inert;
     this.#estop.setAttribute("aria-disabled", `${Boolean(inert)}`); // not `disabled`: pressed all the same, it tries
-    this.#label.textContent = inert ? "CANNOT STOP" : "EMERGENCY STOP";
+    this.#label.textContent = inert ? label : "EMERGENCY STOP";
     this.#note.textContent = inert || this.#said;
   }
 

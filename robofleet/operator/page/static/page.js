@@ -4,7 +4,7 @@ import { Arena } from "./arena.js";
 import { Camera } from "./camera.js";
 import { Charts } from "./charts.js";
 import { Controls } from "./controls.js";
-import { Gamepads } from "./gamepads.js";
+import { Drive } from "./drive.js";
 import { Invitations } from "./invite.js";
 import { Legend } from "./legend.js";
 import { Link } from "./link.js";
@@ -22,12 +22,12 @@ const PHASES = {
   positioning: "Going to start",
   running: "Running",
   parking: "Parking",
+  ending: "Ending",
   hold: "HOLD",
   fault: "FAULT",
   estop: "EMERGENCY STOP",
 };
 const ENDED = "Ended";
-const ALARMS = ["fault", "estop"];
 const id = (name) => document.getElementById(name);
 
 /** What the page shows now, for whoever looks at it from outside. */
@@ -36,7 +36,7 @@ const link = new Link((frame) => frames[frame.type]?.(frame));
 const [arena, tables, charts] = [new Arena(), new RobotTables(), new Charts()];
 const [legend, plots] = [new Legend(), new Plots()];
 const [controls, camera] = [new Controls(link), new Camera(link)];
-const gamepads = new Gamepads(link);
+const drive = new Drive(link);
 new Invitations();
 window.robofleet = { state, place: (x_m, y_m) => arena.place(x_m, y_m) };
 
@@ -46,7 +46,7 @@ let writtenAt = -Infinity;
 const frames = {
   hello(hello) {
     state.hello = hello;
-    for (const part of [arena, tables, charts, legend, plots, camera, gamepads]) part.begin(hello);
+    for (const part of [arena, tables, charts, legend, plots, camera, drive]) part.begin(hello);
     id("events-list").replaceChildren();
     write("arena-name", hello.arena.name);
     write("config-name", hello.config);
@@ -55,7 +55,7 @@ const frames = {
   },
   tick(tick) {
     state.tick = tick;
-    gamepads.heard(tick);
+    drive.heard(tick);
     camera.tell(tick.health);
     if (!drawing) {
       drawing = true;
@@ -68,6 +68,7 @@ const frames = {
     arena.redraw();
     legend.begin(state.hello);
   },
+  hands: (hands) => drive.own(hands),
   event: addEvent,
   answer: (answer) => controls.answered(answer),
   picture: (picture) => camera.draw(picture),
@@ -86,22 +87,26 @@ function enter(tick) {
   look();
 }
 
-/** Of a run that has ended the banner says how; what latches the robots stays in sight. */
-function writePhase({ phase, cause, stage, what_next: next }) {
-  const over = link.ended !== null && !ALARMS.includes(phase);
+/** Of a run that has ended the banner says how. */
+function writePhase({ phase, cause, stage, start_share: share, what_next: next }) {
+  const over = link.ended !== null;
   document.body.dataset.phase = over ? "ended" : phase;
   write("phase-name", over ? ENDED : (PHASES[phase] ?? phase));
   write("phase-cause", over ? "" : (stage ?? (cause === "nothing" ? "" : (cause ?? ""))));
   write("phase-next", over ? "" : next);
+  id("start-progress").hidden = over || share === null;
+  id("start-progress").value = share ?? 0;
 }
 
 function draw(now) {
   drawing = false;
   const tick = state.tick;
-  state.robots = robotsOf(state.hello, tick);
+  state.robots = robotsOf(state.hello, tick, link.ended);
   arena.draw(state.robots);
-  charts.add(tick.health);
-  plots.add(state.robots, now);
+  if (link.ended === null) {
+    charts.add(tick.health);
+    plots.add(state.robots, now);
+  }
   if (now - writtenAt >= FIGURES_MS) {
     writtenAt = now;
     tables.draw(state.robots);
@@ -116,7 +121,7 @@ function draw(now) {
 const differ = (run, clock) => run !== null && clock !== null && Math.abs(clock - run) >= 0.05; // after a hold
 
 function writeFigures({ t_s: t, clock_s: clock, health }) {
-  if (t !== null) write("time-clock", differ(t, clock) ? `run time (${clock.toFixed(1)} s clock time)` : "run time");
+  if (t !== null) write("time-clock", differ(t, clock) ? `${clock.toFixed(1)} s clock time` : "");
   if (t !== null || state.phase !== "idle") state.t_s = t; // what a run reached stays in sight when it is over
   const reached = state.t_s === null ? null : Math.min(state.t_s, state.hello.duration_s);
   write("time-now", reached === null ? "–" : reached.toFixed(1));
@@ -154,12 +159,18 @@ function look() {
   if (link.ended !== null) writeEnd(link.ended);
   const title = `${lost ? "LINK LOST" : link.ended !== null ? ENDED : (PHASES[state.phase] ?? "robofleet")} – ${state.hello?.arena.name ?? ""}`;
   if (document.title !== title) document.title = title;
-  const inert = link.ended !== null ? "the run has ended" : lost || !state.tick ? "no link to the robots" : "";
-  controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
+  if (link.ended !== null) {
+    controls.end(link.ended.resets && link.isOpen);
+  } else {
+    const inert = lost || !state.tick ? "no link to the robots" : "";
+    controls.permit(state.phase, state.robots.some((robot) => robot.trouble === LATCHED), inert);
+  }
 }
 
 /** How the run ended, and its report: by a link while this page is served, and by its place in any case. */
-function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
+function writeEnd(ended) {
+  const { text, lines, good, report, report_due: due, folder, stays_min: stays } = ended;
+  const { latched: robots, latched_words: latched } = ended;
   if (state.tick) writePhase(state.tick);
   write("ended-text", text);
   id("ended-banner").dataset.good = `${good}`;
@@ -171,8 +182,12 @@ function writeEnd({ text, lines, good, report, folder, stays_min: stays }) {
   const isServed = report !== null && link.isOpen;
   id("ended-report").hidden = !isServed;
   if (isServed) id("ended-report").href = link.address("report");
-  const place = report === null ? `The run is kept in ${folder}.` : `It is ${report}.`;
-  write("ended-place", isServed ? `It is served for ${stays} minutes while this page is open.` : place);
+  id("ended-report-due").hidden = !due;
+  const place = report === null ? `The run is kept in ${folder}.` : `The report is ${report}.`;
+  write("ended-place", isServed ? `This page shows it for ${stays} minutes.` : place);
+  id("ended-latched").hidden = latched === "";
+  id("ended-latched").className = robots?.length ? "alarm" : "";
+  write("ended-latched-words", latched);
 }
 
 function write(name, text) {

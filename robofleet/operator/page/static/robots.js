@@ -6,12 +6,16 @@ export const HALTED = 2; // it alone stands still
 export const LOST = 3; // no image of it for too long
 export const LATCHED = 4; // somebody must look at it
 
-/** The robots of a tick: one object each, with its values by the names of the columns, `trouble` and `words`. */
-export function robotsOf(hello, tick) {
+/** The robots of a tick: one object each, with its values by the names of the columns, `trouble` and `words`. `ended`:
+ *  how the run did, once it has. */
+export function robotsOf(hello, tick, ended = null) {
   return tick.robots.map((values, row) => {
     const robot = { ...hello.robots[row], row };
     hello.columns.forEach((column, k) => (robot[column] = values[k]));
-    [robot.trouble, robot.words] = assess(robot, hello.words);
+    if (ended !== null) end(robot, ended);
+    const starts = tick.start_share !== null || tick.phase === "starting";
+    [robot.trouble, robot.words] = (starts && begins(robot, hello.words)) || assess(robot, hello.words);
+    if (ended !== null && robot.trouble === FINE) robot.words = "ended";
     robot.place = hello.places[tick.way]?.[row] ?? null; // where it goes: x, y, psi
     if (robot.trouble === FINE && robot.to_go_m !== null) robot.words = onTheWay(robot, hello.ways[tick.way]);
     if (robot.reality === "simulated") robot.words += " (in no image: simulated)";
@@ -19,9 +23,22 @@ export function robotsOf(hello, tick) {
   });
 }
 
+/** Forget what a robot said of its motion: nobody hears it any more. Only its latch is known. */
+function end(robot, { latched }) {
+  if (latched !== null) robot.latch = latched.includes(robot.id) ? (robot.latch ?? "stored") : null;
+  Object.assign(robot, { lost: 0, halted: null, gate: "ended", filtered: 0, to_go_m: null });
+  Object.assign(robot, { left_rad_s: null, right_rad_s: null, age_ms: null });
+}
+
 function onTheWay({ gate, to_go_m: left }, way) {
   if (left === 0) return way.arrived;
   return `${gate === "open" ? "" : "stands, "}${left.toFixed(2)} m to ${way.goal}`;
+}
+
+/** What of a robot has not begun yet, or is tried, while the run starts: nothing is wrong with that. */
+function begins({ driven, latch, lost, gate, x_m: x }, words) {
+  if (driven && latch === "drill") return [FINE, words.drill];
+  return driven && (gate === null || (lost && x === null)) ? [FINE, words.starting] : null;
 }
 
 function assess({ driven, latch, lost, halted, gate, filtered }, words) {
