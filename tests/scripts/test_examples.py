@@ -35,7 +35,7 @@ def test_every_example_is_short_and_says_how_it_is_started() -> None:
         lines = text.count("\n")
         assert lines <= 85
         assert re.search(rf"^\| \[{file.name}\]\({file.name}\) \| .* \| {lines} \|$", table, re.MULTILINE)
-    assert len([*EXAMPLES.glob("*.py")]) == table.count("\n| [")
+    assert len([*EXAMPLES.glob("*.py")]) == table.count(".py](")
 
 
 def test_hello_stops_on_each_corner_of_the_square_and_the_others_stand() -> None:
