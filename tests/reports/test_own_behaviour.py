@@ -221,7 +221,7 @@ def test_a_later_report_imports_it_from_the_folder_that_the_user_names(
     assert ran.exit_code == 0, ran.output
     ran = CliRunner().invoke(app, [*report, str(tmp_path)])
     assert ran.exit_code == 0
-    assert f"its module is not in {tmp_path}" in ran.stderr
+    assert f"mylab is not in {tmp_path}" in ran.stderr
     assert CliRunner().invoke(app, ["replay", str(folder), "--behaviours", str(tmp_path)]).exit_code == 2
     (tmp_path / "mylab.py").write_text("")
     ran = CliRunner().invoke(app, [*report, str(tmp_path)])

@@ -138,7 +138,7 @@ def test_bounds_are_met_missed_or_not_judged_and_only_met_is_green(tmp_path: Pat
     assert (result["completed"], result["bounds_missed"], result["bounds_not_judged"]) == (2, 0, 2)
     assert [row["bounds_not_judged"] for row in rows(tmp_path / "out")] == ["1", "1"]
     page = (tmp_path / "out" / "sweep.html").read_text()
-    assert "2 completed and missed no bound, but not every bound was judged" in page
+    assert "2 completed and missed no bound, but not every bound was checked" in page
     assert "not measured in any run, not checked; bound 10" in page
     assert "completed and missed a bound" not in page
     assert "met its bounds" not in page
