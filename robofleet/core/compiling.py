@@ -32,6 +32,13 @@ class Progress(NamedTuple):
 Say = Callable[[Progress], None]
 
 
+class _Work(NamedTuple):
+    """A kernel that must be compiled."""
+
+    label: str  # of its file
+    seconds: float
+
+
 def decoded(line: str) -> Progress | None:
     """Return what a child said; None where it is something else."""
     words = line.split()
@@ -50,11 +57,12 @@ def told(kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
 
     from robofleet.core.kernels import store  # noqa: PLC0415 - so does this
 
-    work: dict[Any, float] = {}
+    work: dict[Any, _Work] = {}
     done: set[Any] = set()
 
     def spread() -> None:
-        say(Progress(len(done), len(work), sum(work[code] for code in done), sum(work.values())))
+        done_s = sum(work[code].seconds for code in done)
+        say(Progress(len(done), len(work), done_s, sum(part.seconds for part in work.values())))
 
     class Listener(event.Listener):
         begun = False
@@ -68,7 +76,8 @@ def told(kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
 
         def on_end(self, compiled: Any) -> None:
             if (code := compiled.data["dispatcher"].py_func.__code__) in work and code not in done:
-                done.add(code)
+                on_disk = store.labels()  # others compile the same ones
+                done.update([code], (code for code, part in work.items() if part.label in on_disk))
                 spread()
 
     thresholds = gc.get_threshold()
@@ -80,15 +89,13 @@ def told(kernels: tuple[Any, ...], say: Say) -> Iterator[None]:
         gc.set_threshold(*thresholds)
 
 
-def _work(kernels: tuple[Any, ...], on_disk: frozenset[str]) -> dict[Any, float]:
-    """Return the work of those that must be compiled [s], by their code."""
-    missing = [
-        kernel for kernel in reached(*kernels) if label(kernel.py_func.__name__, kernel.meaning()) not in on_disk
-    ]
-    work = {_code(kernel): _BYTE_S * _bytes(kernel) for kernel in missing}
-    for kernel in missing:
-        if kernel in kernels:
-            work[_code(kernel)] += _BYTE_AGAIN_S * sum(map(_bytes, reached(kernel)))
+def _work(kernels: tuple[Any, ...], on_disk: frozenset[str]) -> dict[Any, _Work]:
+    """Return the work of those that must be compiled, by their code."""
+    work = {}
+    for kernel in reached(*kernels):
+        if (name := label(kernel.py_func.__name__, kernel.meaning())) not in on_disk:
+            again = sum(map(_bytes, reached(kernel))) if kernel in kernels else 0
+            work[_code(kernel)] = _Work(name, _BYTE_S * _bytes(kernel) + _BYTE_AGAIN_S * again)
     return work
 
 
