@@ -181,7 +181,7 @@ class FileStateStore:
         try:
             lock = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except FileNotFoundError:
-            self._folder.mkdir(parents=True)
+            self._folder.mkdir(parents=True, exist_ok=True)
             return self._locked(how)
         try:
             fcntl.flock(lock, how)
