@@ -94,7 +94,7 @@ class GoTo(Behaviour):
     settings: Settings
     figures = (
         Figure("distance_to_goal", "m", "mm", "distance of the centre from the goal"),
-        Figure("heading_error", "rad", "deg", "heading minus the goal's heading, without its sign"),
+        Figure("heading_error", "rad", "deg", "magnitude of the heading minus the goal's heading"),
         Figure("waiting", "", "", "1 where the robot waits for others, or for a plan", live=False),
     )
 
