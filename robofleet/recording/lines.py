@@ -42,7 +42,9 @@ def state_lines(before: RunState | None, state: RunState, robots: tuple[str, ...
         why = f": {run_cause(state, robots)}" if state.cause else ""
         yield Line(grave, "supervisor", f"{named(Phase, state.phase)}{why}")
     for row, robot in enumerate(robots):
-        was, now = "" if before is None else halt_cause(before, row), halt_cause(state, row)
+        was, now = (
+            "" if each is None or each.phase == Phase.IDLE else halt_cause(each, row) for each in (before, state)
+        )
         out_before, out = "" if before is None else driven_out(before, row), driven_out(state, row)
         if out != out_before:
             yield Line(Level.INFO, robot, out or "it is driven out no more")

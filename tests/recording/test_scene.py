@@ -171,6 +171,7 @@ def test_references_are_drawn_while_the_robots_run(story: Make, add_state: Make)
 
 def test_the_log_says_what_happened_and_why(story: Make, add_state: Make, add_status: Make) -> None:
     recording = Recording(story().config)
+    add_state(recording, Phase.IDLE, Event.NOTHING, halts=(Event.TAG_LATE, 0, 0, 0))
     add_state(recording, Phase.RUNNING, Event.PROVED)
     add_state(recording, Phase.RUNNING, Event.PROVED)
     add_state(recording, Phase.RUNNING, Event.PROVED, halts=(0, Event.TAG_LATE, 0, 0))
@@ -186,6 +187,7 @@ def test_the_log_says_what_happened_and_why(story: Make, add_state: Make, add_st
         latched = ROBOT_STATUS.decode(status)._replace(latch=latch)  # type: ignore[union-attr]
         viewer.tell(key("platoon", STATUS, "r1"), ROBOT_STATUS.encode(latched), 9 * S)
     assert viewer.log == [
+        (INFO, "supervisor", "idle"),
         (INFO, "supervisor", "running: every check passed"),
         (WARNING, "r2", "stands still: it is not seen"),
         (WARNING, "r3", "stands still: it is not seen"),
