@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from robofleet.core.errors import BadInputError
-from robofleet.core.sentences import in_words
+from robofleet.core.sentences import wrapped
 
 WEB_PACKAGES = ("jinja2", "segno", "starlette", "uvicorn", "websockets")  # the operator's page; of the extra ``lab``
 # of the extra ``lab``, as they are imported
@@ -39,7 +39,7 @@ def bad_input() -> Iterator[None]:
     try:
         yield
     except BadInputError as error:
-        print(in_words(str(error), sys.stderr), file=sys.stderr)
+        print(wrapped(str(error), sys.stderr), file=sys.stderr)
         raise typer.Exit(2) from error
 
 

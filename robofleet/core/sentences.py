@@ -8,7 +8,7 @@ from typing import TextIO
 _NO_BREAK = "\xa0"  # textwrap breaks at ASCII blanks alone
 
 
-def in_words(text: str, stream: TextIO) -> str:
+def wrapped(text: str, stream: TextIO) -> str:
     """Return a text as a stream shows it best: a terminal gets lines of its width, everything else what it was."""
     if not stream.isatty():
         return text

@@ -14,7 +14,7 @@ from pathlib import Path
 from robofleet.core.errors import BadInputError
 from robofleet.core.log_lines import never_raise
 from robofleet.core.patterns import CONFIGURATIONS
-from robofleet.core.sentences import in_words
+from robofleet.core.sentences import wrapped
 from robofleet.core.valid_json import dumps
 from robofleet.operator.terminal.plain_terminal import speak_its_language
 
@@ -37,7 +37,7 @@ def run(words: Sequence[str]) -> int | None:
         print(file=sys.stderr)
         return 1
     except BadInputError as error:
-        print(in_words(str(error), sys.stderr), file=sys.stderr)
+        print(wrapped(str(error), sys.stderr), file=sys.stderr)
         return 2
 
 
@@ -92,14 +92,14 @@ def status(arena: str | None, *, as_json: bool = False) -> int:
         from robofleet.reports.tables import status_table  # noqa: PLC0415
 
         Console().print(status_table(found))
-        print(in_words(found["next"] or "", sys.stdout))
+        print(wrapped(found["next"] or "", sys.stdout))
     return 0
 
 
 def answered(done: bool, what: str) -> int:
     """Print what came of a command, and return its exit code."""
     stream = sys.stdout if done else sys.stderr
-    print(in_words(what, stream), file=stream)
+    print(wrapped(what, stream), file=stream)
     return 0 if done else 1
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from robofleet.core.sentences import in_words
+from robofleet.core.sentences import wrapped
 
 # Typer keeps its own copy of click, in a place that differs between versions: this name leads to it in all of them.
 UsageError: Any = typer.BadParameter.__mro__[1]
@@ -43,7 +43,7 @@ def show(error: Any) -> None:
         return
     from robofleet.config.files.yamlfile import printable  # noqa: PLC0415 - a command in a hurry needs no YAML
 
-    print(in_words(printable(_line(error)), sys.stderr), file=sys.stderr)
+    print(wrapped(printable(_line(error)), sys.stderr), file=sys.stderr)
 
 
 def _line(error: Any) -> str:  # noqa: PLR0911 - one answer for each kind of mistake

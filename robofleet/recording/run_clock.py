@@ -63,7 +63,7 @@ class LiveClock:
         self._start_ns = self.run_s = self.clock_s = None
 
 
-def in_words(run_s: float, clock_s: float | None, whole_s: float | None = None) -> str:
+def time_words(run_s: float, clock_s: float | None, whole_s: float | None = None) -> str:
     """Return a time of a run: "20.7 s run time", or "20.7 s of 88 s run time" where it is known how long the run takes.
 
     With the clock time where a hold made it another one.

@@ -13,7 +13,7 @@ from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, STYLE
 from robofleet.recording.gauge import Curve
 from robofleet.recording.measures import pose_error_mm
-from robofleet.recording.run_clock import in_words
+from robofleet.recording.run_clock import time_words
 from robofleet.reports.bounds import JUDGED, Judged, part
 from robofleet.reports.canvas import CLOCK_TIME, RunView, lines, logarithmic, sheet
 from robofleet.reports.group_plots import wide
@@ -83,7 +83,7 @@ def _ended(summary: Summary) -> str:
     cause = f" ({summary['cause']})" if summary["cause"] else ""
     many = len(fleet_stops(summary["stops"]))
     stops = f", {many} stop{'s' * (many > 1)}" if many else ""
-    times = in_words(summary["duration_s"], summary["clock_duration_s"])
+    times = time_words(summary["duration_s"], summary["clock_duration_s"])
     return f"{summary['outcome']}{cause}, {times}, {summary['mode']}, seed {summary['seed']}{stops}"
 
 

@@ -21,7 +21,7 @@ from robofleet.core.figures import STYLE
 from robofleet.core.files import write_bytes
 from robofleet.recording.columns import CSV
 from robofleet.recording.run import Recording, Run
-from robofleet.recording.run_clock import in_words
+from robofleet.recording.run_clock import time_words
 from robofleet.reports import sensors
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.reports.canvas import Legend, RunView
@@ -108,7 +108,7 @@ def write(run: Run, summary: Summary, folder: Path, figures: Path | None = None)
 def _subtitle(summary: Summary) -> str:
     mode = {"lockstep": "lockstep, on a simulated clock", "realtime": "real time"}.get(summary["mode"], summary["mode"])
     robots = f"{len(summary['robots'])} robot{'s' * (len(summary['robots']) > 1)}"
-    times = in_words(summary["duration_s"], summary["clock_duration_s"])
+    times = time_words(summary["duration_s"], summary["clock_duration_s"])
     text = f"{robots}, {times}, {summary['ticks']:,} ticks; {mode}; seed {summary['seed']}"
     began = summary["began"]
     return text if began is None else f"{began.removesuffix('Z').replace('T', ' ')} UTC; {text}"

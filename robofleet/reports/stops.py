@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from robofleet.recording.causes import driven_out, halt_cause, named, run_cause
 from robofleet.recording.run import Run
-from robofleet.recording.run_clock import in_words
+from robofleet.recording.run_clock import time_words
 from robofleet.safety.latches import GateStatus
 from robofleet.safety.supervisor import Event, Phase
 
@@ -80,7 +80,7 @@ class FleetStop:
         more = len(self.robots) - _NAMED_ROBOTS
         robots = ", ".join(self.robots) if more <= 1 else f"{', '.join(self.robots[:_NAMED_ROBOTS])} and {more} more"
         took = "" if self.output_ms is None else f" (standing after {self.output_ms:.0f} ms)"
-        return f"{robots} at {in_words(self.run_s, self.clock_s)}: {self.cause}{took}"
+        return f"{robots} at {time_words(self.run_s, self.clock_s)}: {self.cause}{took}"
 
 
 def fleet_stops(stops: Sequence[dict[str, Any]]) -> list[FleetStop]:

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from robofleet.config.tree import Config
-from robofleet.recording.run_clock import in_words
+from robofleet.recording.run_clock import time_words
 from robofleet.reports.own_figures import as_asked, heading, own_figures
 from robofleet.reports.paper import is_papers, papers_mean
 from robofleet.reports.stops import fleet_stops, how_many
@@ -85,7 +85,7 @@ def _summary_table(summary: Summary, rows: Sequence[_Row], columns: Sequence[str
     ended = _ENDS.get(summary["outcome"], summary["outcome"])
     columns_of = [summary["robots"], *(row.each for row in rows if not isinstance(row.each, str))]
     width = max(_FIGURE_WIDTH, *(len(cell) for cells in columns_of for cell in cells))
-    title = f"{summary['config']}: {ended} after {in_words(summary['duration_s'], summary['clock_duration_s'])}"
+    title = f"{summary['config']}: {ended} after {time_words(summary['duration_s'], summary['clock_duration_s'])}"
     table = Table(title=Text(title, "bold"), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     heads = {
         "figure": "\nfigure",

@@ -13,7 +13,7 @@ from robofleet.core.clock import MS
 from robofleet.recording.columns import write_csv
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.run import Recording, Run
-from robofleet.recording.run_clock import LiveClock, in_words
+from robofleet.recording.run_clock import LiveClock, time_words
 from robofleet.reports.metrics import summary
 from robofleet.reports.sampled import look, looks
 from robofleet.runs.lockstep import Lockstep
@@ -125,6 +125,6 @@ def test_a_live_clock_agrees_and_does_not_know_the_clock_time_of_what_it_did_not
 
 
 def test_a_time_in_words_has_both_where_they_differ() -> None:
-    assert in_words(20.7, 20.71) == "20.7 s run time"
-    assert in_words(20.7, 26.7) == "20.7 s run time (26.7 s clock time)"
-    assert in_words(20.7, None) == "20.7 s run time"
+    assert time_words(20.7, 20.71) == "20.7 s run time"
+    assert time_words(20.7, 26.7) == "20.7 s run time (26.7 s clock time)"
+    assert time_words(20.7, None) == "20.7 s run time"

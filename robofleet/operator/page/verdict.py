@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from robofleet.core.files import read_plain
-from robofleet.recording.run_clock import in_words
+from robofleet.recording.run_clock import time_words
 from robofleet.reports.bounds import failures
 
 REPORT = "report.html"
@@ -33,6 +33,6 @@ def verdict_of(folder: Path) -> Verdict | None:
             return Verdict(f"{_ENDS.get(outcome, outcome)}{cause}", tuple(missed) if summary["ticks"] else (), False)
         how = f", {len(missed)} of {len(bounds)} bounds not met" if missed else ", every bound met" if bounds else ""
         reached_s = summary.get("duration_s")
-        after = f" after {in_words(reached_s, summary.get('clock_duration_s'))}" if reached_s else ""
+        after = f" after {time_words(reached_s, summary.get('clock_duration_s'))}" if reached_s else ""
         return Verdict(f"Completed{after}{how}", tuple(missed), not missed)
     return None

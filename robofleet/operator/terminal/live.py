@@ -22,7 +22,7 @@ from robofleet.operator.terminal.qr_code import qr_code
 from robofleet.operator.terminal.start_view import StartLines, start_bar
 from robofleet.operator.terminal.terminal import Terminal
 from robofleet.recording.run import Recording
-from robofleet.recording.run_clock import LiveClock, in_words
+from robofleet.recording.run_clock import LiveClock, time_words
 from robofleet.recording.state_words import StateWords, busy_notice, state_words
 from robofleet.runs.console import READY
 from robofleet.safety.supervisor import Phase
@@ -216,7 +216,7 @@ class LiveView:
         return tick.overruns - self._overruns_before
 
     def _time(self, whole_s: float | None = None) -> str:
-        return in_words(self._clock_of_run.run_s or 0.0, self._clock_of_run.clock_s, whole_s)
+        return time_words(self._clock_of_run.run_s or 0.0, self._clock_of_run.clock_s, whole_s)
 
 
 def _tracker_line(frames: list[FleetPoses], robots: int) -> str:

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from robofleet.config.faults import counted
-from robofleet.core.sentences import in_words
+from robofleet.core.sentences import wrapped
 from robofleet.safety.supervisor import Event
 from robofleet.studies.storm.episode import Episode
 from robofleet.studies.storm.schedule import KINDS
@@ -47,7 +47,7 @@ def summarise(tally: Tally, elapsed_s: float) -> bool:
         f"{elapsed_s:.0f} s ({tally.simulated_s / elapsed_s:.0f} times real time). Longest queue of steps: "
         f"{tally.longest_queue}. Runs after which robots stood too close to start again: {tally.crowded}."
     )
-    print(in_words(ending, sys.stdout))
+    print(wrapped(ending, sys.stdout))
     shortfalls = list(tally.shortfalls())
     for shortfall in shortfalls:
         print(f"the storm proves too little: {shortfall}", file=sys.stderr)
