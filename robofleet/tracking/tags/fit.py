@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
 from robofleet.tracking.tags.mapping import map_pixels, on_level, shift_map, sight_slope
-from robofleet.tracking.tags.pixels import CHUNK, PARAMETERS, SLOTS, accumulate, likeness
+from robofleet.tracking.tags.pixels import CHUNK, MOST_ROWS, PARAMETERS, SLOTS, accumulate, likeness
+from robofleet.tracking.tags.shape import STUDIED_FROM, study, tilt_variance
 
 _PASSES = 10  # at most
-_COARSE = 12  # pixels along a side in the first pass, about
-_MOST = 150  # in the others
+_COARSE = 12  # pixels along a side in the first pass, about; MOST_ROWS in the others
 _WIDER = 1.4  # blur of the first pass over the expected one: it catches guesses that are further off
 _CONVERGED_PX = 0.1  # a last step so short is the last: what it leaves is hundredths of it
 _NEAR = 0.015  # step after which the last map of pixels is good still [sides]
@@ -38,14 +38,6 @@ _LEAST_NOISE = 0.5  # [grey levels]
 _NARROWEST, _WIDEST = 0.6, 3.0  # blur [px]
 _LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
 _GAIN = 0.2  # of what is learnt about blur and noise
-_STUDIED_FROM, _STUDIED = 0.8, 0.95  # least likeness, and share of pixels that count, to learn a tilt
-_STUDY_CUT = 0.8  # [contrasts] beyond which a pixel shows something else there
-_STUDY_DOUBT = 2.0  # variance of what is learnt of a tilt over that of white noise: lens and pattern are not exact
-_STUDY_FORGET = 0.99  # of what was known, from image to image
-_PRIOR = 1.0 / math.radians(1.0) ** 2  # what is known of a tilt before it was learnt [1/rad^2]
-_LITTLE = 1e-3  # of that, which any image says
-_STUDY_DENIED = 4.0**2  # squared distance of what an image says from what is known
-_MOST_TILT = math.radians(10.0)
 
 
 class _Room(NamedTuple):
@@ -90,8 +82,8 @@ def fit_tags(  # type: ignore[no-untyped-def]
             image, camera, line_time, sides[i], heights[i], prints[i], cells, hidden, to_quadratic, centre[m], psi[m],
             velocity[m], omega[m], blurs, noises, tilts[i], studies[i], i, room, fit_covariance[m],
         )  # fmt: skip
-        if i == studied and fit_alike[m] > _STUDIED_FROM:
-            _study(
+        if i == studied and fit_alike[m] > STUDIED_FROM:
+            study(
                 image, camera, line_time, sides[i], heights[i], prints[i], cells, to_quadratic, fit_centre[m],
                 fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], tilts[i], studies[i], counts[i : i + 1], room,
             )  # fmt: skip
@@ -157,14 +149,14 @@ def _fit(  # type: ignore[no-untyped-def]
     _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
     model = (_MODEL * blur * cells / side_px) ** 2
     _covary(room.factor, variance / (level[3] * level[3]), model, side, psi, covariance)
-    covariance[5] += _of_tilt(slope, known_tilt)
+    covariance[5] += tilt_variance(slope, known_tilt)
     return centre, psi, alike, row
 
 
 @image_kernel
 def _look(image, corners, cells, hidden, tally, side_px, blur, cut, coarse, room):  # type: ignore[no-untyped-def]
     """Fill the equations of one pass; return whether the tag is whole in the image."""
-    stride = max(1, round(side_px / _COARSE)) if coarse else 1 + int(side_px / _MOST)
+    stride = max(1, round(side_px / _COARSE)) if coarse else 1 + int(side_px / MOST_ROWS)
     return side_px > 0.0 and accumulate(
         image, room.shape, room.window, corners, cells, hidden, tally, side_px, _WIDER * blur if coarse else blur,
         room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none,
@@ -191,82 +183,6 @@ def _learn(blurs, noises, i, wider, noise, sure):  # type: ignore[no-untyped-def
     noise = max(noise, _LEAST_NOISE)
     noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
     blurs[i] = min(max(blurs[i] + _GAIN * min(max(wider, -0.5), 0.5), _NARROWEST), _WIDEST)
-
-
-@image_kernel
-def _study(  # type: ignore[no-untyped-def]
-    image, camera, line_time, side, height, corners, cells, to_quadratic, centre, psi, velocity, omega, blur, noise,
-    tilt, known, count, room,
-):  # fmt: skip
-    """Learn a tag's tilt (2,) [rad] by recursive least squares, from an image in which it was just fitted; known (2, 2)
-    is the information on it [1/rad^2], from ``count`` (1,) images. If an image denies what is known, the tag was moved
-    on its robot: it is learnt anew.
-
-    A tilt shears a tag that is seen aslant, and turns it. The size is left free: an error of the height changes it.
-    All pixels count that do not show something quite different: a tilt shows where the fit is worst.
-    """
-    _, side_px = map_pixels(
-        camera, line_time, side, height, tilt, to_quadratic, centre, psi, velocity, omega, room.nodes, room.bend,
-        room.shape, room.window,
-    )  # fmt: skip
-    slope = sight_slope(camera, side, height, centre, room.shape, room.window)
-    contrast = room.level[3]
-    inside = accumulate(
-        image, room.shape, room.window, corners, cells, np.zeros(0, np.bool_), np.zeros((0, 2), np.int64), side_px,
-        blur, room.level, _STUDY_CUT * contrast, 1 + int(side_px / _MOST), room.rows, room.pixels, room.products,
-        room.sums, slope, room.tilted,
-    )  # fmt: skip
-    if not inside or room.products[0, 0] < _STUDIED * room.sums[0]:
-        return
-    _solve(room.products, room.factor, room.solution)
-    # What the eight, and then the size, do not explain of the tilts and of what is left of the grey.
-    rows, left = np.empty((4, PARAMETERS)), np.empty((4, 4))
-    for n in range(4):
-        row = room.tilted[n] if n < 3 else room.products[PARAMETERS]
-        for i in range(PARAMETERS):
-            total = row[i]
-            for k in range(i):
-                total -= room.factor[i, k] * rows[n, k]
-            rows[n, i] = total / room.factor[i, i]
-        for m in range(n + 1):
-            left[n, m] = row[PARAMETERS] if m == n else room.tilted[m, PARAMETERS]
-            if n < 3:
-                left[n, m] = row[PARAMETERS + 1 + m]
-            for i in range(PARAMETERS):
-                left[n, m] -= rows[n, i] * rows[m, i]
-    for n in range(1, 4):
-        for m in range(1, n + 1):
-            left[n, m] -= left[n, 0] * left[m, 0] / left[0, 0]
-    variance = left[3, 3] / (room.products[0, 0] - PARAMETERS)
-    by = contrast / (_STUDY_DOUBT * max(variance, noise * noise))
-    a, b = by * left[3, 1], by * left[3, 2]
-    new_aa, new_ab, new_bb = by * contrast * left[1, 1], by * contrast * left[2, 1], by * contrast * left[2, 2]
-    known *= _STUDY_FORGET
-    aa, ab, bb = known[0, 0] + new_aa, known[0, 1] + new_ab, known[1, 1] + new_bb
-    by_all = _squared(a, b, aa + _PRIOR, ab, bb + _PRIOR)
-    if _squared(a, b, new_aa + _LITTLE * _PRIOR, new_ab, new_bb + _LITTLE * _PRIOR) - by_all > _STUDY_DENIED:
-        aa, ab, bb, count[0] = new_aa, new_ab, new_bb, 0
-    known[0, 0], known[0, 1], known[1, 1] = aa, ab, bb
-    count[0] += 1
-    aa, bb = aa + _PRIOR, bb + _PRIOR
-    area = aa * bb - ab * ab
-    tilt[0] = min(max(tilt[0] - (bb * a - ab * b) / area, -_MOST_TILT), _MOST_TILT)
-    tilt[1] = min(max(tilt[1] - (aa * b - ab * a) / area, -_MOST_TILT), _MOST_TILT)
-
-
-@image_kernel
-def _squared(a, b, aa, ab, bb):  # type: ignore[no-untyped-def]
-    """Return a vector's square by the inverse of a symmetric matrix."""
-    return (bb * a * a - 2.0 * ab * a * b + aa * b * b) / (aa * bb - ab * ab)
-
-
-@image_kernel
-def _of_tilt(slope, known):  # type: ignore[no-untyped-def]
-    """Return what a tilt that is not known exactly adds to a heading's variance [rad^2]: it turns the tag by half of
-    itself times the slope under which it is seen."""
-    aa, ab, bb = known[0, 0] + _PRIOR, known[0, 1], known[1, 1] + _PRIOR
-    ahead, aside = 0.5 * slope[0], 0.5 * slope[1]
-    return (bb * aside * aside + 2.0 * ab * aside * ahead + aa * ahead * ahead) / (aa * bb - ab * ab)
 
 
 @image_kernel

@@ -20,6 +20,7 @@ from robofleet.core.kernels import image_kernel
 REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 PARAMETERS = 8
 SLOTS, CHUNK = 16, 512  # numbers of a pixel; pixels that are computed at once
+MOST_ROWS = 150  # of pixels along a side that are looked at
 _FLAT = 1e-7  # a slope that is less is taken for this [sides/px]
 _LANES = 16  # of the processor, at most: chunks are filled up to a multiple of it
 
