@@ -56,6 +56,8 @@ class Print(NamedTuple):
     family: str = "36h11"
     greys: tuple[float, float] = (BLACK, WHITE)
     tilt: tuple[float, float] = (0.0, 0.0)  # how far its forward, and its left, rise above the horizontal [rad]
+    stretch: tuple[float, float] = (0.0, 0.0)  # by the paper's feed, forward and left [shares]
+    bow: tuple[float, float] = (0.0, 0.0)  # how far both ends, forward and left, rise above the centre [m]
 
 
 class Patch(NamedTuple):
@@ -146,7 +148,7 @@ class RayCaster:
 
     def _exposed(self, tag: Print, u: Array, v: Array, footprint: float, instants: int) -> tuple[Floats, Floats]:
         """Return cover and light of the sub-samples in columns ``u`` and rows ``v``, averaged over the exposure."""
-        x, y = self._meet(u, v, tag.height, tag.pose, tag.tilt)
+        x, y = self._meet(u, v, tag)
         strip = None if tag.cable is None else self._cable(tag, tag.cable, u, v, footprint)
         rows, columns = np.arange(len(v))[:, None], np.arange(len(u))
         scatter = np.modf(0.7548776662466927 * columns + 0.5698402909980532 * rows)[0].astype(
@@ -170,6 +172,7 @@ class RayCaster:
         cells, cell = _cells(tag)
         half = 0.5 * cells
         forward, left = _on_print(c * d_x + s * d_y, c * d_y - s * d_x, tag.tilt)
+        forward, left = forward / (1.0 + tag.stretch[0]), left / (1.0 + tag.stretch[1])
         column, row = half + forward / cell, half - left / cell
         right, to_right, on_x = _edges(column, footprint / cell, cells)
         below, to_below, on_y = _edges(row, footprint / cell, cells)
@@ -187,18 +190,16 @@ class RayCaster:
 
     def _cable(self, tag: Print, cable: Cable, u: Array, v: Array, footprint: float) -> Floats:
         """Return how much of each sub-sample is cable."""
-        x, y = self._meet(u, v, tag.height + cable.above, tag.pose)
+        x, y = self._meet(u, v, tag._replace(height=tag.height + cable.above, tilt=(0.0, 0.0), bow=(0.0, 0.0)))
         c, s = math.cos(tag.pose[2]), math.sin(tag.pose[2])
         run = tag.pose[2] + cable.angle
         d_x, d_y = x - (c * cable.forward - s * cable.left), y - (s * cable.forward + c * cable.left)
         away = np.abs(math.cos(run) * d_y - math.sin(run) * d_x)
         return np.clip((0.5 * cable.width - away) / footprint + 0.5, 0.0, 1.0)
 
-    def _meet(
-        self, u: Array, v: Array, height: float, origin: tuple[float, float, float],
-        tilt: tuple[float, float] = (0.0, 0.0),
-    ) -> tuple[Floats, Floats]:  # fmt: skip
-        """Return x, y (V, U) from ``origin`` [m] where the rays of columns ``u`` and rows ``v`` meet a plane."""
+    def _meet(self, u: Array, v: Array, tag: Print) -> tuple[Floats, Floats]:
+        """Return x, y (V, U) from a print's centre at time 0 [m] where the rays of columns ``u`` and rows ``v`` meet
+        it."""
         nodes = np.cos(math.pi * (np.arange(_NODES) + 0.5) / _NODES)
         to_nodes = np.linalg.inv(chebvander(nodes, _NODES - 1))
 
@@ -208,13 +209,13 @@ class RayCaster:
 
         (u_nodes, from_u), (v_nodes, from_v) = span(u), span(v)
         pixels = np.stack(np.meshgrid(u_nodes, v_nodes), axis=-1).reshape(-1, 2)
-        point = self.camera.on_plane(pixels, height)
-        for _ in range(6 if any(tilt) else 0):  # each brings it a hundred times nearer
-            point = self.camera.on_plane(pixels, height + _rise(point - origin[:2], origin[2], tilt))
+        point = self.camera.on_plane(pixels, tag.height)
+        for _ in range(6 if any(tag.tilt + tag.bow) else 0):  # each: a hundred times nearer
+            point = self.camera.on_plane(pixels, tag.height + _rise(point - tag.pose[:2], tag.pose[2], tag))
         x, y = point.T.reshape(2, _NODES, _NODES)
         # On a busy machine BLAS's threads wait for each other longer than such a product takes: einsum has none.
-        x = np.einsum("vi,ui->vu", from_v @ (x - origin[0]), from_u)
-        y = np.einsum("vi,ui->vu", from_v @ (y - origin[1]), from_u)
+        x = np.einsum("vi,ui->vu", from_v @ (x - tag.pose[0]), from_u)
+        y = np.einsum("vi,ui->vu", from_v @ (y - tag.pose[1]), from_u)
         return x.astype(np.float32), y.astype(np.float32)
 
     def _gathered(self, fine: Floats) -> Floats:
@@ -233,11 +234,13 @@ def _on_print(forward: Any, left: Any, tilt: tuple[float, float]) -> tuple[Any, 
     return (forward + left * (math.sin(tilt[0]) * math.sin(tilt[1]))) / math.cos(tilt[0]), left
 
 
-def _rise(way: Array, psi: float, tilt: tuple[float, float]) -> Array:
-    """Return how far points (N, 2) of a tilted print lie above its centre, from their horizontal way from it [m]."""
+def _rise(way: Array, psi: float, tag: Print) -> Array:
+    """Return how far points (N, 2) of a print lie above its centre, from their horizontal way from it [m]."""
     c, s = math.cos(psi), math.sin(psi)
-    forward, left = _on_print(way @ [c, s], way @ [-s, c], tilt)
-    return np.asarray(forward * math.sin(tilt[0]) + left * (math.cos(tilt[0]) * math.sin(tilt[1])), np.float64)
+    forward, left = _on_print(way @ [c, s], way @ [-s, c], tag.tilt)
+    bows = tag.bow[0] * (2.0 * forward / tag.side) ** 2 + tag.bow[1] * (2.0 * left / tag.side) ** 2
+    plane = forward * math.sin(tag.tilt[0]) + left * (math.cos(tag.tilt[0]) * math.sin(tag.tilt[1]))
+    return np.asarray(plane + bows, np.float64)
 
 
 def clutter(size: tuple[int, int], rng: np.random.Generator) -> Floats:

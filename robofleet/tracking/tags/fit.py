@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
 from robofleet.tracking.tags.mapping import map_pixels, on_level, shift_map, sight_slope
-from robofleet.tracking.tags.pixels import CHUNK, MOST_ROWS, PARAMETERS, SLOTS, accumulate, likeness
-from robofleet.tracking.tags.shape import STUDIED_FROM, study, tilt_variance
+from robofleet.tracking.tags.pixels import CHUNK, MOST_ROWS, PARAMETERS, SHAPED, SLOTS, accumulate, likeness
+from robofleet.tracking.tags.shape import STUDIED_FROM, TILT, study, turn_variance
 
 _PASSES = 10  # at most
 _COARSE = 12  # pixels along a side in the first pass, about; MOST_ROWS in the others
@@ -47,8 +47,8 @@ class _Room(NamedTuple):
     pixels: NDArray[np.float32]  # (SLOTS * CHUNK,)
     products: Array  # (9, 9)
     sums: Array  # (6,)
-    tilted: Array  # (3, 12)
-    none: Array  # (0, 12)
+    shaped: Array  # (6, 15)
+    none: Array  # (0, 15)
     factor: Array  # (8, 8), lower triangle: Cholesky's, of the normal equations
     solution: Array  # (8,)
     level: Array  # (4,): brightness, its slopes forward and left, contrast [grey levels]
@@ -61,38 +61,38 @@ class _Room(NamedTuple):
 @image_kernel
 def fit_tags(  # type: ignore[no-untyped-def]
     image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
-    blurs, noises, tilts, studies, counts, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
+    blurs, noises, shapes, known, spreads, counts, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
 ):  # fmt: skip
     """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
 
     hidden (C * C,) cells do not count; none where it is empty. blurs [px] and noises [grey levels; 0: not known] (N,):
-    what is known of the targets, and learnt. tilts (N, 2): as ``tag_map.map_pixels`` has it [rad]. Of the target
-    ``studied`` the tilt is learnt from this image, too; ``studies`` (N, 2, 2): what is known of it [1/rad^2], from so
-    many images: ``counts`` (N,).
+    what is known of the targets, and learnt. Of the target ``studied`` the shape is learnt from this image, too;
+    shapes (N, 8), known, spreads (N, 8, 8), counts (N,): as ``shape.Shapes`` has them.
     """
     n = PARAMETERS
     room = _Room(
         np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((n + 1, n + 1)), np.empty(6),
-        np.empty((3, n + 4)), np.empty((0, n + 4)), np.empty((n, n)), np.empty(n), np.empty(4), np.empty((6, 9)),
-        np.empty((2, 6)), np.empty((2, 6)), np.empty(6),
+        np.empty((SHAPED, n + 1 + SHAPED)), np.empty((0, n + 1 + SHAPED)), np.empty((n, n)), np.empty(n), np.empty(4),
+        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6),
     )  # fmt: skip
     for m in range(len(index)):
         i = index[m]
         fit_centre[m], fit_psi[m], fit_alike[m], fit_row[m] = _fit(
             image, camera, line_time, sides[i], heights[i], prints[i], cells, hidden, to_quadratic, centre[m], psi[m],
-            velocity[m], omega[m], blurs, noises, tilts[i], studies[i], i, room, fit_covariance[m],
+            velocity[m], omega[m], blurs, noises, shapes[i], spreads[i], i, room, fit_covariance[m],
         )  # fmt: skip
         if i == studied and fit_alike[m] > STUDIED_FROM:
             study(
                 image, camera, line_time, sides[i], heights[i], prints[i], cells, to_quadratic, fit_centre[m],
-                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], tilts[i], studies[i], counts[i : i + 1], room,
+                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], shapes[i], known[i], spreads[i],
+                counts[i : i + 1], room,
             )  # fmt: skip
 
 
 @image_kernel
 def _fit(  # type: ignore[no-untyped-def]
     image, camera, line_time, side, height, corners, cells, hidden, to_quadratic, guess, guess_psi, velocity, omega,
-    blurs, noises, tilt, known_tilt, i, room, covariance,
+    blurs, noises, tag_shape, spread, i, room, covariance,
 ):  # fmt: skip
     """Return centre, heading, likeness and row of one tag."""
     centre, psi, blur, noise, row = guess, guess_psi, blurs[i], noises[i], 0.0
@@ -106,7 +106,7 @@ def _fit(  # type: ignore[no-untyped-def]
     for step in range(_PASSES):
         if not mapped:
             row, side_px = map_pixels(
-                camera, line_time, side, height, tilt, to_quadratic, centre, psi, velocity, omega, room.nodes,
+                camera, line_time, side, height, tag_shape, to_quadratic, centre, psi, velocity, omega, room.nodes,
                 room.bend, room.shape, room.window,
             )  # fmt: skip
             slope = sight_slope(camera, side, height, centre, room.shape, room.window)
@@ -117,7 +117,7 @@ def _fit(  # type: ignore[no-untyped-def]
         squares = _solve(room.products, room.factor, solution)
         level += solution[:4]
         forward, aside, spin, length = _step(side_px, level[3], solution)
-        centre += side * complex(math.cos(psi), math.sin(psi)) * on_level(forward, aside, tilt, slope)
+        centre += side * complex(math.cos(psi), math.sin(psi)) * on_level(forward, aside, tag_shape[TILT:], slope)
         psi += spin
         if not (length >= 0.0 and abs(centre - guess) < _FURTHEST * side and abs(psi - guess_psi) < _FURTHEST):
             return guess, guess_psi, 0.0, row
@@ -149,7 +149,7 @@ def _fit(  # type: ignore[no-untyped-def]
     _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
     model = (_MODEL * blur * cells / side_px) ** 2
     _covary(room.factor, variance / (level[3] * level[3]), model, side, psi, covariance)
-    covariance[5] += tilt_variance(slope, known_tilt)
+    covariance[5] += turn_variance(slope, spread)
     return centre, psi, alike, row
 
 

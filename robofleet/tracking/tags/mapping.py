@@ -20,22 +20,29 @@ def quadratic() -> NDArray[np.float64]:
 
 @image_kernel
 def map_pixels(  # type: ignore[no-untyped-def]
-    camera, line_time, side, height, tilt, to_quadratic, centre, psi, velocity, omega, nodes, bend, shape, window
+    camera, line_time, side, height, tag_shape, to_quadratic, centre, psi, velocity, omega, nodes, bend, shape, window
 ):
     """Fill ``shape`` (2, 6): forward and left [sides] as quadratics of a pixel from the window's origin; ``window``
     (6,): origin, first and last column, first and last row. Return the centre's row, and the side [px]; 0: no map.
 
-    tilt (2,): how far the print's forward, and its left, rise above the horizontal [rad].
+    tag_shape (8,): what the print is beyond a flat, level square of its side. Size, stretch and shear [shares]: forward
+    and left of a point are (1 + size + stretch) a + shear b and (1 + size - stretch) b + shear a [sides]; how far the
+    print's forward, and its left, rise above the horizontal [rad]; bows and twist [1/side]: a point lies higher than
+    the tilted plane by bow a^2 + bow b^2 + twist a b [sides]. The centre stays where it is.
     nodes (6, 9) and bend (2, 6) are overwritten.
     """
     turned = side * complex(math.cos(psi), math.sin(psi))
-    cos_a, sin_a, cos_b, sin_b = math.cos(tilt[0]), math.sin(tilt[0]), math.cos(tilt[1]), math.sin(tilt[1])
+    size, stretch, shear, tilt_a, tilt_b, bow_a, bow_b, twist = tag_shape
+    cos_a, sin_a, cos_b, sin_b = math.cos(tilt_a), math.sin(tilt_a), math.cos(tilt_b), math.sin(tilt_b)
     u, v, z, missed = nodes[0], nodes[1], nodes[2:4], nodes[4:6]
     _, row = project(camera, centre.real, centre.imag, height)
     for n in range(9):
         a, b = (n % 3 - 1) * _NODE, (n // 3 - 1) * _NODE
-        arm = turned * complex(a * cos_a - b * sin_a * sin_b, b * cos_b)
-        point, z_point = centre + arm, height + side * (a * sin_a + b * cos_a * sin_b)
+        up = bow_a * a * a + bow_b * b * b + twist * a * b
+        a, b = (1.0 + size + stretch) * a + shear * b, (1.0 + size - stretch) * b + shear * a
+        arm = turned * complex(a * cos_a - b * sin_a * sin_b - up * sin_a * cos_b, b * cos_b - up * sin_b)
+        point = centre + arm
+        z_point = height + side * (a * sin_a + b * cos_a * sin_b + up * cos_a * cos_b)
         for late in range(2 if line_time > 0.0 else 1):
             if late:
                 point += (velocity + 1j * omega * arm) * ((v[n] - row) * line_time)

@@ -23,6 +23,7 @@ from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.fit import fit_tags
 from robofleet.tracking.tags.mapping import quadratic
 from robofleet.tracking.tags.pixels import vertices
+from robofleet.tracking.tags.shape import Shapes
 from robofleet.tracking.tags.targets import Target
 
 _BLUR_PX = 0.9  # expected of a tag that was never fitted: a pixel, and a disc of defocus with a radius of 0.7 px
@@ -72,8 +73,7 @@ class PhotometricFit:
         self.heights = np.array([target.height for target in targets])
         self._prints = np.stack([vertices(pattern(target.tag, self.family)) for target in targets])
         self._blur, self._noise = np.full(len(targets), _BLUR_PX), np.zeros(len(targets))
-        self.tilts, self._studies = np.zeros((len(targets), 2)), np.zeros((len(targets), 2, 2))
-        self.studied = np.zeros(len(targets), np.int64)  # images from which each tilt was learnt
+        self.shapes = Shapes.unknown(len(targets))
         self._to_quadratic = quadratic()
         self.fit(
             np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, np.complex128), np.zeros(1)
@@ -93,7 +93,7 @@ class PhotometricFit:
         """Return the poses near the guesses ``centre``, ``psi`` (M,) of the targets ``index`` (M,).
 
         velocity (M,) [m/s; world] and omega (M,) [rad/s] are used under a rolling shutter alone. The cells ``hidden``
-        (C, C), row 0 at the print's top, do not count. The tilt of the target ``studied`` is learnt from this image.
+        (C, C), row 0 at the print's top, do not count. The shape of the target ``studied`` is learnt from this image.
         """
         m = len(index)
         if velocity is None or omega is None:
@@ -102,13 +102,9 @@ class PhotometricFit:
         fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
-            self._blur, self._noise, self.tilts, self._studies, self.studied, studied, *fit,
+            self._blur, self._noise, *self.shapes, studied, *fit,
         )  # fmt: skip
         return fit
-
-    def forget(self, target: int) -> None:
-        """Learn a target's tilt anew."""
-        self.tilts[target], self._studies[target], self.studied[target] = 0.0, 0.0, 0
 
     def blurred(self, image: NDArray[np.uint8], target: int, centre: complex, psi: float) -> Fit:
         """Return the pose of a target that is out of focus, or moves, in this image: nothing is learnt from it."""

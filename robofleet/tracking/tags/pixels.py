@@ -19,6 +19,7 @@ from robofleet.core.kernels import image_kernel
 
 REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 PARAMETERS = 8
+SHAPED = 6  # more coefficients, of a tag's own shape
 SLOTS, CHUNK = 16, 512  # numbers of a pixel; pixels that are computed at once
 MOST_ROWS = 150  # of pixels along a side that are looked at
 _FLAT = 1e-7  # a slope that is less is taken for this [sides/px]
@@ -40,17 +41,18 @@ def vertices(white: NDArray[np.bool_]) -> NDArray[np.float32]:
 @image_kernel
 def accumulate(  # type: ignore[no-untyped-def]
     image, shape, window, corners, cells, hidden, tally, side_px, blur, level, cut, stride, rows, flat, products, sums,
-    slope, tilted,
+    slope, shaped,
 ):  # fmt: skip
     """Add up the normal equations: ``products`` (9, 9) of the pixels' eight coefficients and what is left of their
     grey; and ``sums`` (6,) over all pixels: their number, the pattern, the grey, and the products of these two.
 
     level (4,): brightness, its slopes and the contrast so far; a grey that is off by more than ``cut`` does not count.
-    tilted (3, 12), where it is not empty: the products of three coefficients more, with the nine above and with each
-    other: of the size, and of the tilt forward and left of a tag seen under ``slope`` (``tag_map.sight_slope``).
+    shaped (6, 15), where it is not empty: the products of six coefficients more, with the nine above and with each
+    other: of size, stretch and shear, and of the bows of a tag seen under ``slope`` (``mapping.sight_slope``); see
+    ``shape.py``.
     rows (2, CHUNK) and flat (SLOTS * CHUNK,) are overwritten. Return whether the square is in the image.
     """
-    products[:], sums[:], tilted[:] = 0.0, 0.0, 0.0
+    products[:], sums[:], shaped[:] = 0.0, 0.0, 0.0
     height, width = image.shape
     top, left = int(window[1]), int(window[0])
     many_rows = (int(window[5]) - int(window[4])) // stride + 1
@@ -68,7 +70,7 @@ def accumulate(  # type: ignore[no-untyped-def]
         if full + many > CHUNK or n == many_rows:
             _add_up(
                 flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope,
-                tilted,
+                shaped,
             )  # fmt: skip
             full = np.int64(0)
         if many > 0:
@@ -93,7 +95,7 @@ def _bound(rows, many, begin, stride, shape, window):  # type: ignore[no-untyped
 
 @image_kernel
 def _add_up(  # type: ignore[no-untyped-def]
-    flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope, tilted
+    flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope, shaped
 ):
     """Add the pixels that were read."""
     many = min(-(-full // _LANES) * _LANES, CHUNK)
@@ -118,8 +120,8 @@ def _add_up(  # type: ignore[no-untyped-def]
         tally[cell, 1] += int(flat[k])
     _multiply(flat, many, products)
     _sum(flat, many, sums)
-    if len(tilted):
-        _multiply_tilted(flat, full, slope, tilted)
+    if len(shaped):
+        _multiply_shaped(flat, many, slope, shaped)
 
 
 # Of many pixels in a row, flat[slot * CHUNK + k]: the compiler makes vectors of loops over arrays that are one.
@@ -239,19 +241,20 @@ def _multiply_three(x, y, many, products):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _multiply_tilted(flat, many, slope, tilted):  # type: ignore[no-untyped-def]
-    """Add the products of three more. A point that lies higher appears further along the ``slope``."""
-    ahead, aside = np.float32(slope[0]), np.float32(slope[1])
-    more = np.empty(3, np.float32)
+def _multiply_shaped(flat, many, slope, shaped):  # type: ignore[no-untyped-def]
+    """Add the products of ``SHAPED`` more, which replace 9 to 14. A point that lies higher appears further along the
+    ``slope``."""
+    ahead, aside, three = np.float32(slope[0]), np.float32(slope[1]), 3 * CHUNK
     for k in range(many):
-        forward, left = flat[4 * CHUNK + k], flat[5 * CHUNK + k]
-        a, b, steep = flat[CHUNK + k], flat[2 * CHUNK + k], ahead * forward + aside * left
-        more[0], more[1], more[2] = a * forward + b * left, a * steep, b * steep
-        for n in range(3):
-            for i in range(PARAMETERS + 1):
-                tilted[n, i] += more[n] * flat[i * CHUNK + k]
-            for i in range(3):
-                tilted[n, PARAMETERS + 1 + i] += more[n] * more[i]
+        a, b, forward, left = flat[CHUNK + k], flat[2 * CHUNK + k], flat[4 * CHUNK + k], flat[5 * CHUNK + k]
+        steep = ahead * forward + aside * left
+        flat[9 * CHUNK + k], flat[10 * CHUNK + k] = a * forward + b * left, a * forward - b * left
+        flat[11 * CHUNK + k], flat[12 * CHUNK + k] = b * forward + a * left, a * a * steep
+        flat[13 * CHUNK + k], flat[14 * CHUNK + k] = b * b * steep, a * b * steep
+    for i in range(0, SHAPED, 3):
+        x = flat[(9 + i) * CHUNK : (9 + i) * CHUNK + three]
+        for j in range(0, PARAMETERS + 1 + SHAPED, 3):
+            _multiply_three(x, flat[j * CHUNK : j * CHUNK + three], many, shaped[i : i + 3, j : j + 3])
 
 
 @image_kernel

@@ -185,7 +185,7 @@ class TagTracker:
         """Return whose tilt is learnt from this image: of those that drive, in turn, at first often and then seldom."""
         drives = index[self._drives[index]]
         if self._images % _STUDIED_EVERY:
-            drives = drives[self._fit.studied[drives] < _OFTEN]
+            drives = drives[self._fit.shapes.counts[drives] < _OFTEN]
         if not len(drives):
             return NOBODY
         chosen = int(drives[np.argmin(self._wanted_tilts[drives])])
@@ -256,9 +256,9 @@ class TagTracker:
         i = tag.target
         if 0 < self._measured_ns[i] < exposure_ns - _GAP_NS:
             self._regained_ns[i] = exposure_ns
-            self._fit.studied[i] = min(int(self._fit.studied[i]), _OFTEN - 1)  # its tilt may be another
+            self._fit.shapes.counts[i] = min(int(self._fit.shapes.counts[i]), _OFTEN - 1)  # its tilt may be another
         if self._measured_ns[i] < exposure_ns - _SETTLED_NS:
-            self._fit.forget(i)
+            self._fit.shapes.forget(i)
         index, centre = np.array([tag.target]), np.array([tag.centre])
         rows = self._fit.pixels(index, centre)[:, 1]
         self._measure(
@@ -349,7 +349,7 @@ class TagTracker:
             self._doubt(i, exposure_ns)
         elif patient and not self._followed[i]:
             self._say(TrackerEvent.TAG_CARRIED if known else TrackerEvent.TAG_FOUND, i, distance, exposure_ns)
-            self._fit.forget(i)  # who carried it may have moved it on its robot
+            self._fit.shapes.forget(i)  # who carried it may have moved it on its robot
             return True
         elif known:
             self._refuse(TrackerEvent.TAG_JUMPED, tag, before, exposure_ns)
