@@ -23,7 +23,7 @@ from robofleet.tracking.tags.shape import TILT, turn_variance
 _PASSES = 10  # at most
 _COARSE = 12  # pixels along a side in the first pass, about; MOST_ROWS in the others
 _WIDER = 1.4  # blur of the first pass over the expected one: it catches guesses that are further off
-_CONVERGED_PX = 0.01  # a last step so short is the last: what it leaves is hundredths of it
+_CONVERGED_PX = 0.1  # a last step so short is the last: what it leaves is hundredths of it
 _NEAR = 0.015  # step after which the last map of pixels is good still [sides]
 _LONGEST_PX = 2.0  # step
 _FURTHEST = 0.2  # from the guess [sides, rad]
@@ -48,7 +48,7 @@ class _Room(NamedTuple):
     rows: Array  # (2, CHUNK), see pixels.py
     pixels: NDArray[np.float32]  # (SLOTS * CHUNK,)
     products: Array  # (9, 9)
-    sums: Array  # (7,)
+    sums: Array  # (6,)
     none: Array  # (0, 15)
     no_blocks: Array  # (0, 10, 10)
     factor: Array  # (8, 8), lower triangle: Cholesky's, of the normal equations
@@ -58,7 +58,7 @@ class _Room(NamedTuple):
     bend: Array  # (2, 6)
     shape: Array  # (2, 6)
     window: Array  # (6,)
-    used: Array  # (4,) blur of the newest fit [px]
+    used: Array  # (3,) blur of the newest fit [px]
 
 
 @image_kernel
@@ -75,9 +75,9 @@ def fit_tags(  # type: ignore[no-untyped-def]
     """
     n = PARAMETERS
     room = _Room(
-        np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((n + 1, n + 1)), np.empty(7),
+        np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((n + 1, n + 1)), np.empty(6),
         np.empty((0, n + 1 + SHAPED)), np.empty((0, BLOCKED, BLOCKED)), np.empty((n, n)), np.empty(n), np.empty(4),
-        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6), np.empty(4),
+        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6), np.empty(3),
     )  # fmt: skip
     for m in range(len(index)):
         i = index[m]
@@ -162,9 +162,8 @@ def _fit(  # type: ignore[no-untyped-def]
         wider = blur - expected + (solution[7] / level[3] if settled else 0.0)
         learn_blur(camera_blur, blur_known, share, wider, variance / (room.factor[7, 7] * level[3]) ** 2)
     room.used[0] = blur
-    room.used[1] = room.sums[6] / max(room.products[8, 8], 1.0)
-    room.used[2] = left / room.sums[0]
-    room.used[3] = variance / (1.0 + max(level[0] + 128.0, 0.0) / 128.0) / max(quietest[0], 0.1)
+    room.used[1] = left / room.sums[0]
+    room.used[2] = variance / (1.0 + max(level[0] + 128.0, 0.0) / 128.0) / max(quietest[0], 0.1)
     _covary(room.factor, variance / (level[3] * level[3]), doubt, side, psi, covariance)
     covariance[5] += turn_variance(slope, spread)
     return centre, psi, alike, row
@@ -266,7 +265,7 @@ def study_tag(  # type: ignore[no-untyped-def]
     which it is seen."""
     n = PARAMETERS + 1
     nodes, bend, shape, window = np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6)
-    sums, shaped, first = np.empty(7), np.empty((SHAPED, n + SHAPED)), np.empty((n, n))
+    sums, shaped, first = np.empty(6), np.empty((SHAPED, n + SHAPED)), np.empty((n, n))
     _, side_px = map_pixels(
         camera, line_time, side, height, tag_shape, to_quadratic, centre, psi, velocity, omega, nodes, bend, shape,
         window,

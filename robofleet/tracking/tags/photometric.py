@@ -32,8 +32,7 @@ from robofleet.tracking.tags.targets import Target
 _WIDE_PX = 2.2  # blur of a tag that is out of focus, or moves
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 MODE = 0
-_STRUCTURED = 0.2  # correlation of residuals two pixels apart
-_CUT_OFF = 0.985
+_CUT_OFF = 0.993
 _NOISY = 1.6
 _NONE = np.zeros((0, 0), np.bool_)
 NOBODY = -1  # as a target
@@ -106,14 +105,14 @@ class PhotometricFit:
         if velocity is None or omega is None:
             velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
         fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m), np.empty((m, 6)))
-        levels = np.empty((m, 8))
+        levels = np.empty((m, 7))
         fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
             wide_px, self.imaging.blur, self.imaging.known, self.imaging.tone, self.imaging.doubt, self.imaging.quietest, self._noise, self.shapes.values, self.shapes.spreads, levels, *fit,
         )  # fmt: skip
         self.levels = levels
-        structured = (levels[:, 5] > _STRUCTURED) | (levels[:, 6] < _CUT_OFF) | (levels[:, 7] > _NOISY)
+        structured = (levels[:, 5] < _CUT_OFF) | (levels[:, 6] > _NOISY)
         for row in np.flatnonzero((fit.alike > 0.6) & structured).tolist():
             self._again(image, fit, row, int(index[row]), complex(velocity[row]), float(omega[row]), levels[row], hidden)
         for row in np.flatnonzero(index == studied).tolist():
@@ -151,7 +150,7 @@ class PhotometricFit:
         fit.covariance[row] = C[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
 
     def _study(self, image, fit, row, i, velocity, omega, level):
-        if fit.alike[row] < STUDIED_FROM or level[5] > _STRUCTURED or level[6] < _CUT_OFF or level[7] > _NOISY:
+        if self.imaging.known[0, 0] < 1e4 or fit.alike[row] < STUDIED_FROM or level[5] < _CUT_OFF or level[6] > _NOISY:
             return
         contrast = level[3]
         products = np.empty((PARAMETERS + 1 + SHAPED,) * 2)

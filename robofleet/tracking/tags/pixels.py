@@ -20,7 +20,6 @@ from robofleet.core.kernels import image_kernel
 REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 PARAMETERS = 8
 BLOCKS, BLOCKED = 5, 10  # along a tag's square, in which brightness may differ; coefficients of which products are added there
-LAG = 2  # pixels between those whose residuals are compared
 SHAPED = 6  # more coefficients, of a tag's own shape
 SLOTS, CHUNK = 18, 512  # numbers of a pixel; pixels that are computed at once
 MOST_ROWS = 150  # of pixels along a side that are looked at
@@ -301,10 +300,6 @@ def _multiply_in_blocks(flat, many, blocks):  # type: ignore[no-untyped-def]
 
 @image_kernel
 def _sum(flat, many, sums):  # type: ignore[no-untyped-def]
-    late = np.float32(0.0)
-    for k in range(many - LAG):
-        late += flat[8 * CHUNK + k] * flat[8 * CHUNK + k + LAG]
-    sums[6] += late
     n = x = y = xx = xy = yy = np.float32(0.0)
     for k in range(many):
         counts, look, grey = flat[15 * CHUNK + k], flat[9 * CHUNK + k], flat[14 * CHUNK + k]
