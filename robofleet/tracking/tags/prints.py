@@ -35,7 +35,7 @@ class _Measure(NamedTuple):
 
 
 class PrintMonitor:
-    """Says what is off about each target's print: once, and again where that changes, or is known twice as well."""
+    """Says what is off about each target's print: once, and again where that changes, or is known better by a third."""
 
     def __init__(self, shapes: Shapes, targets: Sequence[Target], camera_height_m: float) -> None:
         self._shapes, self._targets, self._camera_height_m = shapes, targets, camera_height_m
@@ -71,4 +71,4 @@ class PrintMonitor:
 
 def _is_news(measure: _Measure, before: _Measure) -> bool:
     changed = abs(measure.value - before.value) > max(_OTHERWISE * abs(before.value), 3.0 * measure.sigma)
-    return changed or measure.sigma < 0.5 * before.sigma
+    return changed or measure.sigma < 0.7 * before.sigma
