@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
-from tests.tracking.peers import CANDIDATES, UNTIMED, PeerTag, Setting
+from tests.tracking.peers import CANDIDATES, UNTIMED, Setting
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter
 from tools.measure.program import program
+from tools.measure.tracking.score import Score, rms
 
 SIDE, HEIGHT = 0.07, 0.08
 SIZE = (1920, 1080)
 FOCAL = 1245.0  # 36 px for a tag in the middle [px]
 PERIOD = 1.0 / 30.0
-WRONG = 0.005  # [m]
 BOUND = "Cramer-Rao bound"
 LEAD_IN = 10  # images before the cable falls or the light goes out
 
@@ -81,37 +81,6 @@ class Frame(NamedTuple):
     counts: bool
 
 
-class Score:
-    def __init__(self) -> None:
-        self.errors: list[tuple[float, float, float]] = []  # x, y [mm; world], psi [deg]
-        self.tags = self.wrong = 0
-
-    def add(self, prints: Sequence[Print], sightings: Sequence[PeerTag]) -> None:
-        """Compare one image's sightings with the truth, each at its own instant."""
-        by_tag = {tag.tag: tag for tag in prints}
-        self.tags += len(by_tag)
-        for seen in sightings:
-            tag = by_tag.pop(seen.tag, None)  # a second one of the same finds none
-            x, y, psi = along(tag.pose, tag.twist, seen.after_ns * 1e-9) if tag else (math.inf,) * 3
-            if math.hypot(seen.x - x, seen.y - y) < WRONG:
-                turned = math.degrees(math.remainder(seen.psi - psi, math.tau))
-                self.errors.append((float(seen.x - x) * 1e3, float(seen.y - y) * 1e3, turned))
-            else:
-                self.wrong += 1
-
-    def row(self) -> dict[str, float]:
-        if not self.errors:
-            return {"measured": 0.0, "wrong": self.wrong}
-        x, y, heading = np.array(self.errors).T
-        position = np.hypot(x, y)
-        return {
-            "rms_mm": _rms(position), "max_mm": float(position.max()),
-            "rms_deg": _rms(heading), "max_deg": float(np.abs(heading).max()),
-            "mean_mm": math.hypot(x.mean(), y.mean()),
-            "measured": len(self.errors) / self.tags, "wrong": self.wrong,
-        }  # fmt: skip
-
-
 def camera(scene: Scene, defocus: float) -> RayCamera:
     """Return the camera: 2.5 m up, tilted by 2 degrees, an exposure of 4 ms."""
     T = np.eye(4)
@@ -150,7 +119,7 @@ def evaluate(scene: Scene, names: Sequence[str], frames: Sequence[int]) -> dict[
     rows = {name: score.row() for name, score in scores.items()}
     if bounds:
         position, heading = np.array(bounds).T
-        rows[BOUND] = {"rms_mm": _rms(position), "rms_deg": _rms(heading)}
+        rows[BOUND] = {"rms_mm": rms(position), "rms_deg": rms(heading)}
     return rows
 
 
@@ -204,10 +173,6 @@ def _least(caster: RayCaster, tag: Print, level: float, noise: float) -> tuple[f
     scale = np.linalg.norm(J, axis=0)  # of metres and greys, to keep the inverse sound
     covariance = np.linalg.inv((J / scale).T @ (J / scale)) / np.outer(scale, scale)
     return math.sqrt(covariance[0, 0] + covariance[1, 1]) * 1e3, math.degrees(math.sqrt(covariance[2, 2]))
-
-
-def _rms(values: Array) -> float:
-    return math.sqrt((values**2).mean())
 
 
 def main() -> None:

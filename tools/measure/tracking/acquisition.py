@@ -27,8 +27,9 @@ from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting
 from tests.tracking.raycast import BLACK, SQUARES, WHITE, Cable, Print, RayCaster, clutter
 from tools.measure.program import program
-from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, WRONG, camera, cell_wide
+from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, camera, cell_wide
 from tools.measure.tracking.accuracy import Scene as Quality
+from tools.measure.tracking.score import WRONG
 
 IMAGES = 10  # a trial
 TAGS = 8

@@ -30,6 +30,7 @@ from tools.measure.program import program
 from tools.measure.tracking.accuracy import HEIGHT, SIDE, cell_wide
 from tools.measure.tracking.accuracy import Scene as Quality
 from tools.measure.tracking.accuracy import camera as full_camera
+from tools.measure.tracking.score import rms, squared
 
 
 class Scene(NamedTuple):
@@ -126,15 +127,13 @@ def certainty(scene: Scene, poses: int) -> dict[str, float]:
     alike = np.concatenate([image.fit.alike for image in images])
     matches = alike > FAMILIES[scene.family].alike
     error, spread = error[matches], spread[matches]
-    xx, xy, yy = spread[:, :3].T
-    x, y = error[:, :2].T
-    squared = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
-    position = np.hypot(x, y) * 1e3
+    by_xy, by_psi = squared(error, spread)
+    position = np.hypot(*error[:, :2].T) * 1e3
     return {
-        "rms_mm": math.sqrt((position**2).mean()), "max_mm": float(position.max()),
-        "said_mm": 1e3 * math.sqrt((xx + yy).mean()),
-        "chi2_xy": float(squared.mean()) / 2.0, "chi2_psi": float((error[:, 2] ** 2 / spread[:, 5]).mean()),
-        "worst_sigma": math.sqrt(float(squared.max())), "poses": len(error), "alike": float(matches.mean()),
+        "rms_mm": rms(position), "max_mm": float(position.max()),
+        "said_mm": 1e3 * math.sqrt((spread[:, 0] + spread[:, 2]).mean()),
+        "chi2_xy": float(by_xy.mean()) / 2.0, "chi2_psi": float(by_psi.mean()),
+        "worst_sigma": math.sqrt(float(by_xy.max())), "poses": len(error), "alike": float(matches.mean()),
     }  # fmt: skip
 
 
