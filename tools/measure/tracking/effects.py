@@ -36,7 +36,8 @@ from tools.measure.tracking.score import Score, squared
 
 PEER = "pyapriltags, decimate 1"
 LIGHT = 0.7
-WARM_UP, LEARNING = 20, 600  # images that do not count; where a print has to be learnt: 20 s
+WARM_UP, LEARNING = 20, 600  # images that do not count; where a print has to be learnt: 20 s,
+_LEARNT = 6  # by so many tags at most
 _ANCHORS = np.stack(np.meshgrid(np.linspace(-1.3, 1.3, 5), np.linspace(-0.75, 0.75, 4)), axis=-1).reshape(20, 2)
 
 
@@ -52,8 +53,9 @@ class Scene(NamedTuple):
     higher: float = 0.0  # than the tracker is told [m]
 
     @property
-    def warm_up(self) -> int:
-        return LEARNING if any(self.stretch) or self.bow or self.higher else WARM_UP
+    def learnt(self) -> bool:
+        """Whether the prints are not what the tracker is told."""
+        return any(self.stretch) or self.bow != 0.0 or self.higher != 0.0
 
 
 class Effect(NamedTuple):
@@ -118,6 +120,7 @@ class Take(NamedTuple):
 
 def take(scene: Scene, side_px: float, tags: int, poses: int, seed: int = 1) -> Take:
     """Return a drive of so many tags, at most 20, with so many poses that count."""
+    tags, warm_up = (min(tags, _LEARNT), LEARNING) if scene.learnt else (tags, WARM_UP)
     rng = np.random.default_rng(seed)
     eye = full_camera(Quality(0.0), 0.0)
     K = eye.K * [[side_px / 36.0, 1, 1], [1, side_px / 36.0, 1], [1, 1, 1]]
@@ -131,11 +134,11 @@ def take(scene: Scene, side_px: float, tags: int, poses: int, seed: int = 1) -> 
     setting = Setting(geometry, SIZE, [Target(tag, SIDE, HEIGHT, 0.3) for tag in ids], 0.0)
     shadow = Shadow(scene.shadow) if scene.shadow else None
     caster = RayCaster(eye, clutter(SIZE, rng, scene.lens), rng, shadow)
-    return Take(setting, _frames(scene, caster, ids, scene.warm_up + math.ceil(poses / tags), rng))
+    return Take(setting, _frames(scene, caster, ids, warm_up, math.ceil(poses / tags), rng))
 
 
 def _frames(
-    scene: Scene, caster: RayCaster, ids: Sequence[int], images: int, rng: np.random.Generator
+    scene: Scene, caster: RayCaster, ids: Sequence[int], warm_up: int, images: int, rng: np.random.Generator
 ) -> Iterator[Frame]:
     """Yield what the lens shows of tags that swing around their anchors, which no two can share."""
     n = len(ids)
@@ -145,7 +148,7 @@ def _frames(
         heading = np.round(heading / (math.pi / 2.0)) * (math.pi / 2.0)
     poses = list(map(tuple, np.column_stack([anchors, heading]).tolist()))
     beat, phase = rng.uniform(3.0, 6.0, (2, n)), rng.uniform(0.0, math.tau, (2, n))  # [rad/s], [rad]
-    for k in range(images):
+    for k in range(-warm_up, images):
         swing = np.sin(beat * k * PERIOD + phase)
         speeds = np.column_stack([0.14 * swing[0], 0.14 * swing[1], np.zeros(n)] if scene.along_rows
                                  else [0.2 * swing[0], np.zeros(n), 2.0 * swing[1]])  # fmt: skip
@@ -155,7 +158,7 @@ def _frames(
             for tag, pose, twist in zip(ids, poses, twists, strict=True)
         )
         light = caster.light(prints) * np.float32(LIGHT)
-        yield Frame(light, prints, round((1.0 + k * PERIOD) * 1e9), k >= scene.warm_up)
+        yield Frame(light, prints, round((100.0 + k * PERIOD) * 1e9), k >= 0)
         poses = [tuple(map(float, along(pose, twist, PERIOD))) for pose, twist in zip(poses, twists, strict=True)]
 
 
