@@ -93,7 +93,7 @@ def test_paper_and_print_lie_where_opencv_projects_them(fisheye: bool) -> None:
         assert np.abs(centroid(dark) - sum(part * middle for part, middle in parts) / area).max() < 4e-3
 
 
-def flat(defocus: float = 0.8, **settings: float) -> RayCamera:
+def flat(defocus: float = 0.8, lens_sigma_px: float = 0.0, **settings: float) -> RayCamera:
     """A camera a metre above the floor that sees a millimetre a pixel: u = 1000 x, v = 240 - 1000 y."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 1.0
@@ -103,6 +103,7 @@ def flat(defocus: float = 0.8, **settings: float) -> RayCamera:
         np.zeros(0),
         T,
         **settings,
+        lens_sigma_px=lens_sigma_px,
         defocus=defocus,
     )
 
@@ -137,7 +138,7 @@ def test_edge_is_spread_by_gaussian_and_pixel(sigma: float, phase: float, degree
     angle, right = math.radians(degrees), 200.0 + phase  # of the sheet's edge, where it crosses the row 240 [px]
     c, s = math.cos(angle), math.sin(angle)
     pose = (right / 1e3 - 0.05 * c, -0.05 * s, angle)
-    cover = paper(flat(0.0, lens_sigma_px=sigma), pose)
+    cover = paper(flat(0.0, sigma), pose)
     v, u = np.mgrid[220:261, 180:221].astype(np.float64)
     across = c * (u - right) - s * (v - 240.0)  # from the edge, outwards [px]
     square = (np.arange(32) + 0.5) / 32 - 0.5
