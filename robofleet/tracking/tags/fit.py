@@ -15,27 +15,28 @@ from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
+from robofleet.tracking.tags.imaging import KNOWN, NARROWEST, WIDEST, corner_share, learn_blur
 from robofleet.tracking.tags.mapping import map_pixels, on_level, shift_map, sight_slope
 from robofleet.tracking.tags.pixels import CHUNK, MOST_ROWS, PARAMETERS, SHAPED, SLOTS, accumulate, likeness
-from robofleet.tracking.tags.shape import STUDIED_FROM, TILT, study, turn_variance
+from robofleet.tracking.tags.shape import TILT, turn_variance
 
 _PASSES = 10  # at most
 _COARSE = 12  # pixels along a side in the first pass, about; MOST_ROWS in the others
 _WIDER = 1.4  # blur of the first pass over the expected one: it catches guesses that are further off
-_CONVERGED_PX = 0.1  # a last step so short is the last: what it leaves is hundredths of it
+_CONVERGED_PX = 0.01  # a last step so short is the last: what it leaves is hundredths of it
 _NEAR = 0.015  # step after which the last map of pixels is good still [sides]
 _LONGEST_PX = 2.0  # step
 _FURTHEST = 0.2  # from the guess [sides, rad]
 _CUT, _KNOWN_CUT = 2.0, 4.0  # standard deviations of the noise beyond which a pixel shows something else
 _TRUNCATED = 0.88  # standard deviation of a normal distribution that is cut off at _CUT
 _MISFIT, _KNOWN_MISFIT = 0.2, 0.1  # of the contrast that a pixel may miss by itself, before and after the blur is known
-_MODEL = 0.035  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
+_MODEL = 0.0  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
 _MODEL_TURNS = 0.65  # of that, in a heading: it moves edges alike all over the print, and so turns it less
 _COVERED = 0.3  # share of a cell's pixels that show something else: then none of them counts
 _PARTLY = 0.98  # share of a tag's pixels that count: with fewer, something covers it
 _EVERYTHING = 1e9  # no cut [grey levels]
 _LEAST_NOISE = 0.5  # [grey levels]
-_NARROWEST, _WIDEST = 0.6, 3.0  # blur [px]
+_BLUR_STEP_PX, _BLUR_CONVERGED_PX = 0.6, 0.05  # of a blur that is not known, from pass to pass
 _LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
 _GAIN = 0.2  # of what is learnt about blur and noise
 
@@ -47,7 +48,6 @@ class _Room(NamedTuple):
     pixels: NDArray[np.float32]  # (SLOTS * CHUNK,)
     products: Array  # (9, 9)
     sums: Array  # (6,)
-    shaped: Array  # (6, 15)
     none: Array  # (0, 15)
     factor: Array  # (8, 8), lower triangle: Cholesky's, of the normal equations
     solution: Array  # (8,)
@@ -56,12 +56,14 @@ class _Room(NamedTuple):
     bend: Array  # (2, 6)
     shape: Array  # (2, 6)
     window: Array  # (6,)
+    used: Array  # (1,) blur of the newest fit [px]
 
 
 @image_kernel
 def fit_tags(  # type: ignore[no-untyped-def]
     image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
-    blurs, noises, shapes, known, spreads, counts, studied, fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
+    wide, camera_blur, blur_known, tone, noises, shapes, spreads, levels,
+    fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
 ):  # fmt: skip
     """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
 
@@ -72,30 +74,27 @@ def fit_tags(  # type: ignore[no-untyped-def]
     n = PARAMETERS
     room = _Room(
         np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((n + 1, n + 1)), np.empty(6),
-        np.empty((SHAPED, n + 1 + SHAPED)), np.empty((0, n + 1 + SHAPED)), np.empty((n, n)), np.empty(n), np.empty(4),
-        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6),
+        np.empty((0, n + 1 + SHAPED)), np.empty((n, n)), np.empty(n), np.empty(4),
+        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6), np.empty(1),
     )  # fmt: skip
     for m in range(len(index)):
         i = index[m]
         fit_centre[m], fit_psi[m], fit_alike[m], fit_row[m] = _fit(
             image, camera, line_time, sides[i], heights[i], prints[i], cells, hidden, to_quadratic, centre[m], psi[m],
-            velocity[m], omega[m], blurs, noises, shapes[i], spreads[i], i, room, fit_covariance[m],
+            velocity[m], omega[m], wide, camera_blur, blur_known, tone[0], noises, shapes[i], spreads[i], i, room,
+            fit_covariance[m],
         )  # fmt: skip
-        if i == studied and fit_alike[m] > STUDIED_FROM:
-            study(
-                image, camera, line_time, sides[i], heights[i], prints[i], cells, to_quadratic, fit_centre[m],
-                fit_psi[m], velocity[m], omega[m], blurs[i], noises[i], shapes[i], known[i], spreads[i],
-                counts[i : i + 1], room,
-            )  # fmt: skip
+        levels[m, :4], levels[m, 4] = room.level, room.used[0]
 
 
 @image_kernel
 def _fit(  # type: ignore[no-untyped-def]
     image, camera, line_time, side, height, corners, cells, hidden, to_quadratic, guess, guess_psi, velocity, omega,
-    blurs, noises, tag_shape, spread, i, room, covariance,
+    wide, camera_blur, blur_known, tone, noises, tag_shape, spread, i, room, covariance,
 ):  # fmt: skip
     """Return centre, heading, likeness and row of one tag."""
-    centre, psi, blur, noise, row = guess, guess_psi, blurs[i], noises[i], 0.0
+    centre, psi, blur, noise, row = guess, guess_psi, wide, noises[i], 0.0
+    share, settled = 0.0, wide > 0.0 or blur_known[0, 0] > KNOWN
     level, solution = room.level, room.solution
     level[:], covariance[:] = 0.0, 0.0
     known, cut = noise > 0.0, _EVERYTHING
@@ -110,7 +109,10 @@ def _fit(  # type: ignore[no-untyped-def]
                 room.bend, room.shape, room.window,
             )  # fmt: skip
             slope = sight_slope(camera, side, height, centre, room.shape, room.window)
-        inside = _look(image, corners, cells, hidden, tally, side_px, blur, cut, step == 0, room)
+            if step == 0 and wide == 0.0:
+                share = corner_share(image, room.nodes[0, 4], room.nodes[1, 4])
+                blur = min(max(camera_blur[0] + share * camera_blur[1], NARROWEST), WIDEST)
+        inside = _look(image, corners, cells, hidden, tally, side_px, blur, tone, cut, step == 0, room)
         left, seen = room.products[0, 0], room.sums[0]
         if not inside or left < 3 * PARAMETERS:
             return guess, guess_psi, 0.0, row
@@ -127,10 +129,13 @@ def _fit(  # type: ignore[no-untyped-def]
             cut = max(_KNOWN_CUT * noise, misfit * level[3]) if known else _EVERYTHING
             continue
         variance = squares / (left - PARAMETERS)
+        if not settled and length < 0.5:
+            wider = min(max(solution[7] / level[3], -_BLUR_STEP_PX), _BLUR_STEP_PX)
+            blur = min(max(blur + wider, NARROWEST), WIDEST)
         if not by_cells:  # a tag is known by all of it that may be seen
             alike = likeness(room.sums)
         steady, before = left > _PARTLY * seen or abs(left - before) < 0.01 * left, left
-        done = length < _CONVERGED_PX and steady
+        done = length < _CONVERGED_PX and steady and (settled or abs(solution[7]) < _BLUR_CONVERGED_PX * level[3])
         if step == 1 and known and left < _LEARNT_FROM * seen:
             known, misfit, cut = False, _MISFIT, _EVERYTHING  # a bad guess, or partly covered: see what it is
         elif not known:  # cut more and more off, until that is no more than of a normal distribution
@@ -145,8 +150,13 @@ def _fit(  # type: ignore[no-untyped-def]
             break
         elif done:
             tally, by_cells = np.zeros((cells * cells, 2), np.int64), True
-    sure = min(alike, left / room.sums[0]) > _LEARNT_FROM and not by_cells
-    _learn(blurs, noises, i, solution[7] / level[3], math.sqrt(variance), sure)
+    if min(alike, left / room.sums[0]) > _LEARNT_FROM and not by_cells and wide == 0.0:
+        noise = max(math.sqrt(variance), _LEAST_NOISE)
+        noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
+        expected = camera_blur[0] + share * camera_blur[1]
+        wider = blur - expected + (solution[7] / level[3] if settled else 0.0)
+        learn_blur(camera_blur, blur_known, share, wider, variance / (room.factor[7, 7] * level[3]) ** 2)
+    room.used[0] = blur
     model = (_MODEL * blur * cells / side_px) ** 2
     _covary(room.factor, variance / (level[3] * level[3]), model, side, psi, covariance)
     covariance[5] += turn_variance(slope, spread)
@@ -154,12 +164,12 @@ def _fit(  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _look(image, corners, cells, hidden, tally, side_px, blur, cut, coarse, room):  # type: ignore[no-untyped-def]
+def _look(image, corners, cells, hidden, tally, side_px, blur, tone, cut, coarse, room):  # type: ignore[no-untyped-def]
     """Fill the equations of one pass; return whether the tag is whole in the image."""
     stride = max(1, round(side_px / _COARSE)) if coarse else 1 + int(side_px / MOST_ROWS)
     return side_px > 0.0 and accumulate(
         image, room.shape, room.window, corners, cells, hidden, tally, side_px, _WIDER * blur if coarse else blur,
-        room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none,
+        tone, room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none,
     )  # fmt: skip
 
 
@@ -173,16 +183,6 @@ def _step(side_px, contrast, solution):  # type: ignore[no-untyped-def]
     length = side_px * math.hypot(forward, left)
     shorter = min(1.0, _LONGEST_PX / max(length, 1e-9))
     return shorter * forward, shorter * left, shorter * spin, max(length, 0.5 * side_px * abs(spin))
-
-
-@image_kernel
-def _learn(blurs, noises, i, wider, noise, sure):  # type: ignore[no-untyped-def]
-    """Follow a target's blur [px] and noise [grey levels], where it is ``sure`` that nothing else was seen."""
-    if not sure:
-        return
-    noise = max(noise, _LEAST_NOISE)
-    noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
-    blurs[i] = min(max(blurs[i] + _GAIN * min(max(wider, -0.5), 0.5), _NARROWEST), _WIDEST)
 
 
 @image_kernel
@@ -249,4 +249,34 @@ def _covary(factor, noise, model, side, psi, covariance):  # type: ignore[no-unt
     covariance[5] = (noise + _MODEL_TURNS * _MODEL_TURNS * model) * products[2, 2]
 
 
-KERNELS: tuple[Any, ...] = (fit_tags,)  # that are called from Python
+@image_kernel
+def study_tag(  # type: ignore[no-untyped-def]
+    image, camera, line_time, side, height, corners, cells, to_quadratic, centre, psi, velocity, omega, tag_shape, blur,
+    tone, level, cut, products,
+):  # fmt: skip
+    """Fill the products (15, 15) of the coefficients of pose, light and blur, of what is left of the grey, and of the
+    shape's coefficients, of a tag where it was fitted. Return the share of pixels that count, and the slope under
+    which it is seen."""
+    n = PARAMETERS + 1
+    nodes, bend, shape, window = np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6)
+    sums, shaped, first = np.empty(6), np.empty((SHAPED, n + SHAPED)), np.empty((n, n))
+    _, side_px = map_pixels(
+        camera, line_time, side, height, tag_shape, to_quadratic, centre, psi, velocity, omega, nodes, bend, shape,
+        window,
+    )  # fmt: skip
+    slope = sight_slope(camera, side, height, centre, shape, window)
+    inside = accumulate(
+        image, shape, window, corners, cells, np.zeros(0, np.bool_), np.zeros((0, 2), np.int64), side_px, blur, tone,
+        level, cut, 1 + int(side_px / MOST_ROWS), np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), first, sums,
+        slope, shaped,
+    )  # fmt: skip
+    for i in range(n):
+        for j in range(i + 1):
+            products[i, j] = products[j, i] = first[i, j]
+    for i in range(SHAPED):
+        for j in range(n + i + 1):
+            products[n + i, j] = products[j, n + i] = shaped[i, j]
+    return first[0, 0] / sums[0] if inside else 0.0, slope
+
+
+KERNELS: tuple[Any, ...] = (fit_tags, study_tag)  # that are called from Python

@@ -20,14 +20,14 @@ from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.offset import Covariance
 from robofleet.tracking.tags.families import pattern
-from robofleet.tracking.tags.fit import fit_tags
+from robofleet.tracking.tags.fit import fit_tags, study_tag
+from robofleet.tracking.tags.imaging import Imaging
 from robofleet.tracking.tags.mapping import quadratic
-from robofleet.tracking.tags.pixels import vertices
-from robofleet.tracking.tags.shape import Shapes
+from robofleet.tracking.tags.pixels import PARAMETERS, SHAPED, neighbourhoods
+from robofleet.tracking.tags.shape import STUDIED, STUDIED_FROM, Shapes, cut, explained
 from robofleet.tracking.tags.targets import Target
 
-_BLUR_PX = 0.9  # expected of a tag that was never fitted: a pixel, and a disc of defocus with a radius of 0.7 px
-_WIDE_PX = 2.2  # of one that is out of focus, or moves
+_WIDE_PX = 2.2  # blur of a tag that is out of focus, or moves
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 _NONE = np.zeros((0, 0), np.bool_)
 NOBODY = -1  # as a target
@@ -71,8 +71,8 @@ class PhotometricFit:
         self.family = targets[0].family
         self._wholes = np.array([target.whole for target in targets])
         self.heights = np.array([target.height for target in targets])
-        self._prints = np.stack([vertices(pattern(target.tag, self.family)) for target in targets])
-        self._blur, self._noise = np.full(len(targets), _BLUR_PX), np.zeros(len(targets))
+        self._prints = np.stack([neighbourhoods(pattern(target.tag, self.family)) for target in targets])
+        self.imaging, self._noise = Imaging.unknown(), np.zeros(len(targets))
         self.shapes = Shapes.unknown(len(targets))
         self._to_quadratic = quadratic()
         self.fit(
@@ -89,6 +89,7 @@ class PhotometricFit:
         omega: Array | None = None,
         hidden: NDArray[np.bool_] = _NONE,
         studied: int = NOBODY,
+        wide_px: float = 0.0,
     ) -> Fit:
         """Return the poses near the guesses ``centre``, ``psi`` (M,) of the targets ``index`` (M,).
 
@@ -99,20 +100,46 @@ class PhotometricFit:
         if velocity is None or omega is None:
             velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
         fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m), np.empty((m, 6)))
+        levels = np.empty((m, 5))
         fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
-            self._blur, self._noise, *self.shapes, studied, *fit,
+            wide_px, *self.imaging, self._noise, self.shapes.values, self.shapes.spreads, levels, *fit,
         )  # fmt: skip
+        for row in np.flatnonzero(index == studied).tolist():
+            self._study(image, fit, row, studied, complex(velocity[row]), float(omega[row]), levels[row])
         return fit
+
+    def _study(self, image, fit, row, i, velocity, omega, level):
+        if fit.alike[row] < STUDIED_FROM:
+            return
+        contrast = level[3]
+        products = np.empty((PARAMETERS + 1 + SHAPED,) * 2)
+        counts, slope = study_tag(
+            image, self.geometry.flat, self._line_time, self._wholes[i], self.heights[i], self._prints[i],
+            FAMILIES[self.family].cells, self._to_quadratic, fit.centre[row], fit.psi[row], velocity, omega,
+            self.shapes.values[i], level[4], self.imaging.tone[0], level[:4], cut(self.shapes.counts[i]) * contrast,
+            products,
+        )  # fmt: skip
+        if counts < STUDIED:
+            return
+        n = PARAMETERS
+        products[n] /= contrast
+        products[:, n] /= contrast
+        left = explained(products)
+        variance = max(left[-1, -1] / (products[0, 0] - n), (self._noise[i] / contrast) ** 2)
+        self.shapes.learn(i, left, np.array(slope), variance)
 
     def blurred(self, image: NDArray[np.uint8], target: int, centre: complex, psi: float) -> Fit:
         """Return the pose of a target that is out of focus, or moves, in this image: nothing is learnt from it."""
-        known = self._blur[target], self._noise[target]
-        self._blur[target], self._noise[target] = _WIDE_PX, 0.0
-        fit = self.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
-        self._blur[target], self._noise[target] = known
+        known = self._noise[target]
+        self._noise[target] = 0.0
+        fit = self.fit(image, np.array([target]), np.array([centre]), np.array([psi]), wide_px=_WIDE_PX)
+        self._noise[target] = known
         return fit
+
+    def report(self):
+        i=self.imaging; return f'blur {i.blur[0]:.3f}+{i.blur[1]:.3f} tone {i.tone[0]:.3f} noise {np.median(self._noise):.1f}'
 
     def pixels(self, index: Indices, centre: Complex) -> Array:
         """Return where points (M,) on the targets' planes appear (M, 2) [px]."""

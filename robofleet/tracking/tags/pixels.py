@@ -20,28 +20,27 @@ from robofleet.core.kernels import image_kernel
 REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 PARAMETERS = 8
 SHAPED = 6  # more coefficients, of a tag's own shape
-SLOTS, CHUNK = 16, 512  # numbers of a pixel; pixels that are computed at once
+SLOTS, CHUNK = 18, 512  # numbers of a pixel; pixels that are computed at once
 MOST_ROWS = 150  # of pixels along a side that are looked at
 _FLAT = 1e-7  # a slope that is less is taken for this [sides/px]
 _LANES = 16  # of the processor, at most: chunks are filled up to a multiple of it
 
 
-def vertices(white: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return a code ((C + 3)^2,) for each corner of a print's cells (C, C), and of one row of corners around it.
+def neighbourhoods(white: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return a code ((C + 4)^2,) for each cell of a print (C, C), and of two rings of paper around it.
 
-    Of the four cells around a corner, black -1 and white 0: the upper left one, what is more to the right, below, and
-    in the diagonal beyond these two. Each, plus 2, is an octal digit; the first one is the lowest.
+    It has a bit for each of the nine cells around the cell, row by row from the upper left one, 1 where it is black.
     """
-    cells = np.pad(white.astype(np.int32) - 1, 2)
-    a, b, c, d = cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]
-    four = np.stack([a, b - a, c - a, d - c - b + a], axis=-1).reshape(-1, 4) + 2
-    return np.asarray(four @ 8 ** np.arange(4), np.float32)
+    black = np.pad(~white, 3).astype(np.int32)
+    n = len(white) + 4
+    bits = [black[i : i + n, j : j + n] << (3 * i + j) for i in range(3) for j in range(3)]
+    return np.asarray(np.sum(bits, axis=0), np.float32).ravel()
 
 
 @image_kernel
 def accumulate(  # type: ignore[no-untyped-def]
-    image, shape, window, corners, cells, hidden, tally, side_px, blur, level, cut, stride, rows, flat, products, sums,
-    slope, shaped,
+    image, shape, window, corners, cells, hidden, tally, side_px, blur, tone, level, cut, stride, rows, flat, products,
+    sums, slope, shaped,
 ):  # fmt: skip
     """Add up the normal equations: ``products`` (9, 9) of the pixels' eight coefficients and what is left of their
     grey; and ``sums`` (6,) over all pixels: their number, the pattern, the grey, and the products of these two.
@@ -69,8 +68,8 @@ def accumulate(  # type: ignore[no-untyped-def]
             return False
         if full + many > CHUNK or n == many_rows:
             _add_up(
-                flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope,
-                shaped,
+                flat, full, shape, corners, cells, hidden, tally, side_px, blur, tone, level, cut, products, sums,
+                slope, shaped,
             )  # fmt: skip
             full = np.int64(0)
         if many > 0:
@@ -95,7 +94,8 @@ def _bound(rows, many, begin, stride, shape, window):  # type: ignore[no-untyped
 
 @image_kernel
 def _add_up(  # type: ignore[no-untyped-def]
-    flat, full, shape, corners, cells, hidden, tally, side_px, blur, level, cut, products, sums, slope, shaped
+    flat, full, shape, corners, cells, hidden, tally, side_px, blur, tone, level, cut, products, sums, slope,
+    shaped,
 ):
     """Add the pixels that were read."""
     many = min(-(-full // _LANES) * _LANES, CHUNK)
@@ -106,16 +106,13 @@ def _add_up(  # type: ignore[no-untyped-def]
     _place(flat, many, shape, cells, side_px / (cells * blur))
     if len(hidden):
         for k in range(full):
-            if hidden[_cell(flat[CHUNK + k], flat[2 * CHUNK + k], cells)]:
+            if hidden[_cell(flat[16 * CHUNK + k], flat[17 * CHUNK + k], cells)]:
                 flat[15 * CHUNK + k] = np.float32(0.0)
-    if len(tally):
-        for k in range(full):
-            flat[10 * CHUNK + k] = np.float32(_cell(flat[CHUNK + k], flat[2 * CHUNK + k], cells))
     for k in range(many):
         flat[9 * CHUNK + k] = corners[np.uint32(flat[9 * CHUNK + k])]
-    _compare(flat, many, side_px / blur, 1.0 / blur, level, cut)
+    _compare(flat, many, side_px / blur, 1.0 / blur, side_px / (cells * blur), level, tone, cut)
     for k in range(full if len(tally) else 0):
-        cell = int(flat[10 * CHUNK + k])
+        cell = _cell(flat[16 * CHUNK + k], flat[17 * CHUNK + k], cells)
         tally[cell, 0] += 1
         tally[cell, 1] += int(flat[k])
     _multiply(flat, many, products)
@@ -143,33 +140,38 @@ def _read(flat, many, first, stride, y, line):  # type: ignore[no-untyped-def]
 
 @image_kernel
 def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
-    """Write 1: forward, 2: left [sides]; 3, 4: past the nearest corner of cells to the right and down [blurs], 5, 6:
-    how steep an edge in that corner is there, 7, 8: how much of it is passed; 9: that corner's number."""
-    half, unit, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
-    three, sixth, outer = np.float32(3.0), np.float32(1.0 / 6.0), np.float32(1.5)
+    """Write 16: forward, 17: left [sides]; 3, 4: how much of the blur lies beyond the cell's left and right edge, 5, 6:
+    how steep it is there, 7, 8, 10, 11: the same up and down; 12, 13: how far from the left and the upper edge [blurs];
+    9: the cell's number."""
+    half, zero, three = np.float32(0.5), np.float32(0.0), np.float32(3.0)
+    sixth, outer = np.float32(1.0 / 6.0), np.float32(1.5)
     a0, ax, ay = np.float32(shape[0, 0]), np.float32(shape[0, 1]), np.float32(shape[0, 2])
     axx, axy, ayy = np.float32(shape[0, 3]), np.float32(shape[0, 4]), np.float32(shape[0, 5])
     b0, bx, by = np.float32(shape[1, 0]), np.float32(shape[1, 1]), np.float32(shape[1, 2])
     bxx, bxy, byy = np.float32(shape[1, 3]), np.float32(shape[1, 4]), np.float32(shape[1, 5])
-    across, middle, wide, per = np.float32(cells), np.float32(0.5 * cells + 1.0), np.float32(cells + 3), np.float32(per)
-    last = np.int32(cells + 2)  # a map may be wild where no tag can be: its pixels are compared with the outermost row
+    across, middle, wide, per = np.float32(cells), np.float32(0.5 * cells + 2.0), np.float32(cells + 4), np.float32(per)
+    last = np.int32(cells + 3)  # a map may be wild where no tag can be: its pixels are compared with the outermost row
     for k in range(many):
         x, y = flat[k], flat[CHUNK + k]
         a = a0 + x * (ax + x * axx + y * axy) + y * (ay + y * ayy)
         b = b0 + x * (bx + x * bxx + y * bxy) + y * (by + y * byy)
         right, down = middle + across * a, middle - across * b
-        i, j = np.float32(_within(right + half, last)), np.float32(_within(down + half, last))
+        i, j = np.float32(_within(right, last)), np.float32(_within(down, last))
         s, t = (right - i) * per, (down - j) * per
-        flat[CHUNK + k], flat[2 * CHUNK + k], flat[3 * CHUNK + k], flat[4 * CHUNK + k] = a, b, s, t
-        p, q = max(outer - abs(s), zero), max(half - abs(s), zero)
-        beyond = sixth * (p * p * p - three * q * q * q)
-        flat[5 * CHUNK + k] = half * (p * p - three * q * q)
-        flat[7 * CHUNK + k] = unit - beyond if s > zero else beyond
-        p, q = max(outer - abs(t), zero), max(half - abs(t), zero)
-        beyond = sixth * (p * p * p - three * q * q * q)
-        flat[6 * CHUNK + k] = half * (p * p - three * q * q)
-        flat[8 * CHUNK + k] = unit - beyond if t > zero else beyond
+        flat[16 * CHUNK + k], flat[17 * CHUNK + k], flat[12 * CHUNK + k], flat[13 * CHUNK + k] = a, b, s, t
         flat[9 * CHUNK + k] = j * wide + i
+        p, q = max(outer - s, zero), max(half - s, zero)
+        flat[3 * CHUNK + k] = sixth * (p * p * p - three * q * q * q)
+        flat[5 * CHUNK + k] = half * (p * p - three * q * q)
+        p, q = max(outer - per + s, zero), max(half - per + s, zero)
+        flat[4 * CHUNK + k] = sixth * (p * p * p - three * q * q * q)
+        flat[6 * CHUNK + k] = half * (p * p - three * q * q)
+        p, q = max(outer - t, zero), max(half - t, zero)
+        flat[7 * CHUNK + k] = sixth * (p * p * p - three * q * q * q)
+        flat[10 * CHUNK + k] = half * (p * p - three * q * q)
+        p, q = max(outer - per + t, zero), max(half - per + t, zero)
+        flat[8 * CHUNK + k] = sixth * (p * p * p - three * q * q * q)
+        flat[11 * CHUNK + k] = half * (p * p - three * q * q)
 
 
 @image_kernel
@@ -187,32 +189,52 @@ def _cell(forward, left, cells):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _compare(flat, many, by_shift, by_blur, level, cut):  # type: ignore[no-untyped-def]
+def _compare(flat, many, by_shift, by_blur, per, level, tone, cut):  # type: ignore[no-untyped-def]
     """Write 0 to 7: what the grey is linear in, 8: what of it is left; 9, 14: pattern and grey of what counts."""
-    zero, two, eight, eighth = np.float32(0.0), np.float32(2.0), np.float32(8.0), np.float32(0.125)
-    by_shift, by_blur, cut = np.float32(by_shift), np.float32(by_blur), np.float32(cut)
+    zero, one, four = np.float32(0.0), np.float32(1.0), np.float32(4.0)
+    by_shift, by_blur, per, cut = np.float32(by_shift), np.float32(by_blur), np.float32(per), np.float32(cut)
     bright, ahead = np.float32(level[0]), np.float32(level[1])
     aside, contrast = np.float32(level[2]), np.float32(level[3])
+    share = np.float32(min(max(level[3] / max(level[0] + 128.0, 1.0), 0.0), 1.0))
+    tone = np.float32(tone)
     for k in range(many):
-        a, b, s, t = flat[CHUNK + k], flat[2 * CHUNK + k], flat[3 * CHUNK + k], flat[4 * CHUNK + k]
-        steep_s, steep_t = flat[5 * CHUNK + k], flat[6 * CHUNK + k]
-        past_s, past_t = flat[7 * CHUNK + k], flat[8 * CHUNK + k]
-        grey, counts, four = flat[14 * CHUNK + k], flat[15 * CHUNK + k], flat[9 * CHUNK + k]
-        three = np.float32(np.int32(eighth * four))
-        higher = np.float32(np.int32(eighth * three))
-        highest = np.float32(np.int32(eighth * higher))
-        here, right = four - eight * three - two, three - eight * higher - two
-        below, beyond = higher - eight * highest - two, highest - two
-        by_s, by_t = (right + beyond * past_t) * steep_s, (below + beyond * past_s) * steep_t
-        look = here + right * past_s + (below + beyond * past_s) * past_t
-        rest = grey - (bright + ahead * a + aside * b + contrast * look)
+        past_l, past_r = flat[3 * CHUNK + k], flat[4 * CHUNK + k]
+        steep_l, steep_r = flat[5 * CHUNK + k], flat[6 * CHUNK + k]
+        past_u, past_d = flat[7 * CHUNK + k], flat[8 * CHUNK + k]
+        steep_u, steep_d = flat[10 * CHUNK + k], flat[11 * CHUNK + k]
+        s, t = flat[12 * CHUNK + k], flat[13 * CHUNK + k]
+        a, b = flat[16 * CHUNK + k], flat[17 * CHUNK + k]
+        grey, counts, code = flat[14 * CHUNK + k], flat[15 * CHUNK + k], np.int32(flat[9 * CHUNK + k])
+        wide_l, wide_r = s * steep_l, (per - s) * steep_r
+        n = np.float32(code >> 1 & 1)
+        l, r = np.float32(code & 1) - n, np.float32(code >> 2 & 1) - n
+        up, up_s, up_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
+        n = np.float32(code >> 4 & 1)
+        l, r = np.float32(code >> 3 & 1) - n, np.float32(code >> 5 & 1) - n
+        here, by_s, by_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
+        n = np.float32(code >> 7 & 1)
+        l, r = np.float32(code >> 6 & 1) - n, np.float32(code >> 8 & 1) - n
+        low, low_s, low_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
+        up, up_s, up_w, low, low_s, low_w = up - here, up_s - by_s, up_w - by_w, low - here, low_s - by_s, low_w - by_w
+        look = -(here + past_u * up + past_d * low)
+        by_s = by_s + past_u * up_s + past_d * low_s
+        by_t = steep_d * low - steep_u * up
+        by_w = by_w + past_u * up_w + past_d * low_w + t * steep_u * up + (per - t) * steep_d * low
+        curve = four * look * (one + look)  # of the response: none in black and white
+        steeper = tone * four * (one + look + look) - one
+        look = look - tone * curve
+        shade = one + share * look
+        a_lit, b_lit = a * shade, b * shade
+        rest = grey - (bright + ahead * a_lit + aside * b_lit + contrast * look)
         weight = counts if abs(rest) <= cut else zero
-        forward, left = weight * by_shift * by_s, -weight * by_shift * by_t
-        flat[k], flat[CHUNK + k], flat[2 * CHUNK + k] = weight, weight * a, weight * b
+        by = weight * steeper
+        forward, left = by * by_shift * by_s, -by * by_shift * by_t
+        flat[k], flat[CHUNK + k], flat[2 * CHUNK + k] = weight, weight * a_lit, weight * b_lit
         flat[3 * CHUNK + k], flat[4 * CHUNK + k], flat[5 * CHUNK + k] = weight * look, forward, left
         flat[6 * CHUNK + k] = a * left - b * forward
-        flat[7 * CHUNK + k], flat[8 * CHUNK + k] = -weight * by_blur * (s * by_s + t * by_t), weight * rest
+        flat[7 * CHUNK + k], flat[8 * CHUNK + k] = by * by_blur * by_w, weight * rest
         flat[9 * CHUNK + k], flat[14 * CHUNK + k] = counts * look, counts * grey
+        flat[10 * CHUNK + k] = -weight * curve
 
 
 @image_kernel
@@ -246,7 +268,7 @@ def _multiply_shaped(flat, many, slope, shaped):  # type: ignore[no-untyped-def]
     ``slope``."""
     ahead, aside, three = np.float32(slope[0]), np.float32(slope[1]), 3 * CHUNK
     for k in range(many):
-        a, b, forward, left = flat[CHUNK + k], flat[2 * CHUNK + k], flat[4 * CHUNK + k], flat[5 * CHUNK + k]
+        a, b, forward, left = flat[16 * CHUNK + k], flat[17 * CHUNK + k], flat[4 * CHUNK + k], flat[5 * CHUNK + k]
         steep = ahead * forward + aside * left
         flat[9 * CHUNK + k], flat[10 * CHUNK + k] = a * forward + b * left, a * forward - b * left
         flat[11 * CHUNK + k], flat[12 * CHUNK + k] = b * forward + a * left, a * a * steep
