@@ -127,7 +127,7 @@ class PhotometricFit:
         products[n] /= contrast
         products[:, n] /= contrast
         left = explained(products)
-        variance = max(left[-1, -1] / (products[0, 0] - n), (self._noise[i] / contrast) ** 2)
+        variance = max(left[0, 0] / (products[0, 0] - n), (self._noise[i] / contrast) ** 2)
         self.shapes.learn(i, left, np.array(slope), variance)
 
     def blurred(self, image: NDArray[np.uint8], target: int, centre: complex, psi: float) -> Fit:

@@ -40,7 +40,8 @@ _SEARCHES = 8  # hidden tags an image, at most: a flash that hides all at once m
 _DEEP_SEARCHES = 1  # of these, whose regions are searched deeply
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
-_OFTEN, _STUDIED_EVERY = 10, 8  # images from which each shape is learnt at first; then one of so many, or of as many
+_OFTEN = 10  # images from which each shape is learnt at first, one an image
+_SELDOM, _TURNS = 2, 16  # then from one of so many; and each from one of so many, if there is time for all
 _REGION_MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
 
@@ -190,7 +191,7 @@ class TagTracker:
     def _studied(self, index: Indices) -> int:
         """Return whose shape is learnt from this image: of those that drive, in turn, at first often, then seldom."""
         drives = index[self._drives[index]]
-        if self._images % max(1, _STUDIED_EVERY // max(1, len(drives))):
+        if self._images % max(_SELDOM, _TURNS // max(1, len(drives))):
             drives = drives[self._fit.shapes.counts[drives] < _OFTEN]
         if not len(drives):
             return NOBODY

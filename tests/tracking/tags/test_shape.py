@@ -44,7 +44,7 @@ def learnt(higher: float = 0.0, **of_print: Any) -> Learnt:
     for k in range(IMAGES):
         (x, y), psi = rng.uniform([0.95, -0.3], [1.65, 0.3]).tolist(), 2.4 * k
         image = caster.image([Print(7, SIDE, HEIGHT + higher, (x, y, psi), **of_print)], 0.7, 2.0)
-        seen = np.array([complex(x, y)]) * (1.0 + higher / (CAMERA_HEIGHT - HEIGHT - higher))
+        seen = np.array([complex(x, y) * (1.0 + higher / (CAMERA_HEIGHT - HEIGHT - higher))])
         found = fit.fit(image, np.zeros(1, np.int64), seen, np.array([psi]), studied=0)
         off.append(math.degrees(found.psi[0] - psi))
     return Learnt(fit.shapes, math.sqrt(np.square(off[-15:]).mean()))
@@ -67,11 +67,11 @@ def test_a_stretched_print_is_not_taken_for_a_tilt(stretch: tuple[float, float])
 
 
 def test_tilt_stretch_and_bow_are_told_apart() -> None:
-    found = learnt(tilt=(0.05, -0.03), stretch=(0.005, 0.0), bow=(0.0, 0.001))
+    found = learnt(tilt=(0.05, -0.03), stretch=(0.005, 0.0), bow=-0.001)
     values = found.shapes.values[0]
     assert values[TILT : TILT + 2] == pytest.approx([0.05, -0.03], abs=0.003)
     assert values[STRETCH] == pytest.approx(0.0025, rel=0.1)
-    assert SIDE * values[BOW : BOW + 2] / 4.0 == pytest.approx([0.0, 0.001], abs=1e-4)
+    assert SIDE * values[BOW : BOW + 2] / 4.0 == pytest.approx([0.001, 0.0], abs=1e-4)
     assert found.late_deg < 0.03
     assert found.named()[TrackerEvent.TAG_BOWED] == pytest.approx(0.001, rel=0.1)
 

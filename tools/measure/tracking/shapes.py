@@ -12,6 +12,7 @@ tag of the configured height would appear; what is named, the mean over the tags
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -42,9 +43,9 @@ CASES: dict[str, dict[str, Any]] = {
     "stretched 0.3 %": {"stretch": (0.003, 0.0)},
     "stretched 0.5 %": {"stretch": (0.005, 0.0)},
     "stretched 1 %": {"stretch": (0.0, 0.01)},
-    "bowed 1 mm": {"bow": (0.001, 0.0)},
+    "bowed 1 mm": {"bow": -0.001},
     "tilted 5 degrees": {"tilt": (math.radians(3.0), math.radians(-4.0))},
-    "all three": {"stretch": (0.005, 0.0), "bow": (0.0, 0.001), "tilt": (math.radians(2.0), 0.0)},
+    "all three": {"stretch": (0.005, 0.0), "bow": 0.001, "tilt": (math.radians(2.0), 0.0)},
 }
 HIGHER_M = (0.0, 0.001, -0.002, 0.005)
 
@@ -143,7 +144,7 @@ def main() -> None:
         )
     T = eye.T_world_camera.copy()
     T[0, 3] += BESIDE
-    other = RayCamera(eye.size, eye.K, eye.distortion, T, False, eye.exposure, 0.0, eye.defocus)
+    other = replace(eye, T_world_camera=T)
     for higher in HIGHER_M:
         title = f"{1e3 * higher:+g} mm higher"
         if arguments.cases in title:
