@@ -65,7 +65,8 @@ class PrintMonitor:
         yield _Measure(TrackerEvent.TAG_BOWED, over * most, over * max(sigma[BOW:]), _BOWED_M, _BOWED_M)
         away = self._camera_height_m - target.height
         higher = away * (1.0 - 1.0 / (1.0 + shape[SIZE]))
-        limit = away * (target.side_tolerance / target.side + abs(stretch))  # who stretched it may have made it larger
+        larger = abs(stretch) if abs(stretch) > _STRETCHED else 0.0  # what stretched it may have made it larger, too
+        limit = away * (target.side_tolerance / target.side + larger)
         yield _Measure(TrackerEvent.TAG_SIZE, higher, away * sigma[SIZE], _HIGHER_M, limit)
 
 

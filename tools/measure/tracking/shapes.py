@@ -135,8 +135,8 @@ def main() -> None:
             continue
         found = drive(images, [eye], **of_print)
         half, psi = found.error[images // 2 :], np.degrees(found.error[..., 2])
-        chi = (half[..., 2] ** 2 / found.variance[images // 2 :, :, 2]).mean()
-        place = 1e3 * math.sqrt((half[..., :2] ** 2).sum(-1).mean())
+        chi = np.nanmean(half[..., 2] ** 2 / found.variance[images // 2 :, :, 2])
+        place = 1e3 * _rms(np.hypot(half[..., 0], half[..., 1]))
         print(f"{title:<18}{_rms(psi[:10]):>10.4f}{_rms(psi[images // 2 :]):>8.4f}{chi:>10.2f}{place:>8.4f}  ", end="")
         prints = (TrackerEvent.PRINT_STRETCHED, TrackerEvent.TAG_BOWED)
         print(
@@ -159,7 +159,7 @@ def main() -> None:
 
 
 def _rms(values: Array) -> float:
-    return math.sqrt((values**2).mean())
+    return math.sqrt(np.nanmean(values**2))
 
 
 if __name__ == "__main__":
