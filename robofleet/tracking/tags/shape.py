@@ -5,7 +5,7 @@ first five is an affine map, of which the pose takes the turn: three numbers, si
 same in every image. A tilt's share depends on the slope under which the tag is seen, and that turns with the robot: so
 driving tells the two apart. Before, what was expected (``_SIGMA``) shares what is seen, and the spread says how well.
 
-The size is also that of a tag that is nearer to the camera: see ``higher``.
+The size is also that of a tag that is nearer to the camera: see ``prints.py``.
 """
 
 import math
@@ -24,7 +24,7 @@ _NUMBERS = 8
 _SIGMA = np.array([0.01, 0.002, 0.001, math.radians(1.0), math.radians(1.0), 0.03, 0.03, 0.02])  # expected
 _MOST = np.array([0.05, 0.03, 0.03, math.radians(10.0), math.radians(10.0), 0.3, 0.3, 0.3])
 _EXPECTED = 1.0 / _SIGMA**2
-STUDIED_FROM, STUDIED = 0.8, 0.95  # least likeness, and share of pixels that count, to learn a shape
+STUDIED_FROM, STUDIED = 0.8, 0.98  # least likeness, and share of pixels that count, to learn a shape
 _CUT, _KNOWN_CUT = 0.8, 0.3  # [contrasts] beyond which a pixel shows something else, before and after it is known
 _KNOWN_FROM = 10  # images
 _DOUBT = 2.0  # variance of what is learnt over that of white noise: lens and pattern are not exact
