@@ -24,7 +24,7 @@ from robofleet.tracking.filter.joined import Seen
 from robofleet.tracking.filter.parallax import Parallax
 
 _WORST_M = 0.0005  # standard deviation with which a height is kept
-_SIZE_SIGMA_M = 0.0002  # of a height by a tag's size, by its noise: see ``tracking/tags/prints.py``
+_SIZE_SIGMA_M = 0.0003  # of a height by a tag's size: noise, and what the model of blur misses at corners
 _KNOWN_M = 0.01  # standard deviation of a height, from which on it is not known at all
 
 

@@ -7,7 +7,7 @@ second, on ray-cast frames; the tracker is the whole one. Columns: the headings'
 second half [deg]; the mean of their squared errors there by their variances; the position's rms there [mm], of where a
 tag of the configured height would appear; what is named, the mean over the tags, and after how long the last one was
 [s]. Higher tags: how much higher by the size of exact sides, the mean and the largest error [mm]; with a second camera,
-1.5 m beside, the same by parallax.
+0.6 m beside, the same by parallax.
 """
 
 import math
@@ -36,7 +36,7 @@ from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, Scene, camera
 TAGS = (7, 30, 211, 400)
 MIDDLES = np.array([[-0.75, -0.3], [0.75, 0.3], [-0.8, 0.3], [0.85, -0.3]])
 TURNS = np.array([0.3, -0.35, 0.4, -0.4])  # [rad/s]
-SPEED, BESIDE = 0.12, 1.5  # [m/s], [m]
+SPEED, BESIDE = 0.12, 0.6  # [m/s], [m]
 LIGHT, NOISE = 0.7, 3.5
 CASES: dict[str, dict[str, Any]] = {
     "flat and level": {},
@@ -150,7 +150,8 @@ def main() -> None:
         if arguments.cases in title:
             found = drive(3 * images // 2, [eye, other], higher)
             size = np.array([v for (kind, _), (v, _) in found.named.items() if kind is TrackerEvent.TAG_SIZE])
-            parallax = found.parallax.heights().higher
+            heights = found.parallax.heights()
+            parallax = heights.higher[heights.noise < 1.0]
             shown = [
                 f"by {by} {1e3 * m.mean():+.3f} mm, at most {1e3 * np.abs(m - higher).max():.3f} off ({len(m)} tags)"
                 for by, m in (("size", size), ("parallax", parallax))
