@@ -80,3 +80,19 @@ def test_a_tag_that_is_higher_is_named_beyond_the_tolerance_of_its_side() -> Non
     found = learnt(higher=0.003)
     assert found.named()[TrackerEvent.TAG_SIZE] == pytest.approx(0.003, abs=6e-4)
     assert TrackerEvent.TAG_SIZE not in found.named(side_tolerance=2e-4)
+
+
+def test_what_is_off_is_named_once_and_again_where_it_changes_or_is_learnt_anew() -> None:
+    shapes = Shapes.unknown(1)
+    monitor = PrintMonitor(shapes, [Target(7, SIDE, HEIGHT, 0.3)], CAMERA_HEIGHT)
+    shapes.values[0, STRETCH] = 0.004
+    assert not list(monitor.news(0)), "it is not certain yet"
+    shapes.spreads[0] *= 1e-4
+    assert dict(monitor.news(0)) == {TrackerEvent.PRINT_STRETCHED: pytest.approx(0.008)}
+    assert not list(monitor.news(0))
+    shapes.values[0, STRETCH] = -0.002
+    assert dict(monitor.news(0)) == {TrackerEvent.PRINT_STRETCHED: pytest.approx(-0.004)}
+    monitor.forget(0)
+    assert len(list(monitor.news(0))) == 1
+    shapes.forget(0)
+    assert not list(monitor.news(0))
