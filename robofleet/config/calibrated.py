@@ -62,6 +62,8 @@ class RobotCalibration(Model):
     """Id of the robot that was measured."""
     tag_offset: TagOffset = TagOffset()
     """Pose of the tag on the robot."""
+    tag_height_m: Height | None = None
+    """Height of the tag above the floor; null: the robot's, or ``tracker.tag_height_m``."""
     wheel_radius_m: Length | None = None
     """Radius of a wheel; null: the vehicle's."""
     wheel_base_m: Length | None = None

@@ -6,7 +6,20 @@ from pydantic import Field
 
 from robofleet.config.calibrated import CameraModel, FloorTag, Pixel, TagOffset
 from robofleet.core.patterns import OVERHEAD
-from robofleet.core.settings import MANY, Delay, Gray, Instant, Lasting, Model, Name, Named, Pixels, Text, within
+from robofleet.core.settings import (
+    MANY,
+    Delay,
+    Gray,
+    Height,
+    Instant,
+    Lasting,
+    Model,
+    Name,
+    Named,
+    Pixels,
+    Text,
+    within,
+)
 
 Turn = Annotated[float, Field(ge=-30, le=30)]  # about x right, y down or z forward
 Gain = Annotated[float, within(-(2**31), 2**31 - 1)]
@@ -92,6 +105,8 @@ class TrueTagOffset(TagOffset):
 
     robot: Name
     """Id of the robot."""
+    height_m: Height | None = None
+    """True height of the tag above the floor; null: as configured."""
 
 
 class Daylight(Model):

@@ -43,6 +43,12 @@ def delay_ns(config: Config, robot: Robot) -> int:
     return round(_first(measured, config.controller.command_delay_s) * S)
 
 
+def tag_height_m(config: Config, robot: Robot) -> float:
+    """Return how high above the floor a robot's tag lies [m]: as measured, as the robot says, or as all robots' do."""
+    measured = None if robot.calibration is None else robot.calibration.tag_height_m
+    return _first(measured, _first(robot.tag_height_m, config.tracker.tag_height_m))
+
+
 def vehicle_drive(vehicle: Vehicle) -> DifferentialDrive:
     """Return what is known of a kind of robot, whatever was measured of one: what a simulated one is made by."""
     return DifferentialDrive(

@@ -106,6 +106,9 @@ class TrackerSettings(Model):
     tag_side_m: Length
     """Side of the black square of a robot's tag; of Standard41h12, of the white square in the black one: 5 of the
     print's 9 cells."""
+    tag_side_tolerance_m: Annotated[float, within(0, 0.01)] = 5e-5
+    """By how much the side of a robot's tag may be wrong: 0.05 mm, if measured with a caliper. A tag that appears
+    larger or smaller by more than that is named: it may lie higher or lower than configured."""
     tag_height_m: Height
     """Height of the robots' tags above the floor."""
     floor_tags: Annotated[tuple[FloorTag, ...], Field(max_length=TAGS, strict=False)] = ()

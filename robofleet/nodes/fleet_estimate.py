@@ -11,10 +11,11 @@ from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, FleetPoses, Tracke
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, TickGrid
 from robofleet.nodes import fleet
-from robofleet.tracking.events import NO_TAG, TrackerEvent
-from robofleet.tracking.filter.agreement import Agreement, Verdict
+from robofleet.tracking.events import Notice, TrackerEvent
+from robofleet.tracking.filter.agreement import Agreement
 from robofleet.tracking.filter.estimator import COLUMNS, ages, measurements, rows_of
 from robofleet.tracking.filter.joined import Joined, Seen
+from robofleet.tracking.filter.parallax import Parallax
 from robofleet.tracking.tags.targets import floor_tags_in_view
 
 Array = NDArray[np.float64]
@@ -62,7 +63,8 @@ class FleetEstimate:
         self.taken = [(0, 0)] * len(self._images)  # epoch and seq of the newest poses of each camera
         self.exposure_ns = 0  # of the newest image used [tracker's clock]
         self._joined = Joined(self._filter, self._believed)
-        self._agreement = _agreement(self._config) if len(self._images) > 1 else None
+        self._parallax = Parallax.of(self._config)
+        self._agreement = _agreement(self._config, self._parallax) if len(self._images) > 1 else None
 
     @property
     def named(self) -> bytes:
@@ -117,7 +119,10 @@ class FleetEstimate:
         """Return whether an image's camera is believed, and say where that changes."""
         assert self._agreement is not None
         if (verdict := self._agreement.look(seen, expected)) is not None:
-            self._say(verdict)
+            event = TrackerEvent.CAMERA_AGREES if verdict.believed else TrackerEvent.CAMERA_DISAGREES
+            self._say(verdict.camera, Notice(event, value=verdict.apart))
+        for row, higher in self._parallax.news():
+            self._say(seen.camera, Notice(TrackerEvent.TAG_HEIGHT, self._config.members[row].tag, higher))
         return bool(self._agreement.believed[seen.camera])
 
     def _next(
@@ -145,11 +150,9 @@ class FleetEstimate:
             poses = np.ascontiguousarray(seen.poses[self._members :, :3])
             self._bystanders.observe(seen.instants_ns[self._members :], poses)
 
-    def _say(self, verdict: Verdict) -> None:
+    def _say(self, camera: int, notice: Notice) -> None:
         self._seq += 1
-        event = TrackerEvent.CAMERA_AGREES if verdict.believed else TrackerEvent.CAMERA_DISAGREES
-        news = TrackerNews(self._epoch, self._seq, self._clock.now_ns(), event, NO_TAG, verdict.apart)
-        self._news[verdict.camera](TRACKER_NEWS.encode(news))
+        self._news[camera](TRACKER_NEWS.encode(TrackerNews(self._epoch, self._seq, self._clock.now_ns(), *notice)))
 
 
 def _exposure(message: FleetPoses, grid: TickGrid) -> int:
@@ -157,8 +160,8 @@ def _exposure(message: FleetPoses, grid: TickGrid) -> int:
     return grid.instant(message.echo_tick) + message.since_tick_ns
 
 
-def _agreement(config: Config) -> Agreement:
+def _agreement(config: Config, parallax: Parallax) -> Agreement:
     """Return what judges the cameras, by the robots that they can see."""
     real = np.array([robot.reality == "real" for robot in config.members])
     fixed = np.array([bool(floor_tags_in_view(view)) for view in config.views])
-    return Agreement(real, config.controller.filter.position_noise_m, fixed)
+    return Agreement(real, config.controller.filter.position_noise_m, fixed, parallax)

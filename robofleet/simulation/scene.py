@@ -12,7 +12,7 @@ from robofleet.config.camera import Cover, Knock, Outage, SimulatedCameraSetting
 from robofleet.config.tree import Config
 from robofleet.simulation.camera import Print, SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
-from robofleet.tracking.tags.targets import floor_targets, robot_targets
+from robofleet.tracking.tags.targets import Target, floor_targets, robot_targets
 
 _SLOW_STEPS = 20  # in which a slow knock is done
 _LIGHT_STEP = 0.02  # by which daylight changes, at least
@@ -25,7 +25,7 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
     return SceneRenderer(
         CameraGeometry.from_model(camera.model),
         (camera.width, camera.height),
-        robot_targets(config),
+        true_targets(config),
         camera.noise_gray,
         rng,
         exposure_s=camera.exposure_s,
@@ -44,6 +44,15 @@ def true_offsets(config: Config) -> list[TagOffset]:
     """Return where the tags, or bodies, of the robots that are seen sit: as simulated, else as measured."""
     true = {offset.robot: offset for offset in config.camera.simulated.tag_offsets}
     return [true.get(robot.id, robot.tag_offset) for robot in config.seen]
+
+
+def true_targets(config: Config) -> list[Target]:
+    """Return the robots' tags, at the heights where they lie as simulated."""
+    heights = {offset.robot: offset.height_m for offset in config.camera.simulated.tag_offsets}
+    return [
+        target if (height := heights.get(robot.id)) is None else target._replace(height=height)
+        for robot, target in zip(config.seen, robot_targets(config), strict=True)
+    ]
 
 
 def light_at(settings: SimulatedCameraSettings, t: float) -> float:

@@ -18,6 +18,9 @@ class TrackerEvent(IntEnum):
     TAG_JUMPED = 4  # further than its robot can drive: distance [m]
     TAG_MISTAKEN = 5  # another id stands where this one was expected: the other id
     TAG_CARRIED = 6  # a jump that stayed, of a kidnapped robot: believed at last; distance [m]
+    PRINT_STRETCHED = 7  # its forward over its left, beyond a square [share]; what the heading is, allows for it
+    TAG_BOWED = 8  # its ends over its middle [m]; its pose allows for it
+    TAG_SIZE = 9  # it appears larger: so much higher than configured it lies, if its side is right [m]
     CAMERA_STALLED = 10  # no image: seconds
     CAMERA_FROZEN = 11  # the same picture again: how many times
     CAMERA_UNPLUGGED = 12  # 0
@@ -37,6 +40,7 @@ class TrackerEvent(IntEnum):
     POSES_BACK = 33  # poses again: seconds without
     BODY_LOST = 34  # the motion capture does not track it: seconds
     BODY_FOUND = 35  # seconds since it was tracked last
+    TAG_HEIGHT = 36  # by two cameras: so much higher than configured it lies [m]
 
 
 class Notice(NamedTuple):
@@ -60,6 +64,10 @@ _SENTENCES = {
     TrackerEvent.TAG_JUMPED: "tag {tag} seen {value:.2f} m from where it can be: refused",
     TrackerEvent.TAG_MISTAKEN: "tag {value:.0f} stands where tag {tag} should be: refused",
     TrackerEvent.TAG_CARRIED: "tag {tag} was carried {value:.2f} m",
+    TrackerEvent.PRINT_STRETCHED: "tag {tag}: its print is {value:+.2%} longer forward than to its left; allowed for",
+    TrackerEvent.TAG_BOWED: "tag {tag} is bowed, its ends {value:+.4f} m above its middle; allowed for",
+    TrackerEvent.TAG_SIZE: "tag {tag} appears as if it lay {value:+.4f} m higher than configured: measure its height "
+    "and its side",
     TrackerEvent.CAMERA_STALLED: "camera stalled: no image for {value:.2f} s",
     TrackerEvent.CAMERA_FROZEN: "camera frozen: the same picture, or an old or impossible stamp, {value:.0f} times",
     TrackerEvent.CAMERA_UNPLUGGED: "camera unplugged",
@@ -80,6 +88,7 @@ _SENTENCES = {
     TrackerEvent.POSES_BACK: "poses again after {value:.2f} s",
     TrackerEvent.BODY_LOST: "body {tag} is not tracked for {value:.2f} s",
     TrackerEvent.BODY_FOUND: "body {tag} is tracked again after {value:.2f} s",
+    TrackerEvent.TAG_HEIGHT: "tag {tag} lies {value:+.4f} m higher than configured: correct its tag_height_m",
 }
 
 _CAMERA = "camera "

@@ -15,6 +15,7 @@ import pyapriltags
 from numpy.typing import NDArray
 
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.offset import UNKNOWN, Covariance
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagTracker
 
@@ -35,6 +36,7 @@ class PeerTag(NamedTuple):
     y: float
     psi: float  # [rad; CCW +]
     after_ns: int = 0  # the tag's instant, minus the image's
+    covariance: Covariance = UNKNOWN
 
 
 Candidate = Callable[[Image, int], list[PeerTag]]  # image, exposure_ns
@@ -55,7 +57,7 @@ def robofleet(setting: Setting) -> Candidate:
 
     def see(image: Image, exposure_ns: int) -> list[PeerTag]:
         poses = tracker.track(image, exposure_ns).poses
-        return [PeerTag(s.tag, s.x, s.y, s.psi, s.after_ns) for s in poses if s.coasted_ns == 0]
+        return [PeerTag(s.tag, s.x, s.y, s.psi, s.after_ns, s.covariance) for s in poses if s.coasted_ns == 0]
 
     return see
 

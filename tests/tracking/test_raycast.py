@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.tracking.raycamera import RayCamera
-from tests.tracking.raycast import BLACK, WHITE, Cable, Print, RayCaster, along, instant
+from tests.tracking.raycast import BLACK, WHITE, Cable, Patch, Print, RayCaster, Shadow, along, instant
 
 Array = NDArray[np.float64]
 
@@ -80,8 +80,8 @@ def test_paper_and_print_lie_where_opencv_projects_them(fisheye: bool) -> None:
     eye = camera(FISHEYE if fisheye else PINHOLE, fisheye)
     for x, y, psi in np.random.default_rng(2).uniform([-0.45, -0.3, -3.0], [0.45, 0.3, 3.0], (6, 3)).tolist():
         patch = caster(eye).patch(Print(5, SIDE, HEIGHT, (x, y, psi)))
-        cover, black = np.zeros(SIZE[::-1]), np.zeros(SIZE[::-1])
-        cover[patch.where], black[patch.where] = patch.cover, (WHITE * patch.cover - patch.light) / (WHITE - BLACK)
+        cover, dark = np.zeros(SIZE[::-1]), np.zeros(SIZE[::-1])
+        cover[patch.where], dark[patch.where] = patch.cover, black(patch)
         # Light is only spread: area and centroid are those of the outlines.
         area, middle = area_and_centroid(by_opencv(eye, outline((x, y, psi), 0, 0, 10)))
         assert cover.sum() == pytest.approx(area, rel=2e-5)
@@ -89,11 +89,11 @@ def test_paper_and_print_lie_where_opencv_projects_them(fisheye: bool) -> None:
         cells = np.argwhere(np.pad(FAMILY.generateImageMarker(5, 8), 1, constant_values=255) == 0).tolist()
         parts = [area_and_centroid(by_opencv(eye, outline((x, y, psi), *cell, 1))) for cell in cells]
         area = sum(part for part, _ in parts)
-        assert black.sum() == pytest.approx(area, rel=1e-4)
-        assert np.abs(centroid(black) - sum(part * middle for part, middle in parts) / area).max() < 4e-3
+        assert dark.sum() == pytest.approx(area, rel=1e-4)
+        assert np.abs(centroid(dark) - sum(part * middle for part, middle in parts) / area).max() < 4e-3
 
 
-def flat(defocus: float = 0.8, **shutter: float) -> RayCamera:
+def flat(defocus: float = 0.8, lens_sigma_px: float = 0.0, **settings: float) -> RayCamera:
     """A camera a metre above the floor that sees a millimetre a pixel: u = 1000 x, v = 240 - 1000 y."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 1.0
@@ -102,7 +102,8 @@ def flat(defocus: float = 0.8, **shutter: float) -> RayCamera:
         np.array([[1e3, 0.0, 0.0], [0.0, 1e3, 240.0], [0.0, 0.0, 1.0]]),
         np.zeros(0),
         T,
-        **shutter,
+        **settings,
+        lens_sigma_px=lens_sigma_px,
         defocus=defocus,
     )
 
@@ -128,6 +129,24 @@ def test_edge_is_spread_by_disc_pixel_and_motion(defocus: float, way: float) -> 
     u = np.arange(180, 220)[:, None, None]
     inside = (u + 0.5 - edge - across - moved[:, None]).clip(0.0, 1.0).mean(1)
     assert np.abs(row[180:220] - inside @ share / share.sum()).max() < 0.004
+
+
+@pytest.mark.parametrize("sigma", [0.4, 0.7, 1.2, 2.0])
+@pytest.mark.parametrize(("phase", "degrees"), [(0.0, 0.0), (0.31, 0.0), (0.77, 90.0), (0.5, 30.0), (0.13, 45.0)])
+def test_edge_is_spread_by_gaussian_and_pixel(sigma: float, phase: float, degrees: float) -> None:
+    """By the normal distribution's integral, averaged over the pixel's square: a straight edge at any angle."""
+    angle, right = math.radians(degrees), 200.0 + phase  # of the sheet's edge, where it crosses the row 240 [px]
+    c, s = math.cos(angle), math.sin(angle)
+    pose = (right / 1e3 - 0.05 * c, -0.05 * s, angle)
+    cover = paper(flat(0.0, sigma), pose)
+    v, u = np.mgrid[220:261, 180:221].astype(np.float64)
+    across = c * (u - right) - s * (v - 240.0)  # from the edge, outwards [px]
+    square = (np.arange(32) + 0.5) / 32 - 0.5
+    within = (c * square - s * square[:, None]).ravel()
+    x = np.arange(-12.0, 12.0, 0.005)
+    beyond = np.array([0.5 * math.erfc(d / sigma / math.sqrt(2.0)) for d in x.tolist()])
+    ideal = np.interp(across[..., None] + within, x, beyond).mean(2)
+    assert np.abs(cover[220:261, 180:221] - ideal).max() < 0.0015
 
 
 def test_every_row_has_its_own_instant() -> None:
@@ -190,3 +209,63 @@ def test_prints_outside_and_at_the_rim_are_cut_off() -> None:
     assert half[200:280, :40].all()
     whole = source.light([Print(0, 0.08, 0.0, (0.3, 0.0, 0.3))]) != empty
     assert half.sum() == pytest.approx(whole.sum() / 2.0, rel=0.02)
+
+
+def black(patch: Patch) -> Array:
+    """How much of each pixel of a patch is black."""
+    return np.asarray((WHITE * patch.cover - patch.light) / (WHITE - BLACK), np.float64)
+
+
+def test_a_stretched_print_is_larger_in_its_own_directions() -> None:
+    stretch, psi = (0.02, -0.01), 0.5
+    plain, other = (
+        caster(flat()).patch(Print(0, 0.08, 0.0, (0.25, 0.0, psi), stretch=shares)) for shares in ((0.0, 0.0), stretch)
+    )
+    areas = [patch.cover.sum() for patch in (plain, other)]
+    assert areas[1] / areas[0] == pytest.approx(1.02 * 0.99, rel=1e-4)
+    reach = []
+    for patch in (plain, other):  # second moments of the paper along its own axes
+        v, u = np.indices(patch.cover.shape, np.float64)
+        c, s = math.cos(psi), math.sin(psi)
+        (x, y), total = ((patch.cover * way).sum() / patch.cover.sum() for way in (u, v)), patch.cover.sum()
+        forward, left = c * (u - x) - s * (v - y), -s * (u - x) - c * (v - y)
+        reach.append([math.sqrt((patch.cover * way**2).sum() / total) for way in (forward, left)])
+    assert np.divide(reach[1], reach[0]) == pytest.approx([1.02, 0.99], rel=1e-3)
+
+
+def test_a_bowed_print_is_seen_where_its_points_lie() -> None:
+    """By the outlines of the black cells' ninths, put on the cylinder and projected."""
+    eye, bow, pose = camera(), 0.004, (0.2, -0.1, 0.7)
+    patch = caster(eye).patch(Print(5, SIDE, HEIGHT, pose, bow=bow))
+    forward = np.linspace(-0.04, 0.04, 4001)
+    length = np.cumsum(np.hypot(1.0, 8.0 * bow * forward / SIDE**2)) * (forward[1] - forward[0])
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+
+    def seen(run: Array, left: Array) -> Array:
+        ahead = np.interp(run, length - length[2000], forward)
+        x, y = pose[0] + c * ahead - s * left, pose[1] + s * ahead + c * left
+        return eye.project(np.column_stack([x, y, HEIGHT - bow * (2.0 * ahead / SIDE) ** 2]))
+
+    rim = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) / 3.0
+    parts = []
+    for row, column in np.argwhere(FAMILY.generateImageMarker(5, 8) == 0).tolist():
+        for ninth in np.ndindex(3, 3):
+            at = (rim + np.array(ninth) / 3.0 + [column, row] - 4.0) * SIDE / 8.0
+            parts.append(area_and_centroid(seen(at[:, 0], -at[:, 1])))
+    area = sum(part for part, _ in parts)
+    shown = np.zeros(SIZE[::-1])
+    shown[patch.where] = black(patch)
+    assert shown.sum() == pytest.approx(area, rel=2e-4)
+    assert np.abs(centroid(shown) - sum(part * middle for part, middle in parts) / area).max() < 4e-3
+
+
+@pytest.mark.parametrize("softness", [1.0, 6.0])
+def test_a_shadows_edge_falls_on_floor_and_print_alike(softness: float) -> None:
+    eye = flat()
+    shadow = Shadow(softness, 0.5, 60.0, 0.0)
+    source = RayCaster(eye, np.full(SIZE[::-1], 128.0, np.float32), np.random.default_rng(1), shadow)
+    light = source.light([Print(0, 0.08, 0.0, (0.25, 0.0, 0.0))]) / source.lamps
+    ideal = [1.0 - 0.25 * math.erfc(-(u - 270.0) / softness / math.sqrt(2.0)) for u in range(260, 281)]
+    floor, paper = light[20, 260:281] / 128.0, light[240 - 45, 260:281] / WHITE  # the rim is white
+    assert floor == pytest.approx(ideal, abs=1e-3)
+    assert paper == pytest.approx(ideal, abs=0.02 / softness)

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from robofleet.calibration.commands.shared import Overrides, report_file
 from robofleet.calibration.robots import drive as drives
-from robofleet.calibration.robots import drive_file
+from robofleet.calibration.robots import drive_file, heights
 from robofleet.calibration.robots import latency as latencies
 from robofleet.calibration.robots import offsets as tag_offsets
 from robofleet.calibration.robots import results as robot_files
@@ -55,7 +55,8 @@ def offsets(
 ) -> None:
     """Drive each robot; measure its tag's place and its wheels.
 
-    The robots drive one after the other. It finds the radius of the wheels and the distance between them.
+    The robots drive one after the other. It finds the radius of the wheels and the distance between them, and how high
+    the tag lies, as well as the side of the print (``tracker.tag_side_tolerance_m``) or two cameras tell that.
 
     $ robofleet calibrate offsets configs/lab.yaml
 
@@ -64,9 +65,12 @@ def offsets(
     tree, driven, folder, data = _drive("offsets", config, overrides, lockstep, robots, out, recording)
     found = _each(driven, lambda drive: tag_offsets.find(drive, slices.drive(tree.robot(drive.robot))))
     before = _each(driven, lambda drive: robot_files.earlier(robot_files.file_of(config, drive.robot), drive.robot))
-    after = [robot_files.with_offsets(b, f, data) for b, f in zip(before, found, strict=True)]
-    page = robot_files.offsets_page(found, driven, [tree.robot(drive.robot).vehicle for drive in driven])
+    high = [heights.find(tree, drive) for drive in driven]
+    after = [robot_files.with_offsets(*each, data) for each in zip(before, found, high, strict=True)]
+    page = robot_files.offsets_page(found, high, driven, [tree.robot(drive.robot).vehicle for drive in driven])
     page.write(folder / "report.html")
+    for height in high:
+        print(height.sentence)
     _keep(config, tree, after, robot_files.offsets_table(found), folder)
 
 

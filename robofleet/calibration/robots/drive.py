@@ -16,6 +16,7 @@ from robofleet.bus.endpoint import check_router, settled
 from robofleet.bus.keys import POSES, STATE, STATUS, TICK, key
 from robofleet.bus.messages import FLEET_POSES, TICK_RECORD
 from robofleet.bus.private_folder import PlaceError
+from robofleet.calibration.robots import heights
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.config import groups
@@ -78,6 +79,8 @@ def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: b
         CalibrationError: the drive did not come to its end.
     """
     watch = _watch(config, say)
+    tracker = config.tracker.model_copy(update={"tag_side_tolerance_m": 0.0})  # each size is told, not only wrong ones
+    config = config.model_copy(update={"tracker": tracker})
     if lockstep:
         simulated = Lockstep(config)
         outcome, cause = simulated.run(watch)
@@ -129,6 +132,7 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
         for pose in message.poses:
             if pose.coasted_ns == 0 and pose.tag in seen:
                 seen[pose.tag].append(((exposure_ns + pose.after_ns) / S, pose.x_m, pose.y_m, pose.psi_rad))
+    by_size, by_parallax = heights.by_size(recording), heights.by_parallax(recording)
     drives = []
     for row, robot in enumerate(robots[:count]):
         offset = robot.tag_offset
@@ -151,6 +155,8 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
             encoders_rad=counted[1],
             held_s=float(held[:, row].sum()) * config.controller.tick_s,
             acceleration_rad_s2=robot.vehicle.max_wheel_acceleration_rad_s2,
+            higher_by_size=by_size[robot.tag],
+            higher_by_parallax=by_parallax[robot.tag],
         )
         drives.append(drive)
     return drives

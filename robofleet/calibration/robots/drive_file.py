@@ -5,13 +5,15 @@
 psi [rad]; world): its TAG as measured, and the mid-exposures; ``told_s`` (T,) and ``told_rad`` (T, 2): how far its gate
 has told its wheels to turn; ``encoders_s`` (E,) and ``encoders_rad`` (E, 2): its wheels' angles, E = 0 if its driver
 knows none; ``held_s`` (): how long it was held; ``acceleration_rad_s2`` (): with which its gate lets the wheels follow.
+``higher_by_size`` and ``higher_by_parallax`` (H, 2): how much higher than configured its tag lies by its size, if the
+side is right, and by two cameras, each with its standard deviation [m]; H = 0 where that is not known.
 All instants are of the controller's clock, counted from the drive's first tick [s].
 """
 
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,7 @@ FILE = "drive.npz"
 _SCALARS = ("held_s", "acceleration_rad_s2")
 _INSTANTS = ("commands_s", "poses_s", "told_s", "encoders_s")
 _WIDTHS = {"commands_rad_s": 2, "poses": 3, "told_rad": 2, "encoders_rad": 2}
+_HEIGHTS = ("higher_by_size", "higher_by_parallax")
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class RobotDrive:
     encoders_rad: Array
     held_s: float
     acceleration_rad_s2: float
+    higher_by_size: Array = field(default_factory=lambda: np.empty((0, 2)))
+    higher_by_parallax: Array = field(default_factory=lambda: np.empty((0, 2)))
 
 
 def save(file: Path, drives: Sequence[RobotDrive]) -> None:
@@ -81,6 +86,7 @@ def chosen(file: Path, robots: Sequence[str]) -> list[RobotDrive]:
 def _robot_drive(file: Path, robot: str, arrays: dict[str, NDArray[Any]]) -> RobotDrive:
     fields = [name for name in RobotDrive.__dataclass_fields__ if name != "robot"]
     found = {name: arrays.get(f"{robot}/{name}") for name in fields}
+    found |= {name: np.empty((0, 2)) for name in _HEIGHTS if found[name] is None}  # of an earlier version
     for name, array in found.items():
         if array is None or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
             raise CalibrationError(f"{file}: {robot}/{name} is missing or not a finite number: drive again")
@@ -96,5 +102,7 @@ def _robot_drive(file: Path, robot: str, arrays: dict[str, NDArray[Any]]) -> Rob
 def _shape(name: str, found: dict[str, Any]) -> tuple[int, ...]:
     if name in _SCALARS:
         return ()
+    if name in _HEIGHTS:
+        return len(found[name]), 2
     instants = name if name.endswith("s_s") else f"{name.partition('_')[0]}_s"
     return (np.size(found[instants]), *((_WIDTHS[name],) if name in _WIDTHS else ()))

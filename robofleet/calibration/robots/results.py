@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from robofleet.calibration.report import Report
 from robofleet.calibration.robots import latency, offsets
 from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.heights import TagHeight
 from robofleet.calibration.robots.latency import Latency
 from robofleet.calibration.robots.offsets import Offsets
 from robofleet.calibration.store import CalibrationError, load, provenance
@@ -43,7 +44,7 @@ def earlier(file: Path, robot: str) -> RobotCalibration:
     return found
 
 
-def with_offsets(before: RobotCalibration, found: Offsets, recording: bytes) -> RobotCalibration:
+def with_offsets(before: RobotCalibration, found: Offsets, height: TagHeight, recording: bytes) -> RobotCalibration:
     o, sigma = found.tag_offset, found.sigma.tolist()
     offset = TagOffset(forward_m=round(o.forward_m, 7), left_m=round(o.left_m, 7), heading_deg=round(o.heading_deg, 4))
     wheels = {"wheel_radius_m": round(found.wheel_radius_m, 7), "wheel_base_m": round(found.wheel_base_m, 7)}
@@ -54,9 +55,14 @@ def with_offsets(before: RobotCalibration, found: Offsets, recording: bytes) -> 
         "residual_rms_mm": float(np.sqrt((found.residuals_mm**2).mean())),
         "left_out_poses": float(found.left_out),
     }
+    if height.higher is not None:
+        figures |= {"tag_higher_mm": 1e3 * height.higher[0], "sigma_tag_higher_mm": 1e3 * height.higher[1]}
+    measured = {} if height.measured_m is None else {"tag_height_m": round(height.measured_m, 5)}
     covariance = found.covariance.tolist()
     source = provenance("offsets", {"drive.npz": recording}, figures, offsets.PARAMETERS, covariance)
-    return before.model_copy(update={"robot": found.robot, "tag_offset": offset, **wheels, "offsets": source})
+    return before.model_copy(
+        update={"robot": found.robot, "tag_offset": offset, **wheels, **measured, "offsets": source}
+    )
 
 
 def with_latency(before: RobotCalibration, found: Latency, recording: bytes) -> RobotCalibration:
@@ -91,15 +97,18 @@ def latency_table(found: Sequence[Latency]) -> Rows:
     return ("robot", "delay ms", "motor lag ms"), rows
 
 
-def offsets_page(found: Sequence[Offsets], drives: Sequence[RobotDrive], vehicles: Sequence[Vehicle]) -> Report:
+def offsets_page(
+    found: Sequence[Offsets], heights: Sequence[TagHeight], drives: Sequence[RobotDrive], vehicles: Sequence[Vehicle]
+) -> Report:
     page = Report("Where the tags sit on their robots")
     page.verdict("Measured, and good enough to use.", good=True)
     page.table(*offsets_table(found))
-    for robot_offsets, drive, vehicle in zip(found, drives, vehicles, strict=True):
+    for robot_offsets, height, drive, vehicle in zip(found, heights, drives, vehicles, strict=True):
         about = (
             f"Its vehicle's wheel radius is {1e3 * vehicle.wheel_radius_m:g} mm, its base "
             f"{1e3 * vehicle.wheel_base_m:g} mm. {robot_offsets.left_out} of {len(drive.poses)} poses were outliers; "
-            f"it was held for {drive.held_s:.1f} s, as another robot or the edge was near."
+            f"it was held for {drive.held_s:.1f} s, as another robot or the edge was near. "
+            f"{height.sentence}."
         )
         page.section(robot_offsets.robot, about)
         page.figure(_drive_figure(robot_offsets, drive), "The drive, and what is left of each step from pose to pose.")

@@ -27,7 +27,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Dots, Shape
-from robofleet.config import barrier, obstacles
+from robofleet.config import barrier, obstacles, slices
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.arrays import Array
@@ -150,7 +150,7 @@ def _shape(name: str, shape: Shape, robots: list[str], at: Timestamp) -> SceneEn
 def robot(config: Config, robot: Robot, look: Look, at: Timestamp) -> SceneEntity:
     """Return a robot in its own frame: body, heading, id, and half of what it keeps from another one like it."""
     radius, side = robot.vehicle.body_radius_m, config.tracker.tag_side_m
-    height = config.tracker.tag_height_m if robot.tag_height_m is None else robot.tag_height_m
+    height = slices.tag_height_m(config, robot)
     keepout, body = barrier.keepout(config), barrier.body(config, robot)
     kept = apart(keepout, body, body)  # between the points in front of the axles
     return SceneEntity(

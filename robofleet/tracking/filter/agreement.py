@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from robofleet.core.arrays import Array
 from robofleet.tracking.filter.estimator import COLUMNS
 from robofleet.tracking.filter.joined import Seen
+from robofleet.tracking.filter.parallax import Parallax
 
 _VARIANCE_COLUMNS = [3, 5]  # of x and y
 _KEPT_IMAGES = 8  # images of each camera: so much later than another's may one come
@@ -45,14 +46,17 @@ class Agreement:
     """Told of every image, it says whom to believe. ``compared`` (N,): robots by which cameras are judged.
 
     ``noise``: standard deviation of a position at least, whatever its covariance says [m]. ``fixed`` (C,): cameras that
-    see a floor tag.
+    see a floor tag. ``parallax`` takes what is compared: robots that two cameras see elsewhere may be higher than
+    configured.
     """
 
-    def __init__(self, compared: NDArray[np.bool_], noise: float, fixed: NDArray[np.bool_]) -> None:
+    def __init__(
+        self, compared: NDArray[np.bool_], noise: float, fixed: NDArray[np.bool_], parallax: Parallax | None = None
+    ) -> None:
         cameras = len(fixed)
         self.believed = np.ones(cameras, np.bool_)
         self._compared, self._fixed = compared, fixed
-        self._noise = noise
+        self._noise, self._parallax = noise, parallax
         self._images: list[deque[Seen]] = [deque(maxlen=_KEPT_IMAGES) for _ in range(cameras)]
         self._off = np.zeros(cameras)  # of the newest image: median distance from the expectation [m]
         self._until_ns = np.zeros((cameras, cameras), np.int64)  # the newest image by which two were compared
@@ -90,13 +94,17 @@ class Agreement:
         if found is None or found[0].exposed_ns <= self._until_ns[own, other]:
             return np.nan, np.nan
         image, before, after = found
-        far = np.linalg.norm(image.poses[:, :2] - _on_the_way(before, after, image.instants_ns), axis=1)
+        apart = image.poses[:, :2] - _on_the_way(before, after, image.instants_ns)
+        far = np.linalg.norm(apart, axis=1)
         both = np.isfinite(far) & self._compared
         if not both.any():
             return np.nan, np.nan
         self._until_ns[own, other] = self._until_ns[other, own] = after.exposed_ns
-        variances = np.max([_variance(sighted)[both] for sighted in found], axis=0)
-        sigma = max(self._noise, math.sqrt(float(np.median(variances))))
+        variances = np.max([_variance(sighted) for sighted in found], axis=0)
+        if self._parallax is not None:
+            doubled = 2.0 * np.where(variances > 0.0, variances, self._noise**2)
+            self._parallax.add(image.camera, before.camera, image.poses[:, :2], apart, doubled)
+        sigma = max(self._noise, math.sqrt(float(np.median(variances[both]))))
         return float(np.median(far[both])), max(APART_M, _NOISES * sigma)
 
     def _judge(self, own: int, other: int, far: float, limit: float) -> Verdict | None:

@@ -167,7 +167,7 @@ class PhotometricFit:
         products[n] /= contrast
         products[:, n] /= contrast
         left = explained(products)
-        variance = max(left[-1, -1] / (products[0, 0] - n), (self._noise[i] / contrast) ** 2)
+        variance = max(left[0, 0] / (products[0, 0] - n), (self._noise[i] / contrast) ** 2)
         self.imaging.learn(blocks + np.tril(blocks, -1).transpose(0, 2, 1), contrast)
         self.shapes.learn(i, left, np.array(slope), variance)
 

@@ -5,7 +5,7 @@ first five is an affine map, of which the pose takes the turn: three numbers, si
 same in every image. A tilt's share depends on the slope under which the tag is seen, and that turns with the robot: so
 driving tells the two apart. Before, what was expected (``_SIGMA``) shares what is seen, and the spread says how well.
 
-The size is also that of a tag that is nearer to the camera: see ``higher``.
+The size is also that of a tag that is nearer to the camera: see ``prints.py``.
 """
 
 import math
@@ -24,7 +24,7 @@ _NUMBERS = 8
 _SIGMA = np.array([0.01, 0.002, 0.001, math.radians(1.0), math.radians(1.0), 0.03, 0.03, 0.02])  # expected
 _MOST = np.array([0.05, 0.03, 0.03, math.radians(10.0), math.radians(10.0), 0.3, 0.3, 0.3])
 _EXPECTED = 1.0 / _SIGMA**2
-STUDIED_FROM, STUDIED = 0.8, 0.95  # least likeness, and share of pixels that count, to learn a shape
+STUDIED_FROM, STUDIED = 0.8, 0.98  # least likeness, and share of pixels that count, to learn a shape
 _CUT, _KNOWN_CUT = 0.8, 0.3  # [contrasts] beyond which a pixel shows something else, before and after it is known
 _KNOWN_FROM = 10  # images
 _DOUBT = 2.0  # variance of what is learnt over that of white noise: lens and pattern are not exact
@@ -52,27 +52,15 @@ class Shapes(NamedTuple):
         for mine, new in zip(self, self.unknown(1), strict=True):
             mine[tag] = new[0]
 
-
     def learn(self, tag: int, equations: Array, slope: Array, variance: float) -> None:
         """Learn a tag's shape from what one image says: ``equations`` as ``explained`` returns them [contrasts], seen
         under ``slope``, where the greys have a variance [contrasts^2].
 
         If the image denies what is known, the tag was moved on its robot, or is another: it is learnt anew.
         """
-        values, known = self.values[tag], self.known[tag]
-        turn = _turn(slope) / math.sqrt(_DOUBT * variance)
-        pull = turn.T @ equations[-1, :-1] / math.sqrt(_DOUBT * variance)
-        image = turn.T @ equations[:-1, :-1] @ turn
-        before = _FORGET * known + image
-        alone = np.linalg.inv(image + np.diag(_LITTLE * _EXPECTED))
-        spread = np.linalg.inv(before + np.diag(_EXPECTED))
-        if pull @ (alone - spread) @ pull > _DENIED:
-            before, self.counts[tag] = image, 0
-            spread = np.linalg.inv(before + np.diag(_EXPECTED))
-        known[:], self.spreads[tag] = before, spread
-        self.counts[tag] += 1
-        pull += (1.0 - _FORGET) * _EXPECTED * values
-        values[:] = np.clip(values - spread @ pull, -_MOST, _MOST)
+        scale = 1.0 / (_DOUBT * variance)
+        denied = _learn(equations, slope[0], slope[1], scale, self.values[tag], self.known[tag], self.spreads[tag])
+        self.counts[tag] = 1 if denied else self.counts[tag] + 1
 
 
 def cut(count: int) -> float:
@@ -82,26 +70,76 @@ def cut(count: int) -> float:
 
 def explained(products: Array) -> Array:
     """Return of the products (P + 1 + S, P + 1 + S) of P coefficients, what is left of the grey, and S coefficients
-    more, what the first P do not explain of the S, and of what is left: (S + 1, S + 1)."""
-    n = PARAMETERS
-    others = np.r_[n + 1 : len(products), n]
-    both = products[np.ix_(others, others)]
-    to_first = products[np.ix_(others, range(n))]
-    scale = np.sqrt(np.diag(products)[:n]) + 1e-9
-    inverse = np.linalg.pinv(products[:n, :n] / np.outer(scale, scale)) / np.outer(scale, scale)
-    left: Array = both - to_first @ inverse @ to_first.T
-    return left
+    more, what the first P do not explain of the others, (1 + S, 1 + S)."""
+    left = products.copy()
+    _sweep(left, PARAMETERS)
+    return left[PARAMETERS:, PARAMETERS:]
 
 
-def _turn(slope: Array) -> Array:
-    """Return what the numbers of a shape (8,) are in the coefficients of an image (6, 8): a tilt stretches and shears
-    along the slope."""
-    turn = np.zeros((SHAPED, _NUMBERS))
-    turn[[0, 1, 2, 3, 4, 5], [SIZE, STRETCH, SHEAR, BOW, BOW + 1, BOW + 2]] = 1.0
-    ahead, aside = 0.5 * slope[0], 0.5 * slope[1]
-    turn[: SHEAR + 1, TILT] = ahead, ahead, aside
-    turn[: SHEAR + 1, TILT + 1] = aside, -aside, ahead
-    return turn
+@image_kernel
+def _learn(equations, ahead, aside, scale, values, known, spread):  # type: ignore[no-untyped-def]
+    """Learn from the ``equations`` of an image, times ``scale``; return whether it denies what was known."""
+    n = _NUMBERS
+    turn = np.zeros((SHAPED, n))  # the six coefficients, by the eight numbers: a tilt stretches and shears
+    for i in range(SHAPED):
+        turn[i, i if i < TILT else i + BOW - TILT] = 1.0
+    turn[SIZE, TILT], turn[STRETCH, TILT], turn[SHEAR, TILT] = 0.5 * ahead, 0.5 * ahead, 0.5 * aside
+    turn[SIZE, TILT + 1], turn[STRETCH, TILT + 1], turn[SHEAR, TILT + 1] = 0.5 * aside, -0.5 * aside, 0.5 * ahead
+    image, alone, pull = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    for a in range(n):
+        for i in range(SHAPED):
+            part = scale * turn[i, a]
+            pull[a] += part * equations[0, 1 + i]
+            for j in range(SHAPED if part != 0.0 else 0):
+                for b in range(n):
+                    image[a, b] += part * equations[1 + i, 1 + j] * turn[j, b]
+    known *= _FORGET
+    known += image
+    denied = _squared(pull, image, _LITTLE, alone) - _squared(pull, known, 1.0, spread) > _DENIED
+    if denied:
+        known[:] = image
+        _squared(pull, known, 1.0, spread)
+    for a in range(n):
+        pull[a] += (1.0 - _FORGET) * _EXPECTED[a] * values[a]
+    for a in range(n):
+        step = 0.0
+        for b in range(n):
+            step += spread[a, b] * pull[b]
+        values[a] = min(max(values[a] - step, -_MOST[a]), _MOST[a])
+    return denied
+
+
+@image_kernel
+def _squared(vector, known, share, spread):  # type: ignore[no-untyped-def]
+    """Return a vector's square by the covariance of what is known, and of a share of what is expected; ``spread``
+    (8, 8) becomes that covariance."""
+    spread[:] = known
+    for a in range(_NUMBERS):
+        spread[a, a] += share * _EXPECTED[a]
+    _sweep(spread, _NUMBERS)
+    square = 0.0
+    for a in range(_NUMBERS):
+        for b in range(_NUMBERS):
+            spread[a, b] = -spread[a, b]
+            square += spread[a, b] * vector[a] * vector[b]
+    return square
+
+
+@image_kernel
+def _sweep(matrix, many):  # type: ignore[no-untyped-def]
+    """Solve for the first variables of a symmetric matrix: the upper left block becomes minus its inverse, and the
+    lower right one what these variables do not explain of the others."""
+    for k in range(many):
+        pivot = 1.0 / max(matrix[k, k], 1e-9)
+        for i in range(len(matrix)):
+            share = pivot * matrix[i, k]
+            for j in range(len(matrix) if i != k else 0):
+                if j != k:
+                    matrix[i, j] -= share * matrix[k, j]
+        for i in range(len(matrix)):
+            matrix[i, k] *= pivot
+            matrix[k, i] = matrix[i, k]
+        matrix[k, k] = -pivot
 
 
 @image_kernel

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robofleet.config import slices
 from robofleet.config.calibrated import FloorTag
 from robofleet.config.tree import Config
 from robofleet.core.settings import FAMILIES
@@ -21,6 +22,7 @@ class Target(NamedTuple):
     height: float  # above the floor [m]
     max_speed: float  # 0 for a tag that lies still [m/s]
     family: str = "36h11"  # one for all of a tracker
+    side_tolerance: float = 5e-5  # by how much the side may be wrong [m]
     drives_on_s: float = 0.75  # for so long it may drive though this camera does not see it: then it is stopped
 
     @property
@@ -37,9 +39,10 @@ def robot_targets(config: Config) -> list[Target]:
         Target(
             robot.tag,
             t.tag_side_m,
-            t.tag_height_m if robot.tag_height_m is None else robot.tag_height_m,
+            slices.tag_height_m(config, robot),
             robot.vehicle.max_speed_m_s,
             t.family,
+            t.tag_side_tolerance_m,
             *(() if alone else (_ANY_S,)),
         )
         for robot in config.seen

@@ -27,6 +27,7 @@ from robofleet.tracking.tags.deep import DeepSearch
 from robofleet.tracking.tags.detection import Findings, Region, Sweep, TagDetector, tiles, wrapped
 from robofleet.tracking.tags.motion import measure, predict
 from robofleet.tracking.tags.photometric import NOBODY, Fit, Found, PhotometricFit, side_px
+from robofleet.tracking.tags.prints import PrintMonitor
 from robofleet.tracking.tags.suspects import SAME, Suspects
 from robofleet.tracking.tags.targets import Target
 
@@ -39,7 +40,8 @@ _SEARCHES = 8  # hidden tags an image, at most: a flash that hides all at once m
 _DEEP_SEARCHES = 1  # of these, whose regions are searched deeply
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
-_OFTEN, _STUDIED_EVERY = 10, 8  # images from which each tilt is learnt at first; then one of so many
+_OFTEN = 10  # images from which each shape is learnt at first, one an image
+_SELDOM, _TURNS = 2, 16  # then from one of so many; and each from one of so many, if there is time for all
 _REGION_MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
 
@@ -89,7 +91,8 @@ class TagTracker:
         self._motion = self._centre, self._psi, self._velocity, self._omega, self._row, self._measured_ns
         self._line_ns = np.array([(image_size[1] - 1) / 2.0, line_time * 1e9])  # middle row [px], from row to row
         self._regained_ns = np.full(n, -_SETTLED_NS, np.int64)  # when it was found again after a gap
-        self._wanted_tilts = np.zeros(n, np.int64)  # images from which each tag's tilt ought to have been learnt
+        self._wanted_studies = np.zeros(n, np.int64)  # images from which each tag's shape ought to have been learnt
+        self._prints = PrintMonitor(self._fit.shapes, targets, float(geometry.position[2]))
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
@@ -167,7 +170,11 @@ class TagTracker:
         if not len(index):
             return set()
         centre, psi, velocity = self._predicted(index, exposure_ns)
-        fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index], studied=self._studied(index))
+        studied = self._studied(index)
+        fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index], studied=studied)
+        if studied != NOBODY:
+            for event, value in self._prints.news(studied):
+                self._say(event, studied, value, exposure_ns)
         if (fit.alike >= CLEAR).all():
             self._measure(index, fit, exposure_ns)
             return set(index.tolist())
@@ -182,14 +189,14 @@ class TagTracker:
         return set(index[tracked].tolist())
 
     def _studied(self, index: Indices) -> int:
-        """Return whose tilt is learnt from this image: of those that drive, in turn, at first often and then seldom."""
+        """Return whose shape is learnt from this image: of those that drive, in turn, at first often, then seldom."""
         drives = index[self._drives[index]]
-        if self._images % _STUDIED_EVERY:
+        if self._images % max(_SELDOM, _TURNS // max(1, len(drives))):
             drives = drives[self._fit.shapes.counts[drives] < _OFTEN]
         if not len(drives):
             return NOBODY
-        chosen = int(drives[np.argmin(self._wanted_tilts[drives])])
-        self._wanted_tilts[chosen] += 1
+        chosen = int(drives[np.argmin(self._wanted_studies[drives])])
+        self._wanted_studies[chosen] += 1
         return chosen
 
     def _predicted(self, index: Indices, exposure_ns: int) -> tuple[Complex, Array, Complex]:
@@ -256,15 +263,20 @@ class TagTracker:
         i = tag.target
         if 0 < self._measured_ns[i] < exposure_ns - _GAP_NS:
             self._regained_ns[i] = exposure_ns
-            self._fit.shapes.counts[i] = min(int(self._fit.shapes.counts[i]), _OFTEN - 1)  # its tilt may be another
+            self._fit.shapes.counts[i] = min(int(self._fit.shapes.counts[i]), _OFTEN - 1)  # its shape may be another
         if self._measured_ns[i] < exposure_ns - _SETTLED_NS:
-            self._fit.shapes.forget(i)
+            self._forget(i)
         index, centre = np.array([tag.target]), np.array([tag.centre])
         rows = self._fit.pixels(index, centre)[:, 1]
         self._measure(
             index, Fit(centre, np.array([tag.psi]), np.ones(1), rows, np.array([tag.covariance])), exposure_ns
         )
         self._suspects.cleared(tag.target)
+
+    def _forget(self, i: int) -> None:
+        """Learn anew what shape a tag has."""
+        self._fit.shapes.forget(i)
+        self._prints.forget(i)
 
     def _coast(self, exposure_ns: int, hidden: list[int]) -> list[TagSighting]:
         """Return where the tags that are hidden for a short while should be."""
@@ -349,7 +361,7 @@ class TagTracker:
             self._doubt(i, exposure_ns)
         elif patient and not self._followed[i]:
             self._say(TrackerEvent.TAG_CARRIED if known else TrackerEvent.TAG_FOUND, i, distance, exposure_ns)
-            self._fit.shapes.forget(i)  # who carried it may have moved it on its robot
+            self._forget(i)  # who carried it may have moved it on its robot
             return True
         elif known:
             self._refuse(TrackerEvent.TAG_JUMPED, tag, before, exposure_ns)

@@ -196,6 +196,7 @@ ROBOT_NEWS_ENDS = {
 }  # fmt: skip
 HARMLESS_NEWS = [
     (TrackerEvent.BODY_LOST, "r2"), (TrackerEvent.TAG_FOUND, "r2"), (TrackerEvent.CAMERA_CORRECTED, None),
+    (TrackerEvent.PRINT_STRETCHED, "r2"), (TrackerEvent.TAG_HEIGHT, "r2"),
     (TrackerEvent.TAG_TWICE, None), (250, "r2"),  # nobody's tag, and an event of another version
 ]  # fmt: skip
 ORDERS = (b"reset", b"resume", b"start")

@@ -12,7 +12,7 @@ from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 from selenium.webdriver.common.by import By
 
-from robofleet.calibration.robots import offsets
+from robofleet.calibration.robots import heights, offsets
 from robofleet.calibration.robots.results import offsets_page
 from robofleet.config.load import load_config
 from robofleet.nodes.unit.state_store import FileStateStore, StoredRobot
@@ -101,8 +101,9 @@ def test_axe_finds_nothing_in_a_report_nor_in_a_calibration(browser: Chrome, tmp
     else:
         made = drive()
         page = tmp_path / "page.html"
-        vehicle = load_config(PLATOON).members[0].vehicle
-        offsets_page([offsets.find(made, GTERNAL)], [made], [vehicle]).write(page)
+        config = load_config(PLATOON)
+        vehicle = config.members[0].vehicle
+        offsets_page([offsets.find(made, GTERNAL)], [heights.find(config, made)], [made], [vehicle]).write(page)
     browser.get(page.as_uri())
     assert found_by_axe(browser, what) == []
     show_as(browser, PHONE)

@@ -27,8 +27,9 @@ from robofleet.tracking.tags.targets import Target
 from tests.tracking.peers import CANDIDATES, UNTIMED, Setting
 from tests.tracking.raycast import BLACK, SQUARES, WHITE, Cable, Print, RayCaster, clutter
 from tools.measure.program import program
-from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, WRONG, camera, cell_wide
+from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, camera, cell_wide
 from tools.measure.tracking.accuracy import Scene as Quality
+from tools.measure.tracking.score import WRONG
 
 IMAGES = 10  # a trial
 TAGS = 8
@@ -39,7 +40,7 @@ class Scene(NamedTuple):
     covered: float = 0.0  # share of the print
     along: float | None = 0.0  # which way the cover's edge runs to the print's [rad]; None: any
     darkness: float = 1.0
-    defocus: float = 0.7  # [px]
+    lens: float = 0.7  # sigma [px]
     focal: float = 1.0  # times accuracy.py's: the tags are so much larger
     noise: float = 3.5
     family: str = "36h11"
@@ -51,10 +52,11 @@ class Scene(NamedTuple):
 
 SCENES = {
     **{f"contrast {c}": Scene(contrast=c) for c in (60, 50, 40, 30, 20)},
-    "contrast 30, out of focus": Scene(contrast=30, defocus=1.0),
+    "contrast 30, lens 1.2 px": Scene(contrast=30, lens=1.2),
     "10 % light": Scene(darkness=0.1),
     "tags of 22 px": Scene(focal=0.6),
     "tags of 22 px, contrast 40": Scene(focal=0.6, contrast=40),
+    "tags of 24 px, contrast 20": Scene(focal=24 / 36, contrast=20),
     "a side covered, 25 %": Scene(covered=0.25),
     "a corner covered, 12 %": Scene(covered=0.12, along=math.pi / 4),
     "a corner covered, 25 %": Scene(covered=0.25, along=math.pi / 4),
@@ -77,9 +79,9 @@ def trials(scene: Scene, count: int, seed: int = 3) -> Iterator[Trial]:
     """Yield trials, each with another floor and other tags."""
     for number in range(count):
         rng = np.random.default_rng((seed, number))
-        eye = camera(Quality(scene.noise), scene.defocus)
+        eye = camera(Quality(scene.noise), scene.lens)
         eye = replace(eye, K=eye.K * [[scene.focal, 1, 1], [1, scene.focal, 1], [1, 1, 1]])
-        caster = RayCaster(eye, clutter(SIZE, rng), rng)
+        caster = RayCaster(eye, clutter(SIZE, rng, scene.lens), rng)
         geometry = CameraGeometry(eye.K, eye.distortion, eye.T_world_camera)
         tags = rng.choice(FAMILIES[scene.family].ids, TAGS, replace=False).tolist()
         prints = tuple(_print(scene, caster, tag, *position) for tag, position in zip(tags, _places(rng), strict=True))
