@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
-from robofleet.tracking.tags.imaging import KNOWN, NARROWEST, WIDEST, corner_share, learn_blur
+from robofleet.tracking.tags.imaging import (
+    KNOWN,
+    NARROWEST,
+    WIDEST,
+    blur_at,
+    corner_share,
+    learn_blur,
+    learn_quiet,
+    quiet_variance,
+)
 from robofleet.tracking.tags.mapping import map_pixels, on_level, shift_map, sight_slope
 from robofleet.tracking.tags.pixels import BLOCKED, CHUNK, MOST_ROWS, PARAMETERS, SHAPED, SLOTS, accumulate, likeness
 from robofleet.tracking.tags.shape import TILT, turn_variance
@@ -30,8 +39,6 @@ _FURTHEST = 0.2  # from the guess [sides, rad]
 _CUT, _KNOWN_CUT = 2.0, 4.0  # standard deviations of the noise beyond which a pixel shows something else
 _TRUNCATED = 0.88  # standard deviation of a normal distribution that is cut off at _CUT
 _MISFIT, _KNOWN_MISFIT = 0.2, 0.1  # of the contrast that a pixel may miss by itself, before and after the blur is known
-_MODEL = 0.0  # error of the pattern as blurred here [contrasts], where the blur is a cell wide; by ray-cast images
-_MODEL_TURNS = 0.65  # of that, in a heading: it moves edges alike all over the print, and so turns it less
 _COVERED = 0.3  # share of a cell's pixels that show something else: then none of them counts
 _PARTLY = 0.98  # share of a tag's pixels that count: with fewer, something covers it
 _EVERYTHING = 1e9  # no cut [grey levels]
@@ -39,7 +46,9 @@ _LEAST_NOISE = 0.5  # [grey levels]
 _BLUR_STEP_PX, _BLUR_CONVERGED_PX = 0.6, 0.05  # of a blur that is not known, from pass to pass
 _LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
 _GAIN = 0.2  # of what is learnt about a tag's noise
-_FALL, _RISE = 0.2, 0.01  # gains of the camera's least noise: that of tags without shadows
+# What a fit knows of a tag's look, by index: brightness, its slopes forward and left, contrast [grey levels],
+# blur [px], share of the pixels that count, variance over that of tags in even light.
+CONTRAST, BLUR, COUNTED, NOISY, LOOK = 3, 4, 5, 6, 7
 
 
 class _Room(NamedTuple):
@@ -58,47 +67,46 @@ class _Room(NamedTuple):
     bend: Array  # (2, 6)
     shape: Array  # (2, 6)
     window: Array  # (6,)
-    used: Array  # (3,) blur of the newest fit [px]
 
 
 @image_kernel
 def fit_tags(  # type: ignore[no-untyped-def]
     image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
-    wide, camera_blur, blur_known, tone, doubt, quietest, noises, shapes, spreads, levels,
-    fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
+    own_blur, camera_blur, blur_known, tone, doubt, quiet, noises, shapes, spreads, looks, covers, fit_centre,
+    fit_psi, fit_alike, fit_row, fit_covariance,
 ):  # fmt: skip
     """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
 
-    hidden (C * C,) cells do not count; none where it is empty. blurs [px] and noises [grey levels; 0: not known] (N,):
-    what is known of the targets, and learnt. Of the target ``studied`` the shape is learnt from this image, too;
-    shapes (N, 8), known, spreads (N, 8, 8), counts (N,): as ``shape.Shapes`` has them.
+    hidden (C * C,) cells do not count; none where it is empty. own_blur: of these tags [px]; 0: the camera's.
+    camera_blur, blur_known, tone, doubt, quiet: the fields of ``Imaging``. noises (N,): of the targets [grey levels; 0:
+    not known]. Blur and noises are learnt. shapes (N, 8), spreads (N, 8, 8): as ``shape.Shapes`` has them. looks (M,
+    LOOK), covers (M, C * C): what is seen of each tag, and which of its cells are covered or hidden; filled.
     """
     n = PARAMETERS
     room = _Room(
         np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((n + 1, n + 1)), np.empty(6),
         np.empty((0, n + 1 + SHAPED)), np.empty((0, BLOCKED, BLOCKED)), np.empty((n, n)), np.empty(n), np.empty(4),
-        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6), np.empty(3),
+        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6),
     )  # fmt: skip
     for m in range(len(index)):
         i = index[m]
         fit_centre[m], fit_psi[m], fit_alike[m], fit_row[m] = _fit(
             image, camera, line_time, sides[i], heights[i], prints[i], cells, hidden, to_quadratic, centre[m], psi[m],
-            velocity[m], omega[m], wide, camera_blur, blur_known, tone[0], doubt, quietest, noises, shapes[i], spreads[i], i, room,
-            fit_covariance[m],
+            velocity[m], omega[m], own_blur, camera_blur, blur_known, tone[0], doubt, quiet, noises, shapes[i],
+            spreads[i], i, room, looks[m], covers[m], fit_covariance[m],
         )  # fmt: skip
-        levels[m, :4], levels[m, 4:] = room.level, room.used
 
 
 @image_kernel
-def _fit(  # type: ignore[no-untyped-def]
+def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop of passes
     image, camera, line_time, side, height, corners, cells, hidden, to_quadratic, guess, guess_psi, velocity, omega,
-    wide, camera_blur, blur_known, tone, doubt, quietest, noises, tag_shape, spread, i, room, covariance,
+    own_blur, camera_blur, blur_known, tone, doubt, quiet, noises, tag_shape, spread, i, room, look, cover, covariance,
 ):  # fmt: skip
     """Return centre, heading, likeness and row of one tag."""
-    centre, psi, blur, noise, row = guess, guess_psi, wide, noises[i], 0.0
-    share, settled = 0.0, wide > 0.0 or blur_known[0, 0] > KNOWN
+    centre, psi, blur, noise, row = guess, guess_psi, own_blur, noises[i], 0.0
+    share, settled = 0.0, own_blur > 0.0 or blur_known[0, 0] > KNOWN
     level, solution = room.level, room.solution
-    level[:], covariance[:] = 0.0, 0.0
+    level[:], covariance[:], look[:], cover[:] = 0.0, 0.0, 0.0, False
     known, cut = noise > 0.0, _EVERYTHING
     misfit = _KNOWN_MISFIT if known else _MISFIT
     variance = alike = left = before = side_px = 0.0
@@ -111,9 +119,9 @@ def _fit(  # type: ignore[no-untyped-def]
                 room.bend, room.shape, room.window,
             )  # fmt: skip
             slope = sight_slope(camera, side, height, centre, room.shape, room.window)
-            if step == 0 and wide == 0.0:
+            if step == 0 and own_blur == 0.0:
                 share = corner_share(image, room.nodes[0, 4], room.nodes[1, 4])
-                blur = min(max(camera_blur[0] + share * camera_blur[1], NARROWEST), WIDEST)
+                blur = blur_at(camera_blur, share)
         inside = _look(image, corners, cells, hidden, tally, side_px, blur, tone, cut, step == 0, room)
         left, seen = room.products[0, 0], room.sums[0]
         if not inside or left < 3 * PARAMETERS:
@@ -131,9 +139,8 @@ def _fit(  # type: ignore[no-untyped-def]
             cut = max(_KNOWN_CUT * noise, misfit * level[3]) if known else _EVERYTHING
             continue
         variance = squares / (left - PARAMETERS)
-        if not settled and length < 0.5:
-            wider = min(max(solution[7] / level[3], -_BLUR_STEP_PX), _BLUR_STEP_PX)
-            blur = min(max(blur + wider, NARROWEST), WIDEST)
+        if not settled:
+            blur = _wider(blur, solution[7] / level[3], length)
         if not by_cells:  # a tag is known by all of it that may be seen
             alike = likeness(room.sums)
         steady, before = left > _PARTLY * seen or abs(left - before) < 0.01 * left, left
@@ -145,25 +152,22 @@ def _fit(  # type: ignore[no-untyped-def]
             known = _CUT * noise > 0.9 * cut or cut < 1.1 * misfit * level[3]
             cut = max((_KNOWN_CUT if known else _CUT) * noise, misfit * level[3])
         elif len(tally):
-            hidden, tally = _covered(tally, hidden, cells), np.zeros((0, 2), np.int64)
+            cover[:] = _covered(tally, hidden, cells)
+            hidden, tally = cover, np.zeros((0, 2), np.int64)
             if noises[i] > 0.0:
                 cut = max(_KNOWN_CUT * noise, _KNOWN_MISFIT * level[3])
         elif done and (by_cells or left > _PARTLY * seen):
             break
         elif done:
             tally, by_cells = np.zeros((cells * cells, 2), np.int64), True
-    if min(alike, left / room.sums[0]) > _LEARNT_FROM and not by_cells and wide == 0.0:
+    if min(alike, left / room.sums[0]) > _LEARNT_FROM and not by_cells and own_blur == 0.0:
         noise = max(math.sqrt(variance), _LEAST_NOISE)
         noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
-        quiet = noise * noise / (1.0 + max(level[0] + 128.0, 0.0) / 128.0)
-        gain = _FALL if quiet < quietest[0] else _RISE
-        quietest[0] = quiet if quietest[0] == 0.0 else quietest[0] + gain * (quiet - quietest[0])
-        expected = camera_blur[0] + share * camera_blur[1]
-        wider = blur - expected + (solution[7] / level[3] if settled else 0.0)
+        learn_quiet(quiet, level[0], noise * noise)
+        wider = blur - blur_at(camera_blur, share) + (solution[7] / level[3] if settled else 0.0)
         learn_blur(camera_blur, blur_known, share, wider, variance / (room.factor[7, 7] * level[3]) ** 2)
-    room.used[0] = blur
-    room.used[1] = left / room.sums[0]
-    room.used[2] = variance / (1.0 + max(level[0] + 128.0, 0.0) / 128.0) / max(quietest[0], 0.1)
+    look[: CONTRAST + 1], look[BLUR], look[COUNTED] = level, blur, left / room.sums[0]
+    look[NOISY] = variance / quiet_variance(quiet, level[0])
     _covary(room.factor, variance / (level[3] * level[3]), doubt, side, psi, covariance)
     covariance[5] += turn_variance(slope, spread)
     return centre, psi, alike, row
@@ -175,8 +179,15 @@ def _look(image, corners, cells, hidden, tally, side_px, blur, tone, cut, coarse
     stride = max(1, round(side_px / _COARSE)) if coarse else 1 + int(side_px / MOST_ROWS)
     return side_px > 0.0 and accumulate(
         image, room.shape, room.window, corners, cells, hidden, tally, side_px, _WIDER * blur if coarse else blur,
-        tone, room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none, room.no_blocks,
+        tone, room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none,
+        room.no_blocks,
     )  # fmt: skip
+
+
+@image_kernel
+def _wider(blur, by, length):  # type: ignore[no-untyped-def]
+    """Return the blur for the next pass [px]; a pass with a long step says nothing of it."""
+    return min(max(blur + min(max(by, -_BLUR_STEP_PX), _BLUR_STEP_PX), NARROWEST), WIDEST) if length < 0.5 else blur
 
 
 @image_kernel
@@ -256,13 +267,16 @@ def _covary(factor, noise, doubt, side, psi, covariance):  # type: ignore[no-unt
 
 
 @image_kernel
-def study_tag(  # type: ignore[no-untyped-def]
-    image, camera, line_time, side, height, corners, cells, to_quadratic, centre, psi, velocity, omega, tag_shape, blur,
-    tone, level, cut, products, blocks,
+def add_up_tag(  # type: ignore[no-untyped-def]
+    image, camera, line_time, side, height, corners, cells, hidden, to_quadratic, centre, psi, velocity, omega,
+    tag_shape, blur, tone, level, cut, products, blocks, slope,
 ):  # fmt: skip
-    """Fill the products (15, 15) of the coefficients of pose, light and blur, of what is left of the grey, and of the
-    shape's coefficients, of a tag where it was fitted. Return the share of pixels that count, and the slope under
-    which it is seen."""
+    """Add up all pixels of a tag where it was fitted. Return the share of those that count.
+
+    products (15, 15): of the coefficients of light, pose and blur, of what is left of the grey, and of the shape's
+    coefficients. blocks (B, 10, 10): of the first nine and the response's coefficient, by blocks. slope (2,): under
+    which the tag is seen.
+    """
     n = PARAMETERS + 1
     nodes, bend, shape, window = np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6)
     sums, shaped, first = np.empty(6), np.empty((SHAPED, n + SHAPED)), np.empty((n, n))
@@ -270,19 +284,25 @@ def study_tag(  # type: ignore[no-untyped-def]
         camera, line_time, side, height, tag_shape, to_quadratic, centre, psi, velocity, omega, nodes, bend, shape,
         window,
     )  # fmt: skip
-    slope = sight_slope(camera, side, height, centre, shape, window)
-    inside = accumulate(
-        image, shape, window, corners, cells, np.zeros(0, np.bool_), np.zeros((0, 2), np.int64), side_px, blur, tone,
-        level, cut, 1 + int(side_px / MOST_ROWS), np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), first, sums,
-        slope, shaped, blocks,
+    slope[0], slope[1] = sight_slope(camera, side, height, centre, shape, window)
+    inside = side_px > 0.0 and accumulate(
+        image, shape, window, corners, cells, hidden, np.zeros((0, 2), np.int64), side_px, blur, tone, level, cut,
+        1 + int(side_px / MOST_ROWS), np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), first, sums, slope,
+        shaped, blocks,
     )  # fmt: skip
+    if not inside:
+        return 0.0
     for i in range(n):
         for j in range(i + 1):
             products[i, j] = products[j, i] = first[i, j]
     for i in range(SHAPED):
         for j in range(n + i + 1):
             products[n + i, j] = products[j, n + i] = shaped[i, j]
-    return first[0, 0] / sums[0] if inside else 0.0, slope, side_px
+    for b in range(len(blocks)):
+        for i in range(BLOCKED):
+            for j in range(i):
+                blocks[b, j, i] = blocks[b, i, j]
+    return first[0, 0] / sums[0]
 
 
-KERNELS: tuple[Any, ...] = (fit_tags, study_tag)  # that are called from Python
+KERNELS: tuple[Any, ...] = (fit_tags, add_up_tag)  # that are called from Python

@@ -17,11 +17,13 @@ _EXPECTED_PX = 1.6  # of a camera of which nothing is known: a Gaussian of 0.75 
 _SIGMA = np.array([1.0, 0.3])  # of the blur in the middle, and of its growth to the corner [px]
 _FORGET = 0.998  # of what was known, from tag to tag
 _LEAST_PX = 0.03  # standard deviation of what one tag says: print and lens are not exact
-KNOWN = 1.0 / 0.04**2  # information from which a blur is known [1/px^2]
+KNOWN, _SETTLED = 1.0 / 0.04**2, 1.0 / 0.01**2  # information from which a blur is known, and very well [1/px^2]
 _TONE_EXPECTED = 1.0 / 0.1**2  # information
 _TONE_DOUBT = 4.0  # variance of what is learnt over that of white noise
 _MOST_TONE = 0.24
 _DOUBT_GAIN = 0.02
+_LEAST_VARIANCE = 0.1  # [grey levels^2]
+_FALL, _RISE = 0.2, 0.01  # gains of the least variance
 _STEP_PX = 1.0  # at most, by one tag
 
 
@@ -33,11 +35,27 @@ class Imaging(NamedTuple):
     tone: Array  # (1,) how far the middle between black and white lies above linear light [contrasts]
     tone_known: Array  # (1,) information on it
     doubt: Array  # (2,) variances of position and of heading over those of white noise
-    quietest: Array  # (1,) variance of a grey of 0, if a grey of 128 has twice as much, of tags in even light
+    quiet: Array  # (1,) variance that a fit leaves of a tag in even light, as ``quiet_variance`` has it [grey levels^2]
 
     @classmethod
     def unknown(cls) -> Self:
-        return cls(np.array([_EXPECTED_PX, 0.0]), np.diag(1.0 / _SIGMA**2), np.zeros(1), np.full(1, _TONE_EXPECTED), np.ones(2), np.zeros(1))
+        return cls(
+            np.array([_EXPECTED_PX, 0.0]),
+            np.diag(1.0 / _SIGMA**2),
+            np.zeros(1),
+            np.full(1, _TONE_EXPECTED),
+            np.ones(2),
+            np.zeros(1),
+        )
+
+    @property
+    def settled(self) -> bool:
+        """Whether the blur is known well enough for what else a tag shows."""
+        return bool(self.known[0, 0] > _SETTLED)
+
+    def variance(self, brightness: float) -> float:
+        """Return the variance that a fit leaves of a tag of this brightness in even light [grey levels^2]."""
+        return float(quiet_variance(self.quiet, brightness))
 
     def learn(self, blocks: Array, contrast: float) -> None:
         """Learn response and noise from the products (B, P + 2, P + 2) of a tag's blocks: of P coefficients, what is
@@ -61,6 +79,12 @@ class Imaging(NamedTuple):
         self.tone_known[0] = _FORGET * self.tone_known[0] + (1.0 - _FORGET) * _TONE_EXPECTED + known
         self.tone[0] += known / self.tone_known[0] * curve[n] / (size * contrast)
         self.tone[0] = min(max(self.tone[0], -_MOST_TONE), _MOST_TONE)
+
+
+@image_kernel
+def blur_at(blur, share):  # type: ignore[no-untyped-def]
+    """Return the blur at a share of the way to the corners [px]."""
+    return min(max(blur[0] + share * blur[1], NARROWEST), WIDEST)
 
 
 @image_kernel
@@ -90,3 +114,18 @@ def learn_blur(blur, known, share, wider, variance):  # type: ignore[no-untyped-
     blur[0] += off * (known[1, 1] - known[0, 1] * share) / area
     blur[1] += off * (known[0, 0] * share - known[0, 1]) / area
     blur[0] = min(max(blur[0], NARROWEST), WIDEST)
+
+
+@image_kernel
+def quiet_variance(quiet, brightness):  # type: ignore[no-untyped-def]
+    """Return the variance of a tag's greys in even light by that of black, of which a grey of 128 has twice as much:
+    brightness counts from there."""
+    return max(quiet[0], _LEAST_VARIANCE) * (1.0 + max(brightness + 128.0, 0.0) / 128.0)
+
+
+@image_kernel
+def learn_quiet(quiet, brightness, variance):  # type: ignore[no-untyped-def]
+    """Follow the least variance that fits leave: that of tags in even light."""
+    now = variance / quiet_variance(quiet, brightness) * max(quiet[0], _LEAST_VARIANCE)
+    gain = _FALL if now < quiet[0] else _RISE
+    quiet[0] = now if quiet[0] == 0.0 else quiet[0] + gain * (now - quiet[0])

@@ -21,19 +21,21 @@ from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.offset import Covariance
 from robofleet.tracking.tags.families import pattern
-from robofleet.tracking.tags.fit import fit_tags, study_tag
+from robofleet.tracking.tags.fit import BLUR, CONTRAST, COUNTED, LOOK, NOISY, add_up_tag, fit_tags
 from robofleet.tracking.tags.imaging import Imaging
 from robofleet.tracking.tags.mapping import on_level, quadratic
 from robofleet.tracking.tags.pixels import BLOCKED, BLOCKS, PARAMETERS, SHAPED, neighbourhoods
-from robofleet.tracking.tags.shape import TILT, STUDIED, STUDIED_FROM, Shapes, cut, explained
+from robofleet.tracking.tags.shape import STUDIED, STUDIED_FROM, TILT, Shapes, explained, shape_cut, turn_variance
 from robofleet.tracking.tags.structure import solve
 from robofleet.tracking.tags.targets import Target
 
 _WIDE_PX = 2.2  # blur of a tag that is out of focus, or moves
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
-MODE = 0
-_CUT_OFF = 0.993
-_NOISY = 1.6
+_COUNTED, _NOISY = 0.993, 1.6  # fewer pixels that count, or more variance than in even light: the light has a structure
+_STRUCTURED_FROM = 0.6  # least likeness of what is fitted once more for that
+_STRUCTURED_PASSES, _STRUCTURED_CUT = 2, 0.5  # [contrasts] beyond which a pixel shows something else there
+_FAR = 0.1  # further the second fit may not be [sides, rad]
+_SHADED = 2.5  # variance over that in even light, beyond which a tag teaches nothing
 _NONE = np.zeros((0, 0), np.bool_)
 NOBODY = -1  # as a target
 
@@ -63,26 +65,59 @@ class Fit(NamedTuple):
         return Found(target, complex(self.centre[row]), float(self.psi[row]), tuple(self.covariance[row].tolist()))
 
 
+class _Fitted(NamedTuple):
+    """One tag as it was fitted."""
+
+    target: int
+    centre: complex  # [m; world]
+    psi: float  # [rad; CCW +]
+    velocity: complex  # [m/s; world]
+    omega: float  # [rad/s]
+    look: Array  # (LOOK,)
+
+
+class _Closeup(NamedTuple):
+    """One tag's pixels, added up once more where it was fitted."""
+
+    products: Array  # (P + 1 + S, P + 1 + S) of the fit's coefficients, what is left of the grey, and those of a shape
+    blocks: Array  # (B, P + 2, P + 2) by blocks: of the fit's, what is left of the grey, and that of the response
+    slope: Array  # (2,) under which the tag is seen
+    counted: float  # share of the pixels
+
+
+class _Refit(NamedTuple):
+    """A pose by ``structure.solve``."""
+
+    centre: complex
+    psi: float
+    covariance: Array  # (6,)
+    uncertainty: float  # the position's variance [m^2]; infinite: it failed
+
+
 class PhotometricFit:
     """Fits tags of known pattern, size and height near where they are expected.
 
-    It learns each target's blur and noise from fit to fit.
+    It learns from fit to fit how the camera images (``imaging.py``), and each target's noise and shape.
     """
 
-    def __init__(self, geometry: CameraGeometry, targets: Sequence[Target], line_time: float = 0.0) -> None:
-        """Take a rolling shutter's time from row to row [s]."""
+    def __init__(
+        self, geometry: CameraGeometry, targets: Sequence[Target], line_time: float = 0.0,
+        imaging: Imaging | None = None,
+    ) -> None:  # fmt: skip
+        """Take a rolling shutter's time from row to row [s], and what is known of the camera's imaging."""
         self.geometry = geometry
         self._line_time = line_time
         self.family = targets[0].family
         self._wholes = np.array([target.whole for target in targets])
         self.heights = np.array([target.height for target in targets])
         self._prints = np.stack([neighbourhoods(pattern(target.tag, self.family)) for target in targets])
-        self.imaging, self._noise = Imaging.unknown(), np.zeros(len(targets))
+        self.imaging = imaging or Imaging.unknown()
+        self._noise = np.zeros(len(targets))
         self.shapes = Shapes.unknown(len(targets))
         self._to_quadratic = quadratic()
-        self.fit(
-            np.zeros((4, 4), np.uint8), np.arange(1), np.zeros(1, np.complex128), np.zeros(1)
-        )  # compiles, or loads
+        nothing = np.zeros((4, 4), np.uint8)
+        self.fit(nothing, np.arange(1), np.zeros(1, np.complex128), np.zeros(1))  # compiles, or loads
+        self._closeup(nothing, _Fitted(0, 0j, 0.0, 0j, 0.0, np.ones(LOOK)), 1.0, _NONE)
 
     def fit(
         self,
@@ -94,93 +129,93 @@ class PhotometricFit:
         omega: Array | None = None,
         hidden: NDArray[np.bool_] = _NONE,
         studied: int = NOBODY,
-        wide_px: float = 0.0,
+        blur_px: float = 0.0,
     ) -> Fit:
         """Return the poses near the guesses ``centre``, ``psi`` (M,) of the targets ``index`` (M,).
 
         velocity (M,) [m/s; world] and omega (M,) [rad/s] are used under a rolling shutter alone. The cells ``hidden``
-        (C, C), row 0 at the print's top, do not count. The shape of the target ``studied`` is learnt from this image.
+        (C, C), row 0 at the print's top, do not count. From the target ``studied``, its shape and the camera's imaging
+        are learnt. blur_px: of these tags, as they are out of focus, or move; 0: the camera's, which learns from them.
         """
-        m = len(index)
+        m, camera = len(index), self.imaging
         if velocity is None or omega is None:
             velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
         fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m), np.empty((m, 6)))
-        levels = np.empty((m, 7))
+        looks, covers = np.empty((m, LOOK)), np.empty((m, FAMILIES[self.family].cells ** 2), np.bool_)
         fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
-            wide_px, self.imaging.blur, self.imaging.known, self.imaging.tone, self.imaging.doubt, self.imaging.quietest, self._noise, self.shapes.values, self.shapes.spreads, levels, *fit,
+            blur_px, camera.blur, camera.known, camera.tone, camera.doubt, camera.quiet, self._noise,
+            self.shapes.values, self.shapes.spreads, looks, covers, *fit,
         )  # fmt: skip
-        self.levels = levels
-        structured = (levels[:, 5] < _CUT_OFF) | (levels[:, 6] > _NOISY)
-        for row in np.flatnonzero((fit.alike > 0.6) & structured).tolist():
-            self._again(image, fit, row, int(index[row]), complex(velocity[row]), float(omega[row]), levels[row], hidden)
-        for row in np.flatnonzero(index == studied).tolist():
-            self._study(image, fit, row, studied, complex(velocity[row]), float(omega[row]), levels[row])
-        return fit
-
-    def _again(self, image, fit, row, i, velocity, omega, level, hidden):
-        """Fit a tag once more whose light has a structure."""
-        level, centre, psi, side = level.copy(), complex(fit.centre[row]), float(fit.psi[row]), self._wholes[i]
-        n = PARAMETERS
-        products = np.empty((n + 1 + SHAPED,) * 2)
-        blocks = np.empty((BLOCKS * BLOCKS, BLOCKED, BLOCKED))
-        for _ in range(2):
-            _, slope, side_px = study_tag(
-                image, self.geometry.flat, self._line_time, self._wholes[i], self.heights[i], self._prints[i],
-                FAMILIES[self.family].cells, self._to_quadratic, centre, psi, velocity, omega, self.shapes.values[i],
-                level[4], self.imaging.tone[0], level[:4], 0.5 * level[3], products, blocks,
+        structured = (fit.alike > _STRUCTURED_FROM) & ((looks[:, COUNTED] < _COUNTED) | (looks[:, NOISY] > _NOISY))
+        for row in np.flatnonzero(structured | (index == studied)).tolist():
+            tag = _Fitted(
+                int(index[row]), complex(fit.centre[row]), float(fit.psi[row]), complex(velocity[row]),
+                float(omega[row]), looks[row],
             )  # fmt: skip
-            lower = blocks[:, : n + 1, : n + 1]
-            whole = lower + np.tril(lower, -1).transpose(0, 2, 1)
-            solution = solve(whole)
-            level[:4] += solution.values[:4]
-            forward, left, turn = -solution.values[4:7] / level[3]
-            if not (np.hypot(forward, left) < 0.1 and abs(turn) < 0.2):
-                return
-            ahead = side * complex(math.cos(psi), math.sin(psi))
-            centre += ahead * on_level(forward, left, self.shapes.values[i, TILT:], slope)
-            psi += turn
-        fit.centre[row], fit.psi[row] = centre, psi
-        C = np.maximum(1.0, 0) * solution.robust[4:7, 4:7] / level[3] ** 2
-        if MODE == 1: C = solution.covariance[4:7, 4:7] / level[3] ** 2
-        c, s = math.cos(psi), math.sin(psi)
-        R = np.array([[side * c, -side * s, 0.0], [side * s, side * c, 0.0], [0.0, 0.0, 1.0]])
-        C = R @ C @ R.T
-        fit.covariance[row] = C[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-
-    def _study(self, image, fit, row, i, velocity, omega, level):
-        if self.imaging.known[0, 0] < 1e4 or fit.alike[row] < STUDIED_FROM or level[5] < _CUT_OFF or level[6] > _NOISY:
-            return
-        contrast = level[3]
-        products = np.empty((PARAMETERS + 1 + SHAPED,) * 2)
-        blocks = np.empty((BLOCKS * BLOCKS, BLOCKED, BLOCKED))
-        counts, slope, _ = study_tag(
-            image, self.geometry.flat, self._line_time, self._wholes[i], self.heights[i], self._prints[i],
-            FAMILIES[self.family].cells, self._to_quadratic, fit.centre[row], fit.psi[row], velocity, omega,
-            self.shapes.values[i], level[4], self.imaging.tone[0], level[:4], cut(self.shapes.counts[i]) * contrast,
-            products, blocks,
-        )  # fmt: skip
-        if counts < STUDIED:
-            return
-        n = PARAMETERS
-        products[n] /= contrast
-        products[:, n] /= contrast
-        left = explained(products)
-        variance = max(left[0, 0] / (products[0, 0] - n), (self._noise[i] / contrast) ** 2)
-        self.imaging.learn(blocks + np.tril(blocks, -1).transpose(0, 2, 1), contrast)
-        self.shapes.learn(i, left, np.array(slope), variance)
+            if structured[row]:
+                ways = [self._fit_structured(image, tag, cover) for cover in (hidden, covers[row])]
+                fit.centre[row], fit.psi[row], fit.covariance[row] = min(ways, key=lambda way: way.uncertainty)[:3]
+            if tag.target == studied and fit.alike[row] > STUDIED_FROM and camera.settled:
+                self._study(image, tag)
+        return fit
 
     def blurred(self, image: NDArray[np.uint8], target: int, centre: complex, psi: float) -> Fit:
         """Return the pose of a target that is out of focus, or moves, in this image: nothing is learnt from it."""
-        known = self._noise[target]
-        self._noise[target] = 0.0
-        fit = self.fit(image, np.array([target]), np.array([centre]), np.array([psi]), wide_px=_WIDE_PX)
-        self._noise[target] = known
+        noise, self._noise[target] = self._noise[target], 0.0
+        fit = self.fit(image, np.array([target]), np.array([centre]), np.array([psi]), blur_px=_WIDE_PX)
+        self._noise[target] = noise
         return fit
 
-    def report(self):
-        i=self.imaging; return f'blur {i.blur[0]:.3f}+{i.blur[1]:.3f} tone {i.tone[0]:.3f} noise {np.median(self._noise):.1f} doubt {i.doubt[0]:.2f} {i.doubt[1]:.2f}'
+    def _fit_structured(self, image: NDArray[np.uint8], tag: _Fitted, hidden: NDArray[np.bool_]) -> _Refit:
+        """Fit a tag once more that shadows, or covers, change by parts: see ``structure.py``."""
+        i, side, tilt = tag.target, self._wholes[tag.target], self.shapes.values[tag.target, TILT:]
+        for _ in range(_STRUCTURED_PASSES):
+            closeup = self._closeup(image, tag, _STRUCTURED_CUT * tag.look[CONTRAST], hidden)
+            values, covariance = solve(closeup.blocks[:, : PARAMETERS + 1, : PARAMETERS + 1])
+            look = tag.look.copy()
+            look[: CONTRAST + 1] += values[: CONTRAST + 1]
+            forward, left, turn = -values[4:7] / max(look[CONTRAST], 1.0)
+            if not (math.hypot(forward, left) < _FAR and abs(turn) < _FAR):
+                return _Refit(tag.centre, tag.psi, np.zeros(6), math.inf)
+            ahead = side * complex(math.cos(tag.psi), math.sin(tag.psi))
+            centre = tag.centre + ahead * on_level(forward, left, tilt, closeup.slope)
+            tag = tag._replace(centre=centre, psi=tag.psi + turn, look=look)
+        c, s = math.cos(tag.psi), math.sin(tag.psi)
+        to_world = np.array([[side * c, -side * s, 0.0], [side * s, side * c, 0.0], [0.0, 0.0, 1.0]])
+        spread = to_world @ covariance[4:7, 4:7] @ to_world.T / tag.look[CONTRAST] ** 2
+        spread[2, 2] += turn_variance(closeup.slope, self.shapes.spreads[i])
+        return _Refit(tag.centre, tag.psi, spread[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], spread[0, 0] + spread[1, 1])
+
+    def _study(self, image: NDArray[np.uint8], tag: _Fitted) -> None:
+        """Learn a target's shape and the camera's imaging from a tag that was just fitted, if no shadow is on it."""
+        contrast, shapes = tag.look[CONTRAST], self.shapes
+        closeup = self._closeup(image, tag, shape_cut(shapes.counts[tag.target]) * contrast, _NONE)
+        if closeup.counted < STUDIED:
+            return
+        rest = np.where(np.arange(len(closeup.products)) == PARAMETERS, contrast, 1.0)  # in contrasts
+        equations = explained(closeup.products / np.outer(rest, rest))
+        pixels = closeup.products[0, 0] - PARAMETERS
+        unexplained = equations[0, 0] - equations[0, 1:] @ np.linalg.solve(equations[1:, 1:], equations[1:, 0])
+        if unexplained * contrast**2 > _SHADED * pixels * self.imaging.variance(tag.look[0]):
+            return
+        self.imaging.learn(closeup.blocks, contrast)
+        variance = max(equations[0, 0] / pixels, (self._noise[tag.target] / contrast) ** 2)
+        shapes.learn(tag.target, equations, closeup.slope, variance)
+
+    def _closeup(self, image: NDArray[np.uint8], tag: _Fitted, cut: float, hidden: NDArray[np.bool_]) -> _Closeup:
+        """Add up a tag's pixels where it was fitted; one that is off by more than ``cut`` [grey levels] does not
+        count."""
+        i, size, look = tag.target, PARAMETERS + 1 + SHAPED, tag.look
+        products, blocks, slope = np.zeros((size, size)), np.zeros((BLOCKS * BLOCKS, BLOCKED, BLOCKED)), np.zeros(2)
+        counted = add_up_tag(
+            image, self.geometry.flat, self._line_time, self._wholes[i], self.heights[i], self._prints[i],
+            FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, tag.centre, tag.psi, tag.velocity,
+            tag.omega, self.shapes.values[i], look[BLUR], self.imaging.tone[0], look[: CONTRAST + 1], cut, products,
+            blocks, slope,
+        )  # fmt: skip
+        return _Closeup(products, blocks, slope, counted)
 
     def pixels(self, index: Indices, centre: Complex) -> Array:
         """Return where points (M,) on the targets' planes appear (M, 2) [px]."""

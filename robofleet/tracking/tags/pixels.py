@@ -19,7 +19,8 @@ from robofleet.core.kernels import image_kernel
 
 REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 PARAMETERS = 8
-BLOCKS, BLOCKED = 5, 10  # along a tag's square, in which brightness may differ; coefficients of which products are added there
+BLOCKS = 5  # along a tag's square: each block may have a light of its own
+BLOCKED = PARAMETERS + 2  # coefficients of which products are added up by blocks
 SHAPED = 6  # more coefficients, of a tag's own shape
 SLOTS, CHUNK = 18, 512  # numbers of a pixel; pixels that are computed at once
 MOST_ROWS = 150  # of pixels along a side that are looked at
@@ -95,9 +96,9 @@ def _bound(rows, many, begin, stride, shape, window):  # type: ignore[no-untyped
 
 @image_kernel
 def _add_up(  # type: ignore[no-untyped-def]
-    flat, full, shape, corners, cells, hidden, tally, side_px, blur, tone, level, cut, products, sums, slope,
-    shaped, blocks,
-):
+    flat, full, shape, corners, cells, hidden, tally, side_px, blur, tone, level, cut, products, sums, slope, shaped,
+    blocks,
+):  # fmt: skip
     """Add the pixels that were read."""
     many = min(-(-full // _LANES) * _LANES, CHUNK)
     for k in range(full, many):

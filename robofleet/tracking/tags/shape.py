@@ -63,7 +63,7 @@ class Shapes(NamedTuple):
         self.counts[tag] = 1 if denied else self.counts[tag] + 1
 
 
-def cut(count: int) -> float:
+def shape_cut(count: int) -> float:
     """Return beyond which misfit [contrasts] a pixel shows something else, of a shape learnt from ``count`` images."""
     return _CUT if count < _KNOWN_FROM else _KNOWN_CUT
 

@@ -5,54 +5,44 @@ that the residuals give; and a weight by Student's t-distribution: a block throu
 more than the others, and counts less.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from robofleet.core.arrays import Array
 
 _LIGHT = [0, 3]  # the coefficients of brightness and contrast
 _FREEDOM = 4.0  # degrees, of Student's distribution
+_MOST_WEIGHT = 1.25 * _FREEDOM  # over the same: blocks up to a variance twice that of most have a weight of 1
 _ROUNDS = 5
 _MEDIAN = 0.455  # of a chi-square of one degree
 _FEWEST = 6.0  # pixels in a block
+_USED = 4.0  # blocks that the pose explains
+_EVEN = 1e-9  # variance of the light of blocks that are lit alike
+_LEAST = 1e-9
 
 
-class Solution(NamedTuple):
-    """Least squares of P coefficients."""
+def solve(blocks: Array) -> tuple[Array, Array]:
+    """Solve the products (B, P + 1, P + 1) of B blocks, of P coefficients and what is left of the grey. The first
+    coefficient is 1, the fourth the contrast's.
 
-    values: Array  # (P,)
-    covariance: Array  # (P, P)
-    robust: Array  # (P, P) the same by how much the blocks differ, whatever the noise's correlation is
-
-
-def solve(blocks: Array) -> Solution:
-    """Solve the products (B, P + 1, P + 1) of B blocks, of P coefficients and what is left of the grey; the first
-    coefficient is 1."""
+    Return the P values, and their covariance (P, P) by how much the blocks differ: so it holds whatever the noise's
+    correlation is.
+    """
     blocks = blocks[blocks[:, 0, 0] >= _FEWEST]
-    n, count = blocks.shape[1] - 1, blocks[:, 0, 0]
-    weight = np.ones(len(blocks))
-    light = np.zeros(2)  # variances of brightness and contrast over that of a pixel
-    to_light = blocks[:, :, _LIGHT]
-    within = to_light[:, _LIGHT, :]
-    values = np.zeros(n)
-    for _ in range(_ROUNDS):
-        gain = np.linalg.inv(np.diag(1.0 / np.maximum(light, 1e-9)) + within)
-        known = blocks - to_light @ gain @ to_light.transpose(0, 2, 1)
-        total = np.einsum("b,bij->ij", weight, known)
-        scale = np.sqrt(np.maximum(np.diag(total)[:n], 1e-12))
-        inverse = np.linalg.inv(total[:n, :n] / np.outer(scale, scale) + 1e-9 * np.eye(n)) / np.outer(scale, scale)
+    n, pixels, weight = blocks.shape[1] - 1, blocks[:, 0, 0], np.ones(len(blocks))
+    to_light, spread = blocks[:, :, _LIGHT], _EVEN  # variance of a block's light over a pixel's
+    values, inverse, score = np.zeros(n), np.zeros((n, n)), np.zeros((len(blocks), n))
+    for _ in range(_ROUNDS if len(blocks) > n else 0):
+        gain = np.linalg.inv(np.eye(len(_LIGHT)) / spread + to_light[:, _LIGHT])
+        own = blocks - to_light @ gain @ to_light.transpose(0, 2, 1)  # what the light of the block does not explain
+        total = (weight[:, None, None] * own).sum(0)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(total)[:n], _LEAST))
+        inverse = np.linalg.inv(total[:n, :n] * np.outer(scale, scale) + _LEAST * np.eye(n)) * np.outer(scale, scale)
         values = inverse @ total[:n, n]
-        step = np.append(-values, 1.0)
-        squares = np.einsum("i,bij,j->b", step, blocks, step)
-        mean = blocks[:, 0] @ step / count
-        spread = np.maximum(squares - count * mean**2, 1e-3) / (count - 1.0)
-        variance = float(np.median(spread))
-        between = max(float(np.median(mean**2)) / _MEDIAN - variance / float(np.median(count)), 0.0) / variance
-        light = np.array([between, between])
-        left = np.einsum("i,bij,j->b", step, known, step) / count
-        weight = (_FREEDOM + 1.0) / (_FREEDOM + left / variance) * _FREEDOM / (_FREEDOM + 1.0) * 1.25
-        weight = np.minimum(weight, 1.0)
-    score = known[:, :n] @ step * weight[:, None]
-    robust = inverse @ (score.T @ score) @ inverse * len(blocks) / (len(blocks) - 4.0)
-    return Solution(values, variance * inverse, robust)
+        left = np.append(-values, 1.0)
+        mean, squares, own_squares = blocks[:, 0] @ left / pixels, (blocks @ left) @ left, (own @ left) @ left
+        variance = float(np.median(np.maximum(squares - pixels * mean**2, _LEAST) / (pixels - 1.0)))
+        between = np.median(mean**2) / _MEDIAN - variance / np.median(pixels)
+        spread = max(float(between) / variance, _EVEN)
+        weight = np.minimum(_MOST_WEIGHT / (_FREEDOM + own_squares / (pixels * variance)), 1.0)
+        score = weight[:, None] * (own[:, :n] @ left)
+    return values, inverse @ (score.T @ score) @ inverse * len(blocks) / max(len(blocks) - _USED, 1.0)
