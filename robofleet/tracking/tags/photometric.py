@@ -31,7 +31,8 @@ from robofleet.tracking.tags.targets import Target
 
 _WIDE_PX = 2.2  # blur of a tag that is out of focus, or moves
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
-_COUNTED, _NOISY = 0.993, 1.6  # fewer pixels that count, or more variance than in even light: the light has a structure
+# The light has a structure if fewer pixels count, or the variance is so much more than in even light.
+_COUNTED, _NOISY, _NOISY_COVERED = 0.993, 1.6, 2.0
 _STRUCTURED_FROM = 0.6  # least likeness of what is fitted once more for that
 _STRUCTURED_PASSES, _STRUCTURED_CUT = 2, 0.5  # [contrasts] beyond which a pixel shows something else there
 _FAR = 0.1  # further the second fit may not be [sides, rad]
@@ -148,7 +149,9 @@ class PhotometricFit:
             blur_px, camera.blur, camera.known, camera.tone, camera.doubt, camera.quiet, self._noise,
             self.shapes.values, self.shapes.spreads, looks, covers, *fit,
         )  # fmt: skip
-        structured = (fit.alike > _STRUCTURED_FROM) & ((looks[:, COUNTED] < _COUNTED) | (looks[:, NOISY] > _NOISY))
+        covered = covers.any(1) | hidden.any()  # with the covered cells left out the others may look as they should
+        structured = np.where(covered, looks[:, NOISY] > _NOISY_COVERED, looks[:, NOISY] > _NOISY)
+        structured = (structured | (~covered & (looks[:, COUNTED] < _COUNTED))) & (fit.alike > _STRUCTURED_FROM)
         for row in np.flatnonzero(structured | (index == studied)).tolist():
             tag = _Fitted(
                 int(index[row]), complex(fit.centre[row]), float(fit.psi[row]), complex(velocity[row]),
