@@ -18,7 +18,7 @@ from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, from_monotonic
 from robofleet.tracking.cameras.v4l2_controls import EXPOSURE_TIME, EXPOSURE_UNIT_S, FOCUS, GAIN, CameraControls
-from robofleet.tracking.cameras.v4l2_device import UVCVIDEO, Device, Ioctl, module_parameter
+from robofleet.tracking.cameras.v4l2_device import UVCVIDEO, Device, Ioctl, sysfs_line
 from robofleet.tracking.sources import (
     CameraContext,
     CameraError,
@@ -71,6 +71,7 @@ class V4L2Camera:
         except (CameraError, OSError):
             self.close()
             raise
+        self.driver = self._kernel.driver
         self.stamp = camera.v4l2.stamp or self._kernel.stamped_instant(uvcvideo)
         self.identity = device_identity(Path(self._device))
         if FOCUS in self.controls.of_device:  # the lens is another one
@@ -156,7 +157,7 @@ class V4L2Camera:
     def _refuse_first(self, stamp_ns: int) -> None:
         """Raise CameraError where the first image shows another clock, or its stream brought old settings back."""
         if not -_AHEAD_NS <= self._clock.now_ns() - stamp_ns <= _OLDEST_STAMP_NS:
-            clock = module_parameter("clock", self._uvcvideo) if self._kernel.driver == "uvcvideo" else ""
+            clock = sysfs_line(self._uvcvideo / "clock") if self.driver == "uvcvideo" else ""
             cure = f": `echo CLOCK_MONOTONIC | sudo tee {self._uvcvideo / 'clock'}`" if "REAL" in clock else ""
             raise CameraError(f"{self._device} stamps its images by another clock than CLOCK_MONOTONIC{cure}")
         self._refuse(self.controls.refused(adjusted=True))
@@ -191,11 +192,11 @@ class V4L2Camera:
 def device_identity(device: Path, sysfs: Path = _SYSFS) -> str:
     """Return a camera's name and serial number; without one, the socket that it is plugged into."""
     entry = sysfs / device.resolve().name
-    name = _line(entry / "name")
+    name = sysfs_line(entry / "name")
     if not name:
         return str(device)
     interface = (entry / "device").resolve()  # of a USB device, which has the serial number
-    serial = _line(interface.parent / "serial")
+    serial = sysfs_line(interface.parent / "serial")
     return f"{name} {serial}" if serial else f"{name} at {interface.name}"
 
 
@@ -230,10 +231,3 @@ _LUMINANCE: dict[str, Callable[[NDArray[Any]], Any]] = {  # of what OpenCV hands
     "Y10": lambda data: cv2.convertScaleAbs(data, alpha=1 / 4),  # (H, W) of 16 bits
     "Y16": lambda data: cv2.convertScaleAbs(data, alpha=1 / 256),
 }
-
-
-def _line(file: Path) -> str:
-    try:
-        return file.read_text().strip()
-    except (OSError, UnicodeDecodeError):
-        return ""

@@ -96,15 +96,19 @@ class CameraControls:
         for control, value, setting, why in self._setpoints:
             if adjusted and control in (EXPOSURE_TIME, GAIN):
                 continue
-            try:
-                got: int | None = self._device.get(control)
-            except OSError:
-                got = None
+            got = self.value(control)
             if got is None or not math.isclose(got, value, rel_tol=_ROUNDED.get(control, 0.0)):
                 unit = EXPOSURE_UNIT_S if control == EXPOSURE_TIME else 1
                 has = "none" if got is None else f"{got * unit:g}"
                 words.append(f"{setting} {value * unit:g} (it has {has})" + (f": {why}" if why else ""))
         return words
+
+    def value(self, control: int) -> int | None:
+        """Return what a control is; None where the camera has none, or does not tell."""
+        try:
+            return self._device.get(control)
+        except OSError:
+            return None
 
     def adjust(self, control: int, value: int) -> int:
         """Set exposure time or gain; return what the camera made of it."""

@@ -126,7 +126,7 @@ class Device:
         else the driver stamps an image's first packet, which the camera sends when rows were exposed.
         """
         if self.driver == "uvcvideo":
-            return "transfer" if module_parameter("hwtimestamps", uvcvideo) in ("", "0", "N") else "start"
+            return "transfer" if sysfs_line(uvcvideo / "hwtimestamps") in ("", "0", "N") else "start"
         buffer = bytearray(_BUFFER.pack(0, _VIDEO_CAPTURE, *11 * (0,), b"", 0, _MMAP, *4 * (0,)))
         with suppress(OSError):  # anybody may ask; the first buffer is there as soon as somebody has asked for images
             self._ioctl(self._descriptor, _QUERYBUF, buffer)
@@ -180,10 +180,10 @@ class Device:
         return True
 
 
-def module_parameter(name: str, module: Path = UVCVIDEO) -> str:
-    """Return a parameter of a kernel module; empty where it is not known."""
+def sysfs_line(file: Path) -> str:
+    """Return what a file of sysfs says; empty where there is none."""
     try:
-        return (module / name).read_text().strip()
+        return file.read_text().strip()
     except (OSError, UnicodeDecodeError):
         return ""
 

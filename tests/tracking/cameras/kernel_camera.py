@@ -145,9 +145,9 @@ class KernelCamera:
         struct.pack_into("=I", buffer, 12, self.stamps)
 
     def _query(self, buffer: bytearray) -> None:
-        (asked,) = struct.unpack_from("=I", buffer)
-        following = [number for number in self.knobs if number > asked & ~NEXT]
-        knob = self.knobs[min(following) if asked & NEXT else asked]
+        (number,) = struct.unpack_from("=I", buffer)
+        following = [known for known in self.knobs if known > number & ~NEXT]
+        knob = self.knobs[min(following) if number & NEXT else number]
         flags = knob.flags | (INACTIVE if not self._free(knob) else 0)
         struct.pack_into(
             "=II32siiiiI", buffer, 0, knob.id, knob.kind, knob.name.encode(), knob.low, knob.high, knob.step,
@@ -231,32 +231,38 @@ class LiveCapture(Capture):
     """A camera that sends all the time. The driver fills a free buffer, or drops the image if there is none when it
     begins; the reader takes filled ones, oldest first, and gives each back a moment later. Image k is grey k."""
 
-    def __init__(self, kernel: KernelCamera | None = None, **keeps: float) -> None:
+    def __init__(self, kernel: KernelCamera | None = None, *, dark: bool = False, **keeps: float) -> None:
         super().__init__(kernel, **keeps)
-        self.now_ms = 0.0  # since image 0 began
+        self.dark = dark
+        self.now_ms = 0.0
         self.busy_ms = 1.0  # that the reader takes after each image
-        self.begun = -1  # the newest image that began
+        self.begun_ms = [0.0]  # when each image began
         self.filling: int | None = None
         self.full: deque[int] = deque()
-        self.began_ms = clocks()[1] - 5000.0
+        self.zero_ms = clocks()[1] - 5000.0
+
+    @property
+    def period_ms(self) -> float:
+        slow = self.dark and self.kernel.has.get(DYNAMIC_RATE)
+        return max(2 * PERIOD_MS if slow else PERIOD_MS, 0.1 * self.kernel.has[EXPOSURE])
 
     def next_image(self) -> tuple[NDArray[Any], float]:
         self._go_on(self.now_ms)
         while not self.full:
-            self._go_on((self.begun + 1) * PERIOD_MS)
+            self._go_on(self.begun_ms[-1] + self.period_ms)
         k = self.full.popleft()
         self.now_ms += self.busy_ms
         shape = int(self.get(cv2.CAP_PROP_FRAME_HEIGHT)), int(self.get(cv2.CAP_PROP_FRAME_WIDTH))
-        return np.full(shape, k, np.uint8), self.began_ms + k * PERIOD_MS
+        return np.full(shape, k % 256, np.uint8), self.zero_ms + self.begun_ms[k]
 
     def _go_on(self, until_ms: float) -> None:
-        while (self.begun + 1) * PERIOD_MS <= until_ms:
-            self.begun += 1
-            self.now_ms = max(self.now_ms, self.begun * PERIOD_MS)
+        while self.begun_ms[-1] + self.period_ms <= until_ms:
+            self.begun_ms.append(self.begun_ms[-1] + self.period_ms)
+            self.now_ms = max(self.now_ms, self.begun_ms[-1])
             if self.filling is not None:
                 self.full.append(self.filling)
             free = len(self.full) < self.get(cv2.CAP_PROP_BUFFERSIZE)
-            self.filling = self.begun if free else None
+            self.filling = len(self.begun_ms) - 1 if free else None
 
 
 def clocks() -> tuple[int, float]:
