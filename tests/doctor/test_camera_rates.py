@@ -80,7 +80,7 @@ def test_what_no_control_explains_may_be_the_socket(plug: Path, power: str, cure
 
 
 def test_a_camera_that_is_refused_is_missing_with_the_reason(plug: Path) -> None:
-    knobs = instead(C920, Knob(AUTOFOCUS, "Focus, Auto", 0, 1, 1, kind=2, streams=1))
+    knobs = instead(C920, Knob(AUTOFOCUS, "Focus, Auto", 0, 1, 1, kind=2, streams=1, insists=True))
     (finding,) = found(plug, LiveCapture(KernelCamera(knobs))).values()
     assert finding.mark is Mark.MISSING
     assert "take a camera whose focus is fixed" in finding.says

@@ -67,7 +67,7 @@ class V4L2Camera:
         try:
             self._set_up(camera)
             self.controls = CameraControls(self._kernel, camera)
-            self._refuse(self.controls.refused(), self._refused_format(camera))
+            self._refuse(self.controls.refused, self._refused_format(camera))
         except (CameraError, OSError):
             self.close()
             raise
@@ -160,7 +160,7 @@ class V4L2Camera:
             clock = sysfs_line(self._uvcvideo / "clock") if self.driver == "uvcvideo" else ""
             cure = f": `echo CLOCK_MONOTONIC | sudo tee {self._uvcvideo / 'clock'}`" if "REAL" in clock else ""
             raise CameraError(f"{self._device} stamps its images by another clock than CLOCK_MONOTONIC{cure}")
-        self._refuse(self.controls.refused(adjusted=True))
+        self._refuse(self.controls.keep())
         self._first = False
 
     def _set_up(self, camera: CameraSettings) -> None:

@@ -2,11 +2,12 @@
 
 The values follow from the configuration and from the camera's own ranges alone, so a camera that is plugged in again,
 or was used by another program, gets the values that it was calibrated with. Each is written, read back, and read again
-when images come: a start of the stream may bring a camera's habits back.
+when images come: a start of the stream may bring a camera's habits back. uvcvideo answers from its memory for most
+controls: a camera that lies to it is found by its images alone.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from typing import Literal, NamedTuple
 
@@ -81,27 +82,21 @@ class Setpoint(NamedTuple):
 
 
 class CameraControls:
-    """The controls of one camera, all set. OSError where it is gone."""
+    """The controls of one camera, all set. ``refused``: what it did not take over, in words."""
 
     def __init__(self, device: Device, camera: CameraSettings) -> None:
-        self.of_device = device.controls()
-        self._device, self._setpoints = device, tuple(self._chosen(camera))
-        for point in self._setpoints:
-            with suppress(OSError):  # what it did not take is read back
-                device.set(point.control, point.value)
+        """Set them. OSError where the device is gone, CameraError where the configuration names no control of it."""
+        self._device, self.of_device = device, device.controls()
+        setpoints = tuple(self._chosen(camera))
+        self._kept = tuple(point for point in setpoints if point.control not in (EXPOSURE_TIME, GAIN))
+        self._write(setpoints)
+        self.refused = self._differing(setpoints)
 
-    def refused(self, *, adjusted: bool = False) -> list[str]:
-        """Return what the camera has not, in words; exposure and gain do not count once they are ``adjusted``."""
-        words = []
-        for control, value, setting, why in self._setpoints:
-            if adjusted and control in (EXPOSURE_TIME, GAIN):
-                continue
-            got = self.value(control)
-            if got is None or not math.isclose(got, value, rel_tol=_ROUNDED.get(control, 0.0)):
-                unit = EXPOSURE_UNIT_S if control == EXPOSURE_TIME else 1
-                has = "none" if got is None else f"{got * unit:g}"
-                words.append(f"{setting} {value * unit:g} (it has {has})" + (f": {why}" if why else ""))
-        return words
+    def keep(self) -> list[str]:
+        """Write again what a stream that began brought back; return what is refused. Exposure and gain follow light."""
+        if self._differing(self._kept):
+            self._write(self._kept)
+        return self._differing(self._kept)
 
     def value(self, control: int) -> int | None:
         """Return what a control is; None where the camera has none, or does not tell."""
@@ -116,8 +111,23 @@ class CameraControls:
         return self._device.get(control)
 
     def summary(self) -> str:
-        """Return what was set, in words."""
-        return ", ".join(f"{point.setting} {point.value}" for point in self._setpoints if point.why)
+        """Return what is kept, in words."""
+        return ", ".join(f"{point.setting} {point.value}" for point in self._kept)
+
+    def _write(self, setpoints: Iterable[Setpoint]) -> None:
+        for point in setpoints:
+            with suppress(OSError):  # what it did not take is read back
+                self._device.set(point.control, point.value)
+
+    def _differing(self, setpoints: Iterable[Setpoint]) -> list[str]:
+        words = []
+        for control, value, setting, why in setpoints:
+            got = self.value(control)
+            if got is None or not math.isclose(got, value, rel_tol=_ROUNDED.get(control, 0.0)):
+                unit = EXPOSURE_UNIT_S if control == EXPOSURE_TIME else 1
+                has = "none" if got is None else f"{got * unit:g}"
+                words.append(f"{setting} {value * unit:g} (it has {has})" + (f": {why}" if why else ""))
+        return words
 
     def _chosen(self, camera: CameraSettings) -> Iterator[Setpoint]:
         """Yield what is to be set, in an order that the kernel accepts; also exposure and gain that it lacks."""

@@ -32,7 +32,8 @@ MODES = (Mode("MJPG", 1280, 720, (60.0, 30.0)), Mode("MJPG", 640, 480, (30.0,)),
 
 @dataclass(frozen=True)
 class Knob:
-    """A control. ``lies``: what it is read as, whatever was written; ``streams``: its value when a stream starts."""
+    """A control. ``lies``: what it is read as, whatever was written; ``streams``: its value when a stream starts;
+    ``insists``: and as long as it goes on."""
 
     id: int
     name: str
@@ -45,6 +46,7 @@ class Knob:
     manual: tuple[int, int] | None = None  # control and value without which it cannot be written
     lies: int | None = None
     streams: int | None = None
+    insists: bool = False
 
 
 C920 = (  # as `v4l2-ctl --list-ctrls` prints them
@@ -100,10 +102,12 @@ class KernelCamera:
 
     def plug(self, knobs: tuple[Knob, ...]) -> None:
         """A camera that was plugged in has its own values."""
+        self.streaming = False
         self.knobs = {knob.id: knob for knob in knobs}
         self.has = {knob.id: knob.default for knob in knobs}
 
     def start_stream(self) -> None:
+        self.streaming = True
         self.has |= {knob.id: knob.streams for knob in self.knobs.values() if knob.streams is not None}
 
     def __call__(self, _descriptor: int, request: int, buffer: bytearray) -> int:
@@ -166,7 +170,8 @@ class KernelCamera:
         if knob.kind == MENU and not knob.low <= value <= knob.high:
             raise OSError(errno.ERANGE, "the menu has no such item")
         steps = (min(max(value, knob.low), knob.high) - knob.low + knob.step // 2) // knob.step
-        self.has[number] = min(knob.low + steps * knob.step, knob.high)
+        if not (self.streaming and knob.insists):
+            self.has[number] = min(knob.low + steps * knob.step, knob.high)
 
     def _free(self, knob: Knob) -> bool:
         return knob.manual is None or self.has[knob.manual[0]] == knob.manual[1]
