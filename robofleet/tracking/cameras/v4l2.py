@@ -57,20 +57,21 @@ class V4L2Camera:
         self._exposing = ExposureChange(Exposure(camera.exposure_s, float(camera.v4l2.gain or 0)))
         self._first = True  # whose stamp and controls are looked at; of later stamps ``watch.py`` judges
         self._reading = threading.Lock()
-        self._capture = open_capture(self._device, cv2.CAP_V4L2)
         try:
             self._kernel = Device(self._device, ioctl)
         except OSError as error:
-            self._capture.release()
-            why = "is it plugged in, and does no other program use it?"
-            raise CameraError(f"{self._device} cannot be opened: {why} ({error.strerror})") from error
+            raise CameraError(f"{self._device} cannot be opened: {error.strerror}: is it plugged in?") from error
+        self._capture = open_capture(self._device, cv2.CAP_V4L2)
         try:
             self._set_up(camera)
             self.controls = CameraControls(self._kernel, camera)
             self._refuse(self.controls.refused, self._refused_format(camera))
-        except (CameraError, OSError):
+        except CameraError:
             self.close()
             raise
+        except OSError as error:
+            self.close()
+            raise CameraError(f"{self._device} fails: {error.strerror}: plug it in again") from error
         self.driver = self._kernel.driver
         self.stamp = camera.v4l2.stamp or self._kernel.stamped_instant(uvcvideo)
         self.identity = device_identity(Path(self._device))
@@ -165,7 +166,7 @@ class V4L2Camera:
 
     def _set_up(self, camera: CameraSettings) -> None:
         if not self._capture.isOpened():
-            raise CameraError(f"{self._device} cannot be opened: is it plugged in, and does no other program use it?")
+            raise CameraError(f"{self._device} gives no images: does another program use it?")
         # First: it makes OpenCV ask for format and rate anew, and for the rate wrongly if it is no whole number.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
         for _, key, wanted_value in _wanted(camera):

@@ -1,5 +1,6 @@
 """A V4L2 camera. No machine of a test has one: the real class drives what the kernel and OpenCV's capture would be."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -278,8 +279,11 @@ def test_another_focus_is_another_lens(opened: Opened) -> None:
         opened(Capture(KernelCamera(CHEAP)), "camera.v4l2.focus=33")
 
 
-def test_the_table_names_each_control_once() -> None:
-    assert len({row.control for row in TABLE}) == len({row.name for row in TABLE}) == len(TABLE)
+def test_the_guide_has_each_control_of_the_table_and_no_other() -> None:
+    guide = (PLATOON.parent / "cameras" / "V4L2.md").read_text()
+    rows = [line for line in guide.partition("## Formats")[0].splitlines() if line.startswith("| `")]
+    names = [name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert sorted(names) == sorted(row.name for row in TABLE)
 
 
 @pytest.mark.parametrize(("buffers", "step"), [(3, 1), (1, 2)])
