@@ -223,10 +223,11 @@ def test_autofocus_that_returns_with_the_stream_is_switched_off_again_or_refused
 
 def test_own_values_replace_the_table(opened: Opened) -> None:
     kernel = KernelCamera()
-    own = "camera.v4l2.controls={sharpness: 3, backlight_compensation: null, white_balance_temperature: 2800}"
+    own = "camera.v4l2.controls={sharpness: 3, brightness: 0, backlight_compensation: null, white_balance_temperature: 2800}"
     kernel.has[BACKLIGHT] = 1
     opened(Capture(kernel), own)
-    assert (kernel.has[SHARPNESS], kernel.has[BACKLIGHT], kernel.has[TEMPERATURE]) == (3, 1, 2800)
+    assert (kernel.has[SHARPNESS], kernel.has[BRIGHTNESS]) == (3, 0)
+    assert (kernel.has[BACKLIGHT], kernel.has[TEMPERATURE]) == (1, 2800)
     kernel = KernelCamera(CHEAP)  # a name of a newer kernel
     opened(Capture(kernel), "camera.v4l2.controls={focus_automatic_continuous: null}")
     assert kernel.has[AUTOFOCUS] == 1
