@@ -1,5 +1,6 @@
 """How many images a second a camera of the kernel's gives, set up as in a run, and what keeps it from more."""
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
@@ -97,19 +98,19 @@ def measure(camera: "V4L2Camera") -> Measured:
 
 def slowed_by(camera: CameraSettings, measured: Measured, sysfs: Path) -> tuple[str, str]:
     """Return what most likely slows a camera down, and the cure."""
-    device, v4l2 = camera.v4l2.device, camera.v4l2
+    device, pixels = camera.v4l2.device, camera.v4l2.format
     period_s = 1 / camera.rate_hz
     if measured.exposure.time_s > period_s:
         why = f"it exposes for {1e3 * measured.exposure.time_s:.1f} ms, longer than a period"
         return why, f"set camera.exposure_s below {period_s:.4g}, and light the floor"
     if measured.dynamic_rate:
         why = f"its control {measured.dynamic_rate} is on, and lowers the rate in the dark"
-        return why, (f"take it out of camera.v4l2.controls, or `v4l2-ctl -d {device} -c {measured.dynamic_rate}=0`")
+        return why, f"take it out of camera.v4l2.controls, or `v4l2-ctl -d {device} -c {measured.dynamic_rate}=0`"
     plug = (sysfs / Path(device).resolve().name / "device").resolve().parent
-    speed, needed = sysfs_line(plug / "speed"), _PIXEL_BYTES.get(v4l2.format, 0.0) * camera.width * camera.height
-    needed *= camera.rate_hz / 1e6
-    if needed > _USB_MB_S.get(speed, needed):
-        why = f"{v4l2.format} of this size and rate is {needed:.0f} MB/s, and its USB carries {_USB_MB_S[speed]:g}"
+    carried = _USB_MB_S.get(sysfs_line(plug / "speed"), math.inf)
+    needed = _PIXEL_BYTES.get(pixels, 0.0) * camera.width * camera.height * camera.rate_hz / 1e6
+    if needed > carried:
+        why = f"{pixels} of this size and rate is {needed:.0f} MB/s, and its USB carries {carried:g}"
         return why, "set camera.v4l2.format to MJPG, take fewer pixels, or a socket and a cable of USB 3"
     if sysfs_line(plug / "power" / "control") == "auto":
         why = "no control explains it; its socket may save power"
@@ -119,10 +120,8 @@ def slowed_by(camera: CameraSettings, measured: Measured, sysfs: Path) -> tuple[
 
 def stamps(camera: CameraSettings, stamp: str, driver: str, uvcvideo: Path = UVCVIDEO) -> Iterator[Finding]:
     """Yield which instant counts as an image's, how late that may be, and what uvcvideo does with broken images."""
-    title, by = (
-        f"{camera.v4l2.device} stamps",
-        f"{driver} stamps" if camera.v4l2.stamp is None else "camera.v4l2.stamp:",
-    )
+    title = f"{camera.v4l2.device} stamps"
+    by = f"{driver} stamps" if camera.v4l2.stamp is None else "camera.v4l2.stamp:"
     if stamp == "start":
         yield ok(title, f"{by} the start of the exposure")
     elif stamp == "end":

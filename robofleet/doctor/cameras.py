@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
@@ -53,7 +54,7 @@ def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
     """Return what is to be said of a device; None if it gives no images. ``wanted``: it is the configuration's."""
     grave = Mark.WARN if wanted is None else Mark.MISSING
     try:
-        with Device(str(path)) as device:
+        with closing(Device(str(path))) as device:
             if not device.gives_images:
                 return None
             name, modes = device.name, device.modes()

@@ -1,5 +1,6 @@
 """What a camera of the kernel's says, through the ioctls of linux/videodev2.h, and what a configuration asks of it."""
 
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -22,13 +23,14 @@ def device(tmp_path: Path) -> str:
 
 
 def test_a_camera_says_its_formats_sizes_and_rates(device: str) -> None:
-    with Device(device, KernelCamera()) as camera:
+    with closing(Device(device, KernelCamera())) as camera:
         assert (camera.driver, camera.name, camera.modes()) == ("uvcvideo", "Eye 3", MODES)
     assert shown(MODES) == "MJPG 1280x720 at 60/30 Hz, 640x480 at 30 Hz; YUYV 1280x720 at 10 Hz"
 
 
 def test_a_second_node_of_a_camera_gives_no_images(device: str) -> None:
-    with Device(device, KernelCamera(caps=CAPTURE | METADATA | DEVICE_CAPS, of_device=METADATA)) as node:
+    kernel = KernelCamera(caps=CAPTURE | METADATA | DEVICE_CAPS, of_device=METADATA)
+    with closing(Device(device, kernel)) as node:
         assert not node.gives_images
 
 

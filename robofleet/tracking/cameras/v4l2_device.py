@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from robofleet.config.camera import StampedInstant
 
@@ -23,9 +22,7 @@ _CAPABILITY, _FORMAT, _SIZE, _INTERVAL = 104, 64, 44, 52  # bytes of their struc
 _QUERYCTRL, _G_CTRL, _S_CTRL = 0xC0445624, 0xC008561B, 0xC008561C
 _QUERY = struct.Struct("=II32siiiiI2I")  # id, type, name, low, high, step, default, flags
 _VALUE = struct.Struct("=Ii")  # id, value
-_BUFFER = struct.Struct(
-    "@5I2l2I4B4s2IL2Ii0l"
-)  # index, type, bytes, flags, field, time, time code, sequence, memory, ...
+_BUFFER = struct.Struct("@5I2l2I4B4s2IL2Ii0l")  # index, type, bytes, flags, field, time, code, number, memory, ...
 _QUERYBUF = 0xC0000000 | _BUFFER.size << 16 | ord("V") << 8 | 9
 
 _CAPTURE, _HAS_DEVICE_CAPS = 0x1, 0x80000000
@@ -77,14 +74,8 @@ class Device:
         of_all, of_this = struct.unpack_from("=II", buffer, 84)
         self.gives_images = bool((of_this if of_all & _HAS_DEVICE_CAPS else of_all) & _CAPTURE)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
-
     def close(self) -> None:
-        """Idempotent."""
+        """Let go of it. Idempotent."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)

@@ -223,9 +223,9 @@ def test_autofocus_that_returns_with_the_stream_is_switched_off_again_or_refused
 
 def test_own_values_replace_the_table(opened: Opened) -> None:
     kernel = KernelCamera()
-    own = "camera.v4l2.controls={sharpness: 3, brightness: 0, backlight_compensation: null, white_balance_temperature: 2800}"
+    own = "{sharpness: 3, brightness: 0, backlight_compensation: null, white_balance_temperature: 2800}"
     kernel.has[BACKLIGHT] = 1
-    opened(Capture(kernel), own)
+    opened(Capture(kernel), f"camera.v4l2.controls={own}")
     assert (kernel.has[SHARPNESS], kernel.has[BRIGHTNESS]) == (3, 0)
     assert (kernel.has[BACKLIGHT], kernel.has[TEMPERATURE]) == (1, 2800)
     kernel = KernelCamera(CHEAP)  # a name of a newer kernel
