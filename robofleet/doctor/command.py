@@ -69,7 +69,8 @@ def doctor(
 ) -> None:
     """Check this computer: what a run needs, how to get it.
 
-    It prints a line for each need: ok, warn or missing, and how to mend it.
+    It prints a line for each need: ok, warn or missing, and how to mend it. V4L2 cameras of CONFIG
+    give images for two seconds.
 
     $ robofleet doctor
 
