@@ -4,17 +4,13 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
 
-import numpy as np
-
-from robofleet.bus.bus import MemoryBus
-from robofleet.bus.ticks import TickFollower
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import CameraModel
 from robofleet.config.faults import did_you_mean
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.arrays import Image
-from robofleet.core.clock import S, WallClock
+from robofleet.core.clock import WallClock
 from robofleet.core.plugins import PluginError, load
 from robofleet.tracking.cameras import files
 from robofleet.tracking.sources import Camera, CameraContext, CameraError
@@ -96,12 +92,7 @@ def refuse_other_sizes(images: Sequence[Named], model: CameraModel) -> None:
 
 
 def open_camera(config: Config) -> Camera:
-    clock = WallClock()
-    bus = MemoryBus(config.arena.name, clock, 0)
-    ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
-    context = CameraContext(
-        config=config, clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(config.run.seed), extra_delay_ns=0
-    )
+    context = CameraContext.without_run(config, WallClock())
     try:
         camera: Camera = load("robofleet.cameras", config.camera.source)(context)
     except (PluginError, CameraError) as error:

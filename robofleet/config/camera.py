@@ -23,6 +23,8 @@ from robofleet.core.settings import (
 
 Turn = Annotated[float, Field(ge=-30, le=30)]  # about x right, y down or z forward
 Gain = Annotated[float, within(-(2**31), 2**31 - 1)]
+ControlValue = Annotated[int, within(-(2**31), 2**31 - 1)]
+StampedInstant = Literal["start", "transfer", "end"]
 Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
@@ -152,12 +154,19 @@ class V4L2Settings(Model):
 
     device: Named = "/dev/video0"
     """Device of the camera. A link in ``/dev/v4l/by-id`` keeps its name when the camera is plugged in again."""
-    format: Literal["MJPG", "GREY"] = "MJPG"
-    """Pixel format."""
-    gain: Annotated[int, within(-(2**31), 2**31 - 1)] | None = 0
+    format: Literal["MJPG", "GREY", "YUYV", "UYVY", "NV12", "Y10", "Y16"] = "MJPG"
+    """Pixel format; only the luminance is used. Bytes a pixel: MJPG about 0.2, GREY 1, NV12 1.5, others 2."""
+    gain: ControlValue | None = 0
     """Gain in the camera's own units; null: the camera has no gain control."""
-    stamp: Literal["start", "end"] = "start"
-    """Which instant the camera's kernel driver stamps: ``start`` of the exposure, or ``end`` of the transfer."""
+    focus: ControlValue | None = None
+    """Focus in the camera's own units, of a camera that can move its lens; null: its default, often infinity. The
+    calibration of the lens belongs to it."""
+    controls: Annotated[dict[Named, ControlValue | None], Field(max_length=MANY)] = Field(default={})
+    """Values of controls by the names that ``v4l2-ctl --list-ctrls`` prints, instead of those that robofleet sets
+    (``configs/cameras/V4L2.md``); null: the control stays as it is."""
+    stamp: StampedInstant | None = None
+    """Which instant the camera's kernel driver stamps: ``start`` of the exposure, start of the ``transfer`` (taken for
+    the end of the first row's exposure), or ``end`` of the transfer; null: as the driver says."""
 
 
 class FilesSettings(Model):

@@ -3,16 +3,17 @@
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
 
 from robofleet.config.camera import CameraSettings
-from robofleet.doctor import permission, udev, v4l2_device
+from robofleet.doctor import permission, udev
 from robofleet.doctor.elsewhere import NoAnswerError, run_apart
 from robofleet.doctor.findings import Finding, Mark, Paste, ok
 from robofleet.doctor.needs import Needs
-from robofleet.doctor.v4l2_device import Mode
+from robofleet.tracking.cameras.v4l2_device import Device, Mode
 
 _SYSFS = Path("/sys/class/video4linux")
 _DEVICES = Path("/dev")
@@ -53,20 +54,21 @@ def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
     """Return what is to be said of a device; None if it gives no images. ``wanted``: it is the configuration's."""
     grave = Mark.WARN if wanted is None else Mark.MISSING
     try:
-        device = v4l2_device.ask(str(path))
+        with closing(Device(str(path))) as device:
+            if not device.gives_images:
+                return None
+            name, modes = device.name, device.modes()
     except PermissionError:
         refused = f"{permission.user_name()} may not open it"
         return Finding(str(path), grave, refused, permission.cure(path))
     except OSError as error:
         refused = f"it cannot be asked: {error.strerror}"
         return Finding(str(path), grave, refused, "end what uses it, or plug it in again")
-    if device is None:
-        return None
     usb = usb_of(path)
     pastes = (Paste(udev.FILE, udev.camera_rule(usb, "camera")),) if usb is not None else ()
     number = f", serial number {usb.serial_number}" if usb is not None and usb.serial_number else ""
-    says = f"{device.name}{number}: {shown(device.modes)}"
-    if wanted is not None and (lacks := lacking(wanted, device.modes)):
+    says = f"{name}{number}: {shown(modes)}"
+    if wanted is not None and (lacks := lacking(wanted, modes)):
         return Finding(str(path), Mark.MISSING, f"{says}; {lacks}", "take one of these in `camera:`", pastes)
     return ok(str(path), says, *pastes)
 
@@ -74,7 +76,7 @@ def _looked_at(path: Path, wanted: CameraSettings | None) -> Finding | None:
 def lacking(wanted: CameraSettings, modes: tuple[Mode, ...]) -> str:
     """Return what a camera cannot do that a configuration asks for; nothing if it can."""
     letters = wanted.v4l2.format
-    of_format = [mode for mode in modes if mode.format == letters]
+    of_format = [mode for mode in modes if mode.format.rstrip() == letters]
     if not of_format:
         return f"it has no {letters}"
     of_size = [mode for mode in of_format if (mode.width, mode.height) == (wanted.width, wanted.height)]

@@ -11,6 +11,7 @@ from robofleet.core.refusal import RefusedError
 from robofleet.core.settings import ROBOTS
 from robofleet.core.valid_json import dumps
 from robofleet.doctor.asking import ask as answers
+from robofleet.doctor.camera_rates import camera_rates
 from robofleet.doctor.examination import examine
 from robofleet.doctor.findings import Finding, Mark
 from robofleet.doctor.needs import Needs
@@ -68,7 +69,8 @@ def doctor(
 ) -> None:
     """Check this computer: what a run needs, how to get it.
 
-    It prints a line for each need: ok, warn or missing, and how to mend it.
+    It prints a line for each need: ok, warn or missing, and how to mend it. V4L2 cameras of CONFIG
+    give images for two seconds.
 
     $ robofleet doctor
 
@@ -91,7 +93,7 @@ def doctor(
     if not all(ask):
         raise RefusedError("--ask: name a serial port, as /dev/ttyUSB0, or all")
     needs = _needs(config, overrides, robots)
-    findings = [*examine(needs), *answers(needs, ask)]
+    findings = [*examine(needs), *camera_rates(needs), *answers(needs, ask)]
     missing = sum(finding.mark is Mark.MISSING for finding in findings)
     what = str(config) if config is not None else "A simulated run"
     if as_json:

@@ -16,7 +16,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.bus.bus import Bus, Wake
+from robofleet.bus.bus import Bus, MemoryBus, Wake
 from robofleet.bus.messages import TagPose
 from robofleet.bus.ticks import TickFollower
 from robofleet.config.camera import CameraSettings
@@ -166,6 +166,16 @@ class CameraContext:
     ticks: TickFollower
     rng: np.random.Generator
     extra_delay_ns: int
+
+    @classmethod
+    def without_run(cls, config: Config, clock: Clock) -> "CameraContext":
+        """Return what a camera is made from where no run is: nobody ticks, and its bus is its own."""
+        bus = MemoryBus(config.arena.name, clock, 0)
+        ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
+        return CameraContext(
+            config=config, clock=clock, bus=bus, ticks=ticks, rng=np.random.default_rng(config.run.seed),
+            extra_delay_ns=0,
+        )  # fmt: skip
 
 
 def start_to_middle_ns(camera: CameraSettings, exposure_s: float) -> int:

@@ -1,52 +1,19 @@
 """What a camera of the kernel's says, through the ioctls of linux/videodev2.h, and what a configuration asks of it."""
 
-import errno
-import struct
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from robofleet.config.load import load_config
-from robofleet.doctor import cameras, v4l2_device
+from robofleet.doctor import cameras
 from robofleet.doctor.cameras import lacking, shown, usb_of
 from robofleet.doctor.findings import Mark
 from robofleet.doctor.needs import Needs
-from robofleet.doctor.v4l2_device import DeviceReport, Mode
+from robofleet.tracking.cameras.v4l2_device import Device
+from tests.tracking.cameras.kernel_camera import CAPTURE, DEVICE_CAPS, METADATA, MODES, KernelCamera
 
 LAB = Path(__file__).parents[2] / "configs" / "lab.yaml"
-MODES = (Mode("MJPG", 1280, 720, (60.0, 30.0)), Mode("MJPG", 640, 480, (30.0,)), Mode("YUYV", 1280, 720, (10.0,)))
-CAPTURE, METADATA, DEVICE_CAPS = 0x1, 0x00800000, 0x80000000
-
-
-class Webcam:
-    """A driver in the kernel: fills the structs as their header lays them out."""
-
-    def __init__(self, caps: int = CAPTURE, of_device: int = CAPTURE) -> None:
-        self.caps, self.of_device = caps, of_device
-
-    def __call__(self, _descriptor: int, request: int, buffer: bytearray) -> int:
-        number, size = request & 0xFF, request >> 16 & 0x3FFF
-        assert (request >> 8 & 0xFF, len(buffer)) == (ord("V"), size)
-        index = struct.unpack_from("=I", buffer)[0]
-        letters = list(dict.fromkeys(mode.format for mode in MODES))
-        try:
-            if number == 0:  # v4l2_capability
-                struct.pack_into(
-                    "=16s32s32sIII", buffer, 0, b"uvcvideo", b"Eye 3", b"usb-1", 0, self.caps, self.of_device
-                )
-            elif number == 2:  # v4l2_fmtdesc
-                assert struct.unpack_from("=I", buffer, 4)[0] == 1
-                struct.pack_into("=I32s4s", buffer, 8, 0, b"a format", letters[index].encode())
-            elif number == 74:  # v4l2_frmsizeenum
-                mode = [mode_row for mode_row in MODES if mode_row.format.encode() == buffer[4:8]][index]
-                struct.pack_into("=III", buffer, 8, 1, mode.width, mode.height)
-            elif number == 75:  # v4l2_frmivalenum
-                _, letter, width, height = struct.unpack_from("=I4sII", buffer)
-                mode = next(mode_row for mode_row in MODES if mode_row[:3] == (letter.decode(), width, height))
-                struct.pack_into("=III", buffer, 16, 1, 1000, round(1000 * mode.rates_hz[index]))
-        except IndexError:
-            raise OSError(errno.EINVAL, "the list has ended") from None
-        return 0
 
 
 @pytest.fixture
@@ -56,17 +23,20 @@ def device(tmp_path: Path) -> str:
 
 
 def test_a_camera_says_its_formats_sizes_and_rates(device: str) -> None:
-    assert v4l2_device.ask(device, Webcam()) == DeviceReport("Eye 3", MODES)
+    with closing(Device(device, KernelCamera())) as camera:
+        assert (camera.driver, camera.name, camera.modes()) == ("uvcvideo", "Eye 3", MODES)
     assert shown(MODES) == "MJPG 1280x720 at 60/30 Hz, 640x480 at 30 Hz; YUYV 1280x720 at 10 Hz"
 
 
 def test_a_second_node_of_a_camera_gives_no_images(device: str) -> None:
-    assert v4l2_device.ask(device, Webcam(CAPTURE | METADATA | DEVICE_CAPS, METADATA)) is None
+    kernel = KernelCamera(caps=CAPTURE | METADATA | DEVICE_CAPS, of_device=METADATA)
+    with closing(Device(device, kernel)) as node:
+        assert not node.gives_images
 
 
 def test_what_is_no_camera_is_an_error_that_the_line_tells() -> None:
     with pytest.raises(OSError, match="Inappropriate ioctl"):
-        v4l2_device.ask("/dev/null")
+        Device("/dev/null")
 
 
 @pytest.mark.parametrize(
