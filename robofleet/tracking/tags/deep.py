@@ -26,6 +26,9 @@ from robofleet.tracking.tags.targets import Target
 
 _LIKELY = 0.7  # the same of a tag that is blurred, or of which each cell is right: light that overflows widens white
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
+_FINE = 0.27
+_SHIFT_PX = 0.5
+_SHIFTS = _SHIFT_PX * np.stack(np.meshgrid([0.0, -1.0, 1.0], [0.0, -1.0, 1.0]), axis=-1).reshape(9, 2)
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
 _LEAST_CONTRAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
 _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
@@ -52,6 +55,7 @@ class DeepSearch(TagSearch):
         self._sides = np.array([target.side for target in targets])
         sizes = [side_px(fit.geometry, target) for target in targets]
         self._sizes_px = min(sizes), max(sizes)
+        self._fine_px = min(_BLUR_PX, _FINE * min(sizes) / FAMILIES[fit.family].square)
         self._kinds = sorted({(target.side, target.height) for target in targets})
         self._family = FAMILIES[fit.family]
         self._grid, self._covers = _grid(self._family.cells + 2, self._family.square), _covers(fit.family)
@@ -65,6 +69,7 @@ class DeepSearch(TagSearch):
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
         part = _smooth(image[top:bottom, left:right])
+        fine = _smooth(image[top:bottom, left:right], self._fine_px)
         begins, ends = self._edges(dark_squares(part, self._family))
         corner = np.array([left, top], np.float64)
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
@@ -74,11 +79,12 @@ class DeepSearch(TagSearch):
             chosen = self._order(len(centre))[:_SQUARES_AT_ONCE]
             centre, psi = centre[chosen], psi[chosen]
             pixels = self._pixels(centre, psi, side, height, self._grid)
-            cells = _levels(part, pixels - corner).reshape(-1, *self._rim.shape)
+            shift, cells = self._shifted(fine, pixels - corner)
             square, target, turns = self._read(cells, which)
             heading = psi[square] + turns * (math.pi / 2.0)
             others = _apart(centre[square], heading, target, _SAME * side)
-            corners.append(self._pixels(centre[square[others]], heading[others], side, height, CORNERS))
+            at = self._pixels(centre[square[others]], heading[others], side, height, CORNERS)
+            corners.append(at + shift[square[others], None])
             found.append(target[others])
         return Squares(np.concatenate(corners), np.concatenate(found))
 
@@ -201,6 +207,15 @@ class DeepSearch(TagSearch):
 
     # Cells
 
+    def _shifted(self, image: Image, pixels: Array) -> tuple[Array, Array]:
+        """Return by how much squares (M, C + 2, C + 2) lie better, where the paper is brightest beside the rim (M, 2)
+        [px], and the greys of their cells there."""
+        many = pixels.shape[:2]
+        levels = _levels(image, (pixels + _SHIFTS[:, None, None]).reshape(-1, many[1], 2)).reshape(-1, *many)
+        contrast = levels[..., self._paper.ravel()].mean(-1) - levels[..., self._rim.ravel()].mean(-1)
+        best = contrast.argmax(0)
+        return _SHIFTS[best], levels[best, np.arange(many[0])].reshape(-1, *self._rim.shape)
+
     def _read(self, cells: Array, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Return which squares (M,) by their cells (M, C + 2, C + 2) may be which of the targets, turned how often."""
         inner = _sharp(cells)
@@ -314,8 +329,8 @@ def _grid(count: int, square: int) -> Complex:
     return (at - 1j * at[:, None]).ravel()
 
 
-def _smooth(image: Image) -> Image:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
+def _smooth(image: Image, sigma: float = _BLUR_PX) -> Image:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8)
 
 
 def _levels(image: Image, pixels: Array) -> Array:
