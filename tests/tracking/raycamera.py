@@ -25,7 +25,8 @@ class RayCamera:
     fisheye: bool = False
     exposure: float = 0.0  # of a row [s]
     line_time: float = 0.0  # from a row to the next [s]
-    defocus: float = 0.7  # radius of the disc that a point of light makes [px], at most 1
+    defocus: float = 0.7  # radius of the disc that a point of light makes out of focus [px], at most 1
+    lens_sigma_px: float = 0.0  # of the Gaussian that each point of that becomes, by diffraction and aberrations
 
     def project(self, points_world: Array) -> Array:
         """Return the pixels (N, 2) of points (N, 3) [m]."""

@@ -3,8 +3,9 @@
 Nothing here is shared with the tracker or the simulated camera. Each pixel is cut into 6 x 6 sub-samples; each is cast
 as a ray through the lens (distortion inverted by Newton's method) onto the print's own plane, at its own instant of the
 exposure, which a rolling shutter shifts from row to row. The print is made of sharp black and white squares on paper,
-averaged exactly over the sub-sample's footprint; a disc of defocus and the pixel's square gather the sub-samples. Then
-come uneven light, shot and read noise, clipping and 8 bits. Around the prints lies a floor of clutter at z = 0.
+averaged exactly over the sub-sample's footprint. The lens's Gaussian spreads the sub-samples; a disc of defocus and the
+pixel's square gather them. Then come uneven light, shot and read noise, clipping and 8 bits. Around the prints lies a
+floor of clutter at z = 0.
 
 A print's forward is its right and its left its top, with the pattern upright as OpenCV draws it. Times count from the
 instant at which the image's middle row is in mid-exposure. Grey levels are linear in the light.
@@ -30,6 +31,7 @@ BLACK, WHITE = 25.0, 215.0  # of the print under full light
 SQUARES = {"36h11": (8, 8), "Standard41h12": (9, 5)}  # cells along the print, and along the square that has its side
 _SUB = 6  # sub-samples along a pixel
 _NODES = 8  # along a patch: between them, where rays meet a plane is a polynomial to better than a nanometre
+_TAIL = 5.0  # standard deviations of the lens's Gaussian, beyond which nothing is left
 _INSTANT_PX = 0.25  # motion that a sub-sample averages with one instant drawn from it
 
 
@@ -92,7 +94,8 @@ class RayCaster:
         """Take the floor's greys as this camera sees them under full light, (H, W)."""
         self.camera, self.floor, self._rng = camera, floor, rng
         self.lamps = _lamps(camera.size)
-        self._gather = _gather(camera.defocus)
+        self._lens, self._gather = _gaussian(camera.lens_sigma_px * _SUB), _gather(camera.defocus)
+        self._spread = math.ceil(_TAIL * camera.lens_sigma_px)  # of a point by the lens [px]
 
     def image(self, prints: Iterable[Print], level: float, noise: float) -> NDArray[np.uint8]:
         """Return a picture (H, W) under ``level`` of the full light.
@@ -133,14 +136,18 @@ class RayCaster:
         # Of its quickest point [px/s].
         speed = (math.hypot(*tag.twist[:2]) + 0.72 * cells * cell * abs(tag.twist[2])) / pixel
         smear = speed * (camera.exposure + 2.0 * np.ptp(corners[:, 1]) * camera.line_time)
-        first = np.floor(corners.min(0) - smear - 2.0).astype(int).clip(0, camera.size)
-        last = np.ceil(corners.max(0) + smear + 3.0).astype(int).clip(0, camera.size)
+        first = np.floor(corners.min(0) - smear - self._spread - 2.0).astype(int).clip(0, camera.size)
+        last = np.ceil(corners.max(0) + smear + self._spread + 3.0).astype(int).clip(0, camera.size)
         if (first >= last).any():
             none = np.zeros((0, 0), np.float32)
             return Patch((slice(0, 0), slice(0, 0)), none, none)
-        # A pixel more on every side, for the defocus.
-        u, v = ((np.arange((b - a + 2) * _SUB) + 0.5) / _SUB + a - 1.5 for a, b in zip(first, last, strict=True))
-        cover, light = self._exposed(tag, u, v, pixel / _SUB, max(1, math.ceil(speed * camera.exposure / _INSTANT_PX)))
+        more = self._spread + 1  # pixels on every side: what lens and defocus bring from there
+        u, v = ((np.arange((b - a + 2 * more) * _SUB) + 0.5) / _SUB + a - more - 0.5
+                for a, b in zip(first, last, strict=True))  # fmt: skip
+        # What an edge's sub-sample averages is the run of its way across it, so that no step is left at any angle.
+        edge = np.abs(corners[1] - corners[0])
+        footprint = pixel / _SUB * float(edge.max() / np.hypot(*edge))
+        cover, light = self._exposed(tag, u, v, footprint, max(1, math.ceil(speed * camera.exposure / _INSTANT_PX)))
         where = slice(first[1], last[1]), slice(first[0], last[0])
         return Patch(where, self._gathered(cover), self._gathered(light))
 
@@ -218,7 +225,13 @@ class RayCaster:
         return x.astype(np.float32), y.astype(np.float32)
 
     def _gathered(self, fine: Floats) -> Floats:
-        """Return the pixels (h, w) of sub-samples (6 (h + 2), 6 (w + 2)): each gathers from the 3 x 3 around it."""
+        """Return the pixels (h, w) of sub-samples (6 (h + 2 n), 6 (w + 2 n)), n being 1 more than the lens spreads.
+
+        Six sub-samples' squares are a pixel's, and a Gaussian sampled so finely is as good as the integral over it.
+        """
+        if self._spread:
+            cut = self._spread * _SUB
+            fine = cv2.sepFilter2D(fine, cv2.CV_32F, self._lens, self._lens)[cut:-cut, cut:-cut]
         h, w = fine.shape[0] // _SUB, fine.shape[1] // _SUB
         blocks = fine.reshape(h, _SUB, w, _SUB).transpose(0, 2, 1, 3).reshape(h, w, _SUB * _SUB) @ self._gather
         pixels = np.zeros((h - 2, w - 2), np.float32)
@@ -240,8 +253,8 @@ def _rise(way: Array, psi: float, tilt: tuple[float, float]) -> Array:
     return np.asarray(forward * math.sin(tilt[0]) + left * (math.cos(tilt[0]) * math.sin(tilt[1])), np.float64)
 
 
-def clutter(size: tuple[int, int], rng: np.random.Generator) -> Floats:
-    """Return a floor (H, W): mottled, with lines, tape, and squares that are no tags."""
+def clutter(size: tuple[int, int], rng: np.random.Generator, lens_sigma_px: float = 0.6) -> Floats:
+    """Return a floor (H, W) behind a lens: mottled, with lines, tape, and squares that are no tags."""
     width, height = size
     coarse = rng.normal(120.0, 25.0, (height // 40 + 2, width // 40 + 2)).astype(np.float32)
     floor = cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
@@ -253,7 +266,7 @@ def clutter(size: tuple[int, int], rng: np.random.Generator) -> Floats:
         box = cv2.boxPoints((tuple(rng.uniform(0.0, size)), (side, side), rng.uniform(0.0, 90.0)))
         cv2.fillConvexPoly(floor, box.astype(int), rng.uniform(10.0, 220.0), cv2.LINE_AA)
     floor += rng.normal(0.0, 4.0, floor.shape).astype(np.float32)
-    return cv2.GaussianBlur(floor, (0, 0), 0.6).clip(5.0, 230.0)
+    return cv2.GaussianBlur(floor, (0, 0), lens_sigma_px).clip(5.0, 230.0)
 
 
 def _lamps(size: tuple[int, int]) -> Floats:
@@ -272,9 +285,16 @@ def _edges(at: Floats, width: float, cells: int) -> tuple[NDArray[np.int64], Flo
     return border.astype(np.int64), beyond, paper
 
 
+def _gaussian(sigma: float) -> Floats:
+    """Return the weights (N,) of a Gaussian at whole numbers, N odd; of a standard deviation of 0: 1."""
+    at = np.arange(-math.ceil(_TAIL * sigma), math.ceil(_TAIL * sigma) + 1)
+    weights = np.exp(-0.5 * (at / max(sigma, 1e-9)) ** 2)
+    return (weights / weights.sum()).astype(np.float32)
+
+
 def _gather(defocus: float) -> Floats:
     """Return the weights (36, 9) of a pixel's sub-samples for itself and its neighbours: disc and square, convolved."""
-    if not 0.0 < defocus <= 1.0:
+    if not 0.0 <= defocus <= 1.0:
         raise ValueError(f"defocus {defocus} px: between 0 and 1")
     k = np.arange(4000)
     radius, angle = defocus * np.sqrt((k + 0.5) / len(k)), k * math.pi * (3.0 - math.sqrt(5.0))

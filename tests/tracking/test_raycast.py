@@ -93,7 +93,7 @@ def test_paper_and_print_lie_where_opencv_projects_them(fisheye: bool) -> None:
         assert np.abs(centroid(black) - sum(part * middle for part, middle in parts) / area).max() < 4e-3
 
 
-def flat(defocus: float = 0.8, **shutter: float) -> RayCamera:
+def flat(defocus: float = 0.8, **settings: float) -> RayCamera:
     """A camera a metre above the floor that sees a millimetre a pixel: u = 1000 x, v = 240 - 1000 y."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[2, 3] = 1.0
@@ -102,7 +102,7 @@ def flat(defocus: float = 0.8, **shutter: float) -> RayCamera:
         np.array([[1e3, 0.0, 0.0], [0.0, 1e3, 240.0], [0.0, 0.0, 1.0]]),
         np.zeros(0),
         T,
-        **shutter,
+        **settings,
         defocus=defocus,
     )
 
@@ -128,6 +128,24 @@ def test_edge_is_spread_by_disc_pixel_and_motion(defocus: float, way: float) -> 
     u = np.arange(180, 220)[:, None, None]
     inside = (u + 0.5 - edge - across - moved[:, None]).clip(0.0, 1.0).mean(1)
     assert np.abs(row[180:220] - inside @ share / share.sum()).max() < 0.004
+
+
+@pytest.mark.parametrize("sigma", [0.4, 0.7, 1.2, 2.0])
+@pytest.mark.parametrize(("phase", "degrees"), [(0.0, 0.0), (0.31, 0.0), (0.77, 90.0), (0.5, 30.0), (0.13, 45.0)])
+def test_edge_is_spread_by_gaussian_and_pixel(sigma: float, phase: float, degrees: float) -> None:
+    """By the normal distribution's integral, averaged over the pixel's square: a straight edge at any angle."""
+    angle, right = math.radians(degrees), 200.0 + phase  # of the sheet's edge, where it crosses the row 240 [px]
+    c, s = math.cos(angle), math.sin(angle)
+    pose = (right / 1e3 - 0.05 * c, -0.05 * s, angle)
+    cover = paper(flat(0.0, lens_sigma_px=sigma), pose)
+    v, u = np.mgrid[220:261, 180:221].astype(np.float64)
+    across = c * (u - right) - s * (v - 240.0)  # from the edge, outwards [px]
+    square = (np.arange(32) + 0.5) / 32 - 0.5
+    within = (c * square - s * square[:, None]).ravel()
+    x = np.arange(-12.0, 12.0, 0.005)
+    beyond = np.array([0.5 * math.erfc(d / sigma / math.sqrt(2.0)) for d in x.tolist()])
+    ideal = np.interp(across[..., None] + within, x, beyond).mean(2)
+    assert np.abs(cover[220:261, 180:221] - ideal).max() < 0.0015
 
 
 def test_every_row_has_its_own_instant() -> None:
