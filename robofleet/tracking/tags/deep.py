@@ -31,6 +31,7 @@ _SHIFT_PX = 0.5
 _SHIFTS = _SHIFT_PX * np.stack(np.meshgrid([0.0, -1.0, 1.0], [0.0, -1.0, 1.0]), axis=-1).reshape(9, 2)
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
 _LEAST_CONTRAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
+_LEAST_SLOPE = 4.0
 _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.82, 1.18)  # a whole side, over the true one
@@ -68,7 +69,7 @@ class DeepSearch(TagSearch):
 
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
-        part = _smooth(image[top:bottom, left:right])
+        part = _smooth(image[top:bottom, left:right], _BLUR_PX)
         fine = _smooth(image[top:bottom, left:right], self._fine_px)
         begins, ends = self._edges(dark_squares(part, self._family))
         corner = np.array([left, top], np.float64)
@@ -122,7 +123,7 @@ class DeepSearch(TagSearch):
         followed: it was there in the image before, so that no other tag of the family can be there.
         """
         whole = self._fit.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
-        if whole.alike[0] > ALIKE:
+        if whole.alike[0] > ALIKE or (whole.alike[0] > _LIKELY and self._is_noisy(image, whole, target)):
             return whole.found(0, target)
         covered = self._covered(image, target, centre, psi, followed=followed)
         if covered is not None or whole.alike[0] < _LIKELY:
@@ -131,6 +132,16 @@ class DeepSearch(TagSearch):
         if blurred.alike[0] > ALIKE:
             return blurred.found(0, target)
         return whole.found(0, target) if self._is_right(image, whole, target) else None
+
+    def _is_noisy(self, image: Image, fit: Fit, target: int) -> bool:
+        """Return whether a print looks like its pattern once most of the noise is gone."""
+        centre, psi = complex(fit.centre[0]), float(fit.psi[0])
+        part = self._around(image, target, centre, psi)
+        if part is None:
+            return False
+        (left, top, right, bottom), smooth = part, np.zeros(image.shape, np.uint8)
+        smooth[top:bottom, left:right] = _smooth(image[top:bottom, left:right], self._fine_px)
+        return bool(self._fit.blurred(smooth, target, centre, psi).alike[0] > ALIKE)
 
     def _covered(self, image: Image, target: int, centre: complex, psi: float, *, followed: bool) -> Found | None:
         """Return a target near a guess if something covers a part of it."""
@@ -167,8 +178,8 @@ class DeepSearch(TagSearch):
         box = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         darkest, brightest = cv2.erode(image, box), cv2.dilate(image, box)
         below = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
-        _, differ = cv2.threshold(cv2.subtract(brightest, darkest), _LEAST_CONTRAST - 1, 255, cv2.THRESH_BINARY)
-        black = cv2.medianBlur(cv2.bitwise_and(below, differ), 3)  # specks would be most of the outlines
+        steep = cv2.dilate(_steep(image, _LEAST_SLOPE), box)
+        black = cv2.medianBlur(cv2.bitwise_and(below, steep), 3)  # specks would be most of the outlines
         outlines, _ = cv2.findContours(black, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         fewest, straight = _OUTLINE * small, max(1.0, _STRAIGHT * small)
         corners = [cv2.approxPolyDP(line, straight, closed=True)[:, 0] for line in outlines if len(line) > fewest]
@@ -211,7 +222,7 @@ class DeepSearch(TagSearch):
         """Return by how much squares (M, C + 2, C + 2) lie better, where the paper is brightest beside the rim (M, 2)
         [px], and the greys of their cells there."""
         many = pixels.shape[:2]
-        levels = _levels(image, (pixels + _SHIFTS[:, None, None]).reshape(-1, many[1], 2)).reshape(-1, *many)
+        levels = _levels(image, (pixels + _SHIFTS[:, None, None]).reshape(-1, many[1], 2)).reshape(len(_SHIFTS), *many)
         contrast = levels[..., self._paper.ravel()].mean(-1) - levels[..., self._rim.ravel()].mean(-1)
         best = contrast.argmax(0)
         return _SHIFTS[best], levels[best, np.arange(many[0])].reshape(-1, *self._rim.shape)
@@ -256,18 +267,27 @@ class DeepSearch(TagSearch):
 
     def _cells(self, image: Image, target: int, centre: complex, psi: float) -> Array | None:
         """Return the cells (C + 2, C + 2) of a print and its paper, 0: black, 1: white; None if it is not there."""
-        cell = np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
-        pixels = self._pixels(*cell, self._grid)[0]
-        left, top = np.floor(pixels.min(0)).astype(int) - 4
-        right, bottom = np.ceil(pixels.max(0)).astype(int) + 5
-        left, top = max(left, 0), max(top, 0)
-        if not (left + 9 < right and top + 9 < bottom and left + 9 < image.shape[1] and top + 9 < image.shape[0]):
+        part = self._around(image, target, centre, psi)
+        if part is None:
             return None
-        part = _smooth(image[top:bottom, left:right])
-        cells = _levels(part, pixels[None] - [left, top])[0].reshape(self._rim.shape)
+        left, top, right, bottom = part
+        smooth = _smooth(image[top:bottom, left:right], self._fine_px)
+        pixels = self._pixels(*self._square(target, centre, psi), self._grid)
+        cells = _levels(smooth, pixels - [left, top])[0].reshape(self._rim.shape)
         white = np.pad(self._white[target] > 0.5, 1, constant_values=True)
         low, high = np.median(cells[~white]), np.median(cells[white])
         return None if high - low < _LEAST_CONTRAST else (cells - low) / (high - low)
+
+    def _square(self, target: int, centre: complex, psi: float) -> tuple[Complex, Array, float, float]:
+        """Return a target as one of the squares that ``_pixels`` takes."""
+        return np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
+
+    def _around(self, image: Image, target: int, centre: complex, psi: float) -> Region | None:
+        """Return the region of a print and its paper; None if it is not in the image."""
+        pixels = self._pixels(*self._square(target, centre, psi), self._grid)[0]
+        left, top = np.maximum(np.floor(pixels.min(0)).astype(int) - 4, 0).tolist()
+        right, bottom = np.minimum(np.ceil(pixels.max(0)).astype(int) + 5, image.shape[::-1]).tolist()
+        return Region(left, top, right, bottom) if left + 9 < right and top + 9 < bottom else None
 
     def _is_right(self, image: Image, fit: Fit, target: int) -> bool:
         """Return whether each cell of a print has the grey that it should have, and paper is around it."""
@@ -329,7 +349,13 @@ def _grid(count: int, square: int) -> Complex:
     return (at - 1j * at[:, None]).ravel()
 
 
-def _smooth(image: Image, sigma: float = _BLUR_PX) -> Image:
+def _steep(image: Image, least: float) -> Image:
+    """Return where greys change by more than so much from pixel to pixel."""
+    across, down = (cv2.convertScaleAbs(cv2.Sobel(image, cv2.CV_16S, *axis), alpha=0.25) for axis in ((1, 0), (0, 1)))
+    return np.asarray(cv2.threshold(cv2.add(across, down), 2.0 * least, 255, cv2.THRESH_BINARY)[1], np.uint8)
+
+
+def _smooth(image: Image, sigma: float) -> Image:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8)
 
 
