@@ -27,14 +27,16 @@ from robofleet.tracking.tags.targets import Target
 _LIKELY = 0.7  # the same of a tag that is blurred, or of which each cell is right: light that overflows widens white
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
 _FINE = 0.27
-_SHIFT_PX = 0.5
-_SHIFTS = _SHIFT_PX * np.stack(np.meshgrid([0.0, -1.0, 1.0], [0.0, -1.0, 1.0]), axis=-1).reshape(9, 2)
+_EIGHT = np.stack(np.meshgrid([0.0, -1.0, 1.0], [0.0, -1.0, 1.0]), axis=-1, dtype=np.float32).reshape(9, 2)
+_SHIFTS = _EIGHT, np.float32(0.5) * _EIGHT
+_SMALL_PX = 4.0
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
-_LEAST_CONTRAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
-_LEAST_SLOPE = 4.0
+_LEAST_CONTRAST = 3  # between black and white nearby: noise that is left makes 5 [grey levels]
+_K = 5
+_LEAST_SLOPE = 2.5
 _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
 _STRAIGHT = 0.085  # of a side: a line so straight is one
-_LONGER = (0.82, 1.18)  # a whole side, over the true one
+_LONGER = (0.75, 1.25)  # a whole side, over the true one
 _SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
 _SQUARES_AT_ONCE = 128  # sides of one length at once, of whose squares the cells are read
 _MOST_FAILURES = 6  # squares at once that no target fits: a millisecond each
@@ -56,21 +58,25 @@ class DeepSearch(TagSearch):
         self._sides = np.array([target.side for target in targets])
         sizes = [side_px(fit.geometry, target) for target in targets]
         self._sizes_px = min(sizes), max(sizes)
-        self._fine_px = min(_BLUR_PX, _FINE * min(sizes) / FAMILIES[fit.family].square)
+        cell_px = min(sizes) / FAMILIES[fit.family].square
+        self._fine_px = min(_BLUR_PX, _FINE * cell_px)
+        self._shifts = _SHIFTS if cell_px < _SMALL_PX else ()
         self._kinds = sorted({(target.side, target.height) for target in targets})
         self._family = FAMILIES[fit.family]
         self._grid, self._covers = _grid(self._family.cells + 2, self._family.square), _covers(fit.family)
+        self._on_grid = _weights(self._grid)
         self._paper, self._rim = same(fit.family)
         self._free = ~(self._paper | self._rim)[1:-1, 1:-1]
         self._all = patterns(fit.family).astype(np.float32)
         self._white = self._all[[target.tag for target in targets]]
         self._seen = (~self._covers[:, 1:-1, 1:-1]).reshape(len(self._covers), -1).astype(np.float32)
+        self._most_misread = (self._family.distance - _APART_BITS) // 2
         self._hidden = int((self._covers[:, 1:-1, 1:-1] & self._free).sum((1, 2)).max())  # bits of a code, at most
 
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
         part = _smooth(image[top:bottom, left:right], _BLUR_PX)
-        fine = _smooth(image[top:bottom, left:right], self._fine_px)
+        fine = part if self._fine_px == _BLUR_PX else _smooth(image[top:bottom, left:right], self._fine_px)
         begins, ends = self._edges(dark_squares(part, self._family))
         corner = np.array([left, top], np.float64)
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
@@ -79,8 +85,8 @@ class DeepSearch(TagSearch):
             centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
             chosen = self._order(len(centre))[:_SQUARES_AT_ONCE]
             centre, psi = centre[chosen], psi[chosen]
-            pixels = self._pixels(centre, psi, side, height, self._grid)
-            shift, cells = self._shifted(fine, pixels - corner)
+            pixels = self._on_grid @ (self._pixels(centre, psi, side, height, CORNERS) - corner)
+            shift, cells = self._shifted(fine, pixels.astype(np.float32))
             square, target, turns = self._read(cells, which)
             heading = psi[square] + turns * (math.pi / 2.0)
             others = _apart(centre[square], heading, target, _SAME * side)
@@ -129,17 +135,17 @@ class DeepSearch(TagSearch):
         if covered is not None or whole.alike[0] < _LIKELY:
             return covered
         blurred = self._fit.blurred(image, target, centre, psi)
-        if blurred.alike[0] > ALIKE:
+        if blurred.alike[0] > ALIKE and self._misread(image, blurred, target) <= self._most_misread:
             return blurred.found(0, target)
-        return whole.found(0, target) if self._is_right(image, whole, target) else None
+        return whole.found(0, target) if self._misread(image, whole, target) == 0 else None
 
     def _is_noisy(self, image: Image, fit: Fit, target: int) -> bool:
         """Return whether a print looks like its pattern once most of the noise is gone."""
-        centre, psi = complex(fit.centre[0]), float(fit.psi[0])
-        part = self._around(image, target, centre, psi)
-        if part is None:
+        if self._misread(image, fit, target) > self._most_misread:
             return False
-        (left, top, right, bottom), smooth = part, np.zeros(image.shape, np.uint8)
+        centre, psi = complex(fit.centre[0]), float(fit.psi[0])
+        left, top, right, bottom = self._around(image, target, centre, psi)
+        smooth = np.zeros(image.shape, np.uint8)
         smooth[top:bottom, left:right] = _smooth(image[top:bottom, left:right], self._fine_px)
         return bool(self._fit.blurred(smooth, target, centre, psi).alike[0] > ALIKE)
 
@@ -221,11 +227,17 @@ class DeepSearch(TagSearch):
     def _shifted(self, image: Image, pixels: Array) -> tuple[Array, Array]:
         """Return by how much squares (M, C + 2, C + 2) lie better, where the paper is brightest beside the rim (M, 2)
         [px], and the greys of their cells there."""
-        many = pixels.shape[:2]
-        levels = _levels(image, (pixels + _SHIFTS[:, None, None]).reshape(-1, many[1], 2)).reshape(len(_SHIFTS), *many)
-        contrast = levels[..., self._paper.ravel()].mean(-1) - levels[..., self._rim.ravel()].mean(-1)
-        best = contrast.argmax(0)
-        return _SHIFTS[best], levels[best, np.arange(many[0])].reshape(-1, *self._rim.shape)
+        count = len(pixels)
+        paper, rim = np.flatnonzero(self._paper), np.flatnonzero(self._rim)
+        shift = np.zeros((count, 2), np.float32)
+        for steps in self._shifts:
+            moved = shift + steps[:, None]  # (9, M, 2)
+            at = pixels[:, np.concatenate([paper, rim])] + moved[:, :, None]
+            levels = _levels(image, at.reshape(-1, *at.shape[2:])).reshape(len(steps), count, -1)
+            white, black = levels[..., : len(paper)], levels[..., len(paper) :]
+            better = (white.mean(-1) - black.mean(-1)) / np.sqrt(white.var(-1) + black.var(-1) + 1.0)
+            shift = moved[better.argmax(0), np.arange(count)]
+        return shift, _levels(image, pixels + shift[:, None]).reshape(-1, *self._rim.shape)
 
     def _read(self, cells: Array, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Return which squares (M,) by their cells (M, C + 2, C + 2) may be which of the targets, turned how often."""
@@ -267,10 +279,9 @@ class DeepSearch(TagSearch):
 
     def _cells(self, image: Image, target: int, centre: complex, psi: float) -> Array | None:
         """Return the cells (C + 2, C + 2) of a print and its paper, 0: black, 1: white; None if it is not there."""
-        part = self._around(image, target, centre, psi)
-        if part is None:
+        left, top, right, bottom = self._around(image, target, centre, psi)
+        if right < left + 9 or bottom < top + 9:
             return None
-        left, top, right, bottom = part
         smooth = _smooth(image[top:bottom, left:right], self._fine_px)
         pixels = self._pixels(*self._square(target, centre, psi), self._grid)
         cells = _levels(smooth, pixels - [left, top])[0].reshape(self._rim.shape)
@@ -282,20 +293,19 @@ class DeepSearch(TagSearch):
         """Return a target as one of the squares that ``_pixels`` takes."""
         return np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
 
-    def _around(self, image: Image, target: int, centre: complex, psi: float) -> Region | None:
-        """Return the region of a print and its paper; None if it is not in the image."""
+    def _around(self, image: Image, target: int, centre: complex, psi: float) -> Region:
+        """Return the part of an image in which a print and its paper are."""
         pixels = self._pixels(*self._square(target, centre, psi), self._grid)[0]
         left, top = np.maximum(np.floor(pixels.min(0)).astype(int) - 4, 0).tolist()
         right, bottom = np.minimum(np.ceil(pixels.max(0)).astype(int) + 5, image.shape[::-1]).tolist()
-        return Region(left, top, right, bottom) if left + 9 < right and top + 9 < bottom else None
+        return Region(left, top, right, bottom)
 
-    def _is_right(self, image: Image, fit: Fit, target: int) -> bool:
-        """Return whether each cell of a print has the grey that it should have, and paper is around it."""
+    def _misread(self, image: Image, fit: Fit, target: int) -> int:
+        """Return how many cells of a print are not as they should be; all of them if there is no paper around it."""
         cells = self._cells(image, target, complex(fit.centre[0]), float(fit.psi[0]))
-        if cells is None:
-            return False
-        right = bool(((_sharp(cells[None])[0] > 0.5) == (self._white[target] > 0.5)).all())
-        return right and bool((cells[self._paper] > 0.5).mean() >= _PAPER)
+        if cells is None or (cells[self._paper] > 0.5).mean() < _PAPER:
+            return self._rim.size
+        return int(((_sharp(cells[None])[0] > 0.5) != (self._white[target] > 0.5)).sum())
 
     def _cover(self, cells: Array, target: int) -> tuple[NDArray[np.bool_], int]:
         """Return the cells (C + 2, C + 2) that are hidden, as far as that explains, and how many others are wrong."""
@@ -349,9 +359,15 @@ def _grid(count: int, square: int) -> Complex:
     return (at - 1j * at[:, None]).ravel()
 
 
+def _weights(points: Complex) -> Array:
+    """Return how points (K,) of a square [sides] follow from its ``CORNERS`` (K, 4), if it is seen from above."""
+    x, y = points.real[:, None], points.imag[:, None]
+    return (0.5 + 2.0 * CORNERS.real * x) * (0.5 + 2.0 * CORNERS.imag * y)
+
+
 def _steep(image: Image, least: float) -> Image:
     """Return where greys change by more than so much from pixel to pixel."""
-    across, down = (cv2.convertScaleAbs(cv2.Sobel(image, cv2.CV_16S, *axis), alpha=0.25) for axis in ((1, 0), (0, 1)))
+    across, down = (cv2.convertScaleAbs(cv2.Sobel(image, cv2.CV_16S, *axis, ksize=int(_K)), alpha=0.25 if _K==3 else 2/128) for axis in ((1, 0), (0, 1)))
     return np.asarray(cv2.threshold(cv2.add(across, down), 2.0 * least, 255, cv2.THRESH_BINARY)[1], np.uint8)
 
 
@@ -363,9 +379,9 @@ def _levels(image: Image, pixels: Array) -> Array:
     """Return an image's greys (M, K) at pixels (M, K, 2)."""
     if not len(pixels):
         return np.empty(pixels.shape[:2])
-    at = pixels.astype(np.float32)
-    greys = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(greys, np.float64).reshape(pixels.shape[:2])
+    at = np.asarray(pixels, np.float32)
+    greys = cv2.remap(image, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(greys, np.float32).reshape(pixels.shape[:2])
 
 
 def _covers(family: str) -> NDArray[np.bool_]:
