@@ -27,9 +27,9 @@ from robofleet.tracking.tags.targets import Target
 _LIKELY = 0.7  # the same of a tag that is blurred, or of which each cell is right: light that overflows widens white
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
 _FINE = 0.27
-_EIGHT = np.stack(np.meshgrid([0.0, -1.0, 1.0], [0.0, -1.0, 1.0]), axis=-1, dtype=np.float32).reshape(9, 2)
-_SHIFTS = _EIGHT, np.float32(0.5) * _EIGHT
 _SMALL_PX = 4.0
+_STEPS_PX = (1.0, 0.5)
+_AROUND = np.stack(np.meshgrid([0, -1, 1], [0, -1, 1]), axis=-1).reshape(9, 2).astype(np.float32)
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
 _LEAST_CONTRAST = 3  # between black and white nearby: noise that is left makes 5 [grey levels]
 _K = 5
@@ -38,7 +38,7 @@ _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step 
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.75, 1.25)  # a whole side, over the true one
 _SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
-_SQUARES_AT_ONCE = 128  # sides of one length at once, of whose squares the cells are read
+_SQUARES_AT_ONCE = 64  # sides of one length at once, of whose squares the cells are read
 _MOST_FAILURES = 6  # squares at once that no target fits: a millisecond each
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
@@ -58,9 +58,8 @@ class DeepSearch(TagSearch):
         self._sides = np.array([target.side for target in targets])
         sizes = [side_px(fit.geometry, target) for target in targets]
         self._sizes_px = min(sizes), max(sizes)
-        cell_px = min(sizes) / FAMILIES[fit.family].square
-        self._fine_px = min(_BLUR_PX, _FINE * cell_px)
-        self._shifts = _SHIFTS if cell_px < _SMALL_PX else ()
+        self._cell_px = min(sizes) / FAMILIES[fit.family].square
+        self._fine_px = min(_BLUR_PX, _FINE * self._cell_px)
         self._kinds = sorted({(target.side, target.height) for target in targets})
         self._family = FAMILIES[fit.family]
         self._grid, self._covers = _grid(self._family.cells + 2, self._family.square), _covers(fit.family)
@@ -83,10 +82,12 @@ class DeepSearch(TagSearch):
         for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([(target.side, target.height) == (side, height) for target in self._targets])
             centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
-            chosen = self._order(len(centre))[:_SQUARES_AT_ONCE]
-            centre, psi = centre[chosen], psi[chosen]
             pixels = self._on_grid @ (self._pixels(centre, psi, side, height, CORNERS) - corner)
-            shift, cells = self._shifted(fine, pixels.astype(np.float32))
+            best = np.argsort(-self._likely(_levels(fine, pixels)))
+            chosen = best[self._order(len(best))[:_SQUARES_AT_ONCE]]
+            centre, psi, pixels = centre[chosen], psi[chosen], pixels[chosen].astype(np.float32)
+            shift = self._shifts(fine, pixels)
+            cells = _levels(fine, pixels + shift[:, None]).reshape(-1, *self._rim.shape)
             square, target, turns = self._read(cells, which)
             heading = psi[square] + turns * (math.pi / 2.0)
             others = _apart(centre[square], heading, target, _SAME * side)
@@ -209,8 +210,7 @@ class DeepSearch(TagSearch):
         a, b = np.split(x_y[:, 0] + 1j * x_y[:, 1], 2)
         length = np.abs(b - a) / side
         good = (length > _LONGER[0]) & (length < _LONGER[1])
-        order = np.argsort(np.abs(length[good] - 1.0))
-        a, b = a[good][order], b[good][order]
+        a, b = a[good], b[good]
         ahead = (b - a) / np.abs(b - a)
         return (a + b) / 2.0 + 1j * ahead * side / 2.0, np.angle(ahead)
 
@@ -224,20 +224,22 @@ class DeepSearch(TagSearch):
 
     # Cells
 
-    def _shifted(self, image: Image, pixels: Array) -> tuple[Array, Array]:
-        """Return by how much squares (M, C + 2, C + 2) lie better, where the paper is brightest beside the rim (M, 2)
-        [px], and the greys of their cells there."""
-        count = len(pixels)
-        paper, rim = np.flatnonzero(self._paper), np.flatnonzero(self._rim)
-        shift = np.zeros((count, 2), np.float32)
-        for steps in self._shifts:
-            moved = shift + steps[:, None]  # (9, M, 2)
-            at = pixels[:, np.concatenate([paper, rim])] + moved[:, :, None]
-            levels = _levels(image, at.reshape(-1, *at.shape[2:])).reshape(len(steps), count, -1)
-            white, black = levels[..., : len(paper)], levels[..., len(paper) :]
-            better = (white.mean(-1) - black.mean(-1)) / np.sqrt(white.var(-1) + black.var(-1) + 1.0)
-            shift = moved[better.argmax(0), np.arange(count)]
-        return shift, _levels(image, pixels + shift[:, None]).reshape(-1, *self._rim.shape)
+    def _likely(self, cells: Array) -> Array:
+        """Return how much brighter the paper is than the rim, in the spread of both, by a print's cells (..., K)."""
+        white, black = cells[..., self._paper.ravel()], cells[..., self._rim.ravel()]
+        contrast: Array = white.mean(-1) - black.mean(-1)
+        return contrast / np.sqrt(white.var(-1) + black.var(-1) + 1.0)
+
+    def _shifts(self, image: Image, pixels: Array) -> Array:
+        """Return how far off squares, whose cells are at ``pixels`` (M, K, 2), are likelier (M, 2) [px]: a line is not
+        good to a small cell."""
+        shift, every = np.zeros((len(pixels), 2), np.float32), np.arange(len(pixels))
+        for step in _STEPS_PX if self._cell_px < _SMALL_PX else ():
+            steps = shift + step * _AROUND[:, None]
+            at = (pixels + steps[:, :, None]).reshape(-1, *pixels.shape[1:])
+            likely = self._likely(_levels(image, at)).reshape(len(_AROUND), -1)
+            shift = steps[likely.argmax(0), every]
+        return shift
 
     def _read(self, cells: Array, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Return which squares (M,) by their cells (M, C + 2, C + 2) may be which of the targets, turned how often."""
