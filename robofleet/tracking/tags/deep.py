@@ -1,9 +1,13 @@
 """Finds the tags that one threshold misses: faint, blurred, or with a corner or a side covered. It is slow.
 
-What is black is decided by the darkest and brightest greys nearby, so that no contrast is expected. A tag lies flat
-at a known height and has a known size, so one whole side of a black square says where all of it is: a cover that
-leaves one side whole leaves the tag to be found. Its cells say which target it can be and what hides the others of
-them; the photometric fit, without the hidden cells, places it.
+What is black is decided by the darkest and brightest greys nearby, where greys are steep, so that no contrast is
+expected. A tag lies flat at a known height and has a known size, so one whole side of a black square says where all of
+it is: a cover that leaves one side whole leaves the tag to be found. Squares whose paper is brightest beside their rim
+come first. Their cells say which target it can be and what hides the others of them; the photometric fit, without the
+hidden cells, places it.
+
+The fit's correlation proves which tag it is, in a small or faint one only once most noise is smoothed away; blur makes
+tags alike, so so few cells may then be misread that any other tag of the family has more that are wrong, by two.
 
 A cover may hide so many bits of the code that any two tags of the family still differ by two of those that are seen.
 Of the cells that are seen one may be wrong, as a cover's edge may lie on it; no other tag of the family may explain
@@ -24,21 +28,23 @@ from robofleet.tracking.tags.families import Squares, dark_squares, patterns, sa
 from robofleet.tracking.tags.photometric import ALIKE, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
 
-_LIKELY = 0.7  # the same of a tag that is blurred, or of which each cell is right: light that overflows widens white
+_LIKELY = (
+    0.7  # least correlation of a tag that is blurred, or of which each cell is right: light that overflows widens white
+)
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
-_FINE = 0.27
-_SMALL_PX = 4.0
-_STEPS_PX = (1.0, 0.5)
-_AROUND = np.stack(np.meshgrid([0, -1, 1], [0, -1, 1]), axis=-1).reshape(9, 2).astype(np.float32)
+_FINE = 0.27  # no more than so much, where bits are read: more would mix small ones [cells]
+_SMALL_PX = 4.0  # cells to whose middles a line does not lead well enough
+_STEPS_PX = (1.0, 0.5)  # by which their squares are shifted, one after the other,
+_AROUND = np.stack(np.meshgrid([0, -1, 1], [0, -1, 1]), axis=-1).reshape(9, 2)  # to the best of nine places
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
-_LEAST_CONTRAST = 3  # between black and white nearby: noise that is left makes 5 [grey levels]
-_K = 5
-_LEAST_SLOPE = 2.5
+_LEAST_CONTRAST = 3  # of paper and rim: half of the least that a tag is found with [grey levels]
+_LEAST_SLOPE = 2.5  # of an edge: that of 15 levels that are blurred over a pixel; noise of 3.5 makes 2.2 [1/px]
+_SOBEL = 128.0  # what OpenCV's of 5 x 5 pixels makes of a slope of 1
 _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.75, 1.25)  # a whole side, over the true one
 _SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
-_SQUARES_AT_ONCE = 64  # sides of one length at once, of whose squares the cells are read
+_SQUARES_AT_ONCE = 64  # sides of one length at once, whose squares are read
 _MOST_FAILURES = 6  # squares at once that no target fits: a millisecond each
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
@@ -85,7 +91,7 @@ class DeepSearch(TagSearch):
             pixels = self._on_grid @ (self._pixels(centre, psi, side, height, CORNERS) - corner)
             best = np.argsort(-self._likely(_levels(fine, pixels)))
             chosen = best[self._order(len(best))[:_SQUARES_AT_ONCE]]
-            centre, psi, pixels = centre[chosen], psi[chosen], pixels[chosen].astype(np.float32)
+            centre, psi, pixels = centre[chosen], psi[chosen], pixels[chosen]
             shift = self._shifts(fine, pixels)
             cells = _levels(fine, pixels + shift[:, None]).reshape(-1, *self._rim.shape)
             square, target, turns = self._read(cells, which)
@@ -227,13 +233,12 @@ class DeepSearch(TagSearch):
     def _likely(self, cells: Array) -> Array:
         """Return how much brighter the paper is than the rim, in the spread of both, by a print's cells (..., K)."""
         white, black = cells[..., self._paper.ravel()], cells[..., self._rim.ravel()]
-        contrast: Array = white.mean(-1) - black.mean(-1)
-        return contrast / np.sqrt(white.var(-1) + black.var(-1) + 1.0)
+        return np.asarray((white.mean(-1) - black.mean(-1)) / np.sqrt(white.var(-1) + black.var(-1) + 1.0))
 
     def _shifts(self, image: Image, pixels: Array) -> Array:
         """Return how far off squares, whose cells are at ``pixels`` (M, K, 2), are likelier (M, 2) [px]: a line is not
         good to a small cell."""
-        shift, every = np.zeros((len(pixels), 2), np.float32), np.arange(len(pixels))
+        shift, every = np.zeros((len(pixels), 2)), np.arange(len(pixels))
         for step in _STEPS_PX if self._cell_px < _SMALL_PX else ():
             steps = shift + step * _AROUND[:, None]
             at = (pixels + steps[:, :, None]).reshape(-1, *pixels.shape[1:])
@@ -369,8 +374,9 @@ def _weights(points: Complex) -> Array:
 
 def _steep(image: Image, least: float) -> Image:
     """Return where greys change by more than so much from pixel to pixel."""
-    across, down = (cv2.convertScaleAbs(cv2.Sobel(image, cv2.CV_16S, *axis, ksize=int(_K)), alpha=0.25 if _K==3 else 2/128) for axis in ((1, 0), (0, 1)))
-    return np.asarray(cv2.threshold(cv2.add(across, down), 2.0 * least, 255, cv2.THRESH_BINARY)[1], np.uint8)
+    across, down = (cv2.Sobel(image, cv2.CV_16S, *axis, ksize=5) for axis in ((1, 0), (0, 1)))
+    twice = cv2.add(cv2.convertScaleAbs(across, alpha=2.0 / _SOBEL), cv2.convertScaleAbs(down, alpha=2.0 / _SOBEL))
+    return np.asarray(cv2.threshold(twice, 2.0 * least, 255, cv2.THRESH_BINARY)[1], np.uint8)
 
 
 def _smooth(image: Image, sigma: float) -> Image:
@@ -381,9 +387,9 @@ def _levels(image: Image, pixels: Array) -> Array:
     """Return an image's greys (M, K) at pixels (M, K, 2)."""
     if not len(pixels):
         return np.empty(pixels.shape[:2])
-    at = np.asarray(pixels, np.float32)
-    greys = cv2.remap(image, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(greys, np.float32).reshape(pixels.shape[:2])
+    at, none = np.asarray(pixels, np.float32), np.empty(0, np.float32)
+    greys = cv2.remap(image, at, none, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(greys, np.float64).reshape(pixels.shape[:2])
 
 
 def _covers(family: str) -> NDArray[np.bool_]:

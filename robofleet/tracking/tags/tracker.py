@@ -93,8 +93,8 @@ class TagTracker:
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
-        self._sweep = Sweep(self._detector, tiles(image_size, _SWEEP_TILES, overlap))
-        self._deep_sweep = Sweep(self._deep, tiles(image_size, _DEEP_TILES, overlap))
+        self._sweep = Sweep(self._detector, tiles(image_size, _SWEEP_TILES, overlap), overlap)
+        self._deep_sweep = Sweep(self._deep, tiles(image_size, _DEEP_TILES, overlap), overlap)
         self._images = 0
         self._searches = self._deep_searches = 0  # that may be made still in this image
         self._news = News()
