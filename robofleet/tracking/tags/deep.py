@@ -44,7 +44,7 @@ _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step 
 _STRAIGHT = 0.085  # of a side: a line so straight is one
 _LONGER = (0.75, 1.25)  # a whole side, over the true one
 _SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
-_SQUARES_AT_ONCE = 64  # sides of one length at once, whose squares are read
+_SIDES_AT_ONCE, _SQUARES_AT_ONCE = 1024, 64  # sides whose squares are compared, and squares that are read
 _MOST_FAILURES = 6  # squares at once that no target fits: a millisecond each
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
@@ -87,7 +87,8 @@ class DeepSearch(TagSearch):
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
         for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([(target.side, target.height) == (side, height) for target in self._targets])
-            centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
+            some = self._lot.permutation(len(begins))[:_SIDES_AT_ONCE]
+            centre, psi = self._whole_sides(begins[some] + corner, ends[some] + corner, side, height)
             pixels = self._on_grid @ (self._pixels(centre, psi, side, height, CORNERS) - corner)
             best = np.argsort(-self._likely(_levels(fine, pixels)))
             chosen = best[self._order(len(best))[:_SQUARES_AT_ONCE]]
