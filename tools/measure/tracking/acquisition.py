@@ -40,6 +40,7 @@ class Scene(NamedTuple):
     along: float | None = 0.0  # which way the cover's edge runs to the print's [rad]; None: any
     darkness: float = 1.0
     defocus: float = 0.7  # [px]
+    lens: float = 0.0  # sigma of a smooth one [px]
     focal: float = 1.0  # times accuracy.py's: the tags are so much larger
     noise: float = 3.5
     family: str = "36h11"
@@ -55,6 +56,8 @@ SCENES = {
     "10 % light": Scene(darkness=0.1),
     "tags of 22 px": Scene(focal=0.6),
     "tags of 22 px, contrast 40": Scene(focal=0.6, contrast=40),
+    "tags of 24 px, contrast 20": Scene(focal=2 / 3, contrast=20),
+    "tags of 24 px, contrast 20, lens of 0.9 px": Scene(focal=2 / 3, contrast=20, defocus=0.1, lens=0.9),
     "a side covered, 25 %": Scene(covered=0.25),
     "a corner covered, 12 %": Scene(covered=0.12, along=math.pi / 4),
     "a corner covered, 25 %": Scene(covered=0.25, along=math.pi / 4),
@@ -78,7 +81,7 @@ def trials(scene: Scene, count: int, seed: int = 3) -> Iterator[Trial]:
     for number in range(count):
         rng = np.random.default_rng((seed, number))
         eye = camera(Quality(scene.noise), scene.defocus)
-        eye = replace(eye, K=eye.K * [[scene.focal, 1, 1], [1, scene.focal, 1], [1, 1, 1]])
+        eye = replace(eye, K=eye.K * [[scene.focal, 1, 1], [1, scene.focal, 1], [1, 1, 1]], lens_sigma_px=scene.lens)
         caster = RayCaster(eye, clutter(SIZE, rng), rng)
         geometry = CameraGeometry(eye.K, eye.distortion, eye.T_world_camera)
         tags = rng.choice(FAMILIES[scene.family].ids, TAGS, replace=False).tolist()
@@ -193,10 +196,10 @@ def main() -> None:
 
 def _show(title: str, rows: dict[str, dict[str, float]]) -> None:
     columns = ("acquired", "seen", "wrong", "rms_mm", "max_mm", "p50_ms", "max_ms")
-    print(f"{title:<40}" + "".join(f"{column:>9}" for column in columns))
+    print(f"{title:<44}" + "".join(f"{column:>9}" for column in columns))
     for name, row in rows.items():
         cells = (f"{row[c]:>9.4g}" if c in row else " " * 8 + "-" for c in columns)
-        print(f"  {name:<38}" + "".join(cells), flush=True)
+        print(f"  {name:<42}" + "".join(cells), flush=True)
     print()
 
 
