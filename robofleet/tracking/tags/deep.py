@@ -6,8 +6,8 @@ it is: a cover that leaves one side whole leaves the tag to be found. Squares wh
 come first. Their cells say which target it can be and what hides the others of them; the photometric fit, without the
 hidden cells, places it.
 
-The fit's correlation proves which tag it is, in a small or faint one only once most noise is smoothed away; blur makes
-tags alike, so so few cells may then be misread that any other tag of the family has more that are wrong, by two.
+The fit's correlation says which tag it is; that of a faint one only once most noise is smoothed away. Blur makes tags
+alike: so few cells may then be misread that any other tag of the family has at least two more that are wrong.
 
 A cover may hide so many bits of the code that any two tags of the family still differ by two of those that are seen.
 Of the cells that are seen one may be wrong, as a cover's edge may lie on it; no other tag of the family may explain
@@ -28,9 +28,7 @@ from robofleet.tracking.tags.families import Squares, dark_squares, patterns, sa
 from robofleet.tracking.tags.photometric import ALIKE, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
 
-_LIKELY = (
-    0.7  # least correlation of a tag that is blurred, or of which each cell is right: light that overflows widens white
-)
+_LIKELY = 0.7  # least correlation of a tag that is blurred, faint, or of which each cell is right: white overflows
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
 _FINE = 0.27  # no more than so much, where bits are read: more would mix small ones [cells]
 _SMALL_PX = 4.0  # cells to whose middles a line does not lead well enough

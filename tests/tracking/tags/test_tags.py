@@ -155,9 +155,9 @@ def test_a_tile_is_searched_again_around_what_changes_and_now_and_then(
 
     monkeypatch.setattr(detector(), "squares", spied)
     sweep, known = Sweep(detector(), [tile], 60.0), np.full(4, np.nan, complex)
-    one = np.array([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
-    two = np.array([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), *2 * [(np.nan, np.nan, np.nan)]])
-    for k, (poses, expected) in enumerate(((one, {0}), (two, {0, 1}), (one, {0}))):
+    alone = np.array([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
+    both = np.array([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), *2 * [(np.nan, np.nan, np.nan)]])
+    for k, (poses, expected) in enumerate(((alone, {0}), (both, {0, 1}), (alone, {0}))):
         searched.clear()
         for visit in range(40):
             findings = sweep.search(renderer.render(poses), 40 * k + visit + 1, known)
