@@ -19,6 +19,7 @@ Row = dict[str, Any]
 Image = NDArray[np.uint8]
 Poses = NDArray[np.float64]
 
+_FULL_HD, _ULTRA_HD = (1920, 1080), (3840, 2160)
 _PERIOD_NS = 33_000_000
 _SIDE, _HEIGHT, _SPEED = 0.07, 0.08, 0.2  # [m, m, m/s]
 _LAP = 60  # images in which each robot drives a circle
@@ -26,8 +27,9 @@ _ROUNDS = 6  # laps
 
 
 class Scene(NamedTuple):
-    """Robots that drive circles under a camera of 1920 x 1080 pixels, 2.5 m up."""
+    """Robots that drive circles under a camera 2.5 m up."""
 
+    size: tuple[int, int]  # of its images [px]
     geometry: CameraGeometry
     targets: list[Target]
     images: list[Image]
@@ -38,8 +40,10 @@ def rows() -> list[Row]:
     """Return the rows; ratios are to robofleet's median, or p99 where that is what the row says."""
     found = []
     for count in (4, 50):
-        scene = _scene(count)
-        found += [*_following(scene), *_whole(scene), *_acquisition(scene)]
+        scene = _scene(count, _FULL_HD)
+        found += [*_following(scene), *_whole(scene, _peers(scene)), *_acquisition(scene)]
+    for count, size in ((20, _FULL_HD), (100, _FULL_HD), (100, _ULTRA_HD)):
+        found += _whole(_scene(count, size), {})
     return found + _rendering()
 
 
@@ -55,18 +59,22 @@ def _following(scene: Scene) -> list[Row]:
     return percentiles(f"follow {len(index)} tags, 1920 x 1080", {"robofleet": times})
 
 
-def _whole(scene: Scene) -> list[Row]:
-    """The whole tracker, newcomer scan included, and what a user would call on each image."""
-    tracker = TagTracker(scene.geometry, (1920, 1080), scene.targets)
+def _peers(scene: Scene) -> dict[str, Callable[[Image], object]]:
+    """Return what a user would call on each image."""
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     default = cv2.aruco.ArucoDetector(family)
     fleet = cv2.aruco.Dictionary(family.bytesList[[t.tag for t in scene.targets]], 6, family.maxCorrectionBits)
     tuned = cv2.aruco.ArucoDetector(fleet, _tuned())
-    others: dict[str, Callable[[Image], object]] = {
+    return {
         "OpenCV, default parameters": default.detectMarkers,
         "OpenCV, tuned": tuned.detectMarkers,
         **_libraries(),
     }
+
+
+def _whole(scene: Scene, others: dict[str, Callable[[Image], object]]) -> list[Row]:
+    """The whole tracker, newcomer scan included, and others."""
+    tracker = TagTracker(scene.geometry, scene.size, scene.targets)
     times: dict[str, list[float]] = {"robofleet": [], **{who: [] for who in others}}
     measured = 0
     for k in range(_ROUNDS * _LAP):
@@ -80,7 +88,7 @@ def _whole(scene: Scene) -> list[Row]:
     share = measured / (_ROUNDS * _LAP * len(scene.targets))
     times[f"robofleet, {100 * share:.2f} % measured"] = times.pop("robofleet")
     order = [next(reversed(times)), *others]
-    what = f"whole tracker, {len(scene.targets)} tags, 1920 x 1080"
+    what = f"whole tracker, {len(scene.targets)} tags, {scene.size[0]} x {scene.size[1]}"
     return percentiles(what, {who: times[who] for who in order})
 
 
@@ -106,12 +114,12 @@ def _rendering() -> list[Row]:
     return result
 
 
-def _scene(count: int) -> Scene:
-    geometry = _geometry(1920, 1080)
-    renderer = _renderer(geometry, (1920, 1080), count)
+def _scene(count: int, size: tuple[int, int]) -> Scene:
+    geometry = _geometry(*size)
+    renderer = _renderer(geometry, size, count)
     poses = [_circles(count, k) for k in range(_LAP)]
     images = [renderer.render(p).copy() for p in poses]
-    return Scene(geometry, _targets(count), images, poses)
+    return Scene(size, geometry, _targets(count), images, poses)
 
 
 def _geometry(width: int, height: int) -> CameraGeometry:
@@ -133,10 +141,10 @@ def _targets(count: int) -> list[Target]:
 
 def _circles(count: int, k: int) -> Poses:
     """Return poses (N, 3) on circles around the places of a grid, at up to the fastest speed."""
-    columns = 2 if count < 10 else 10
+    columns = 2 if count < 10 else 10 if count < 100 else 13
     i = np.arange(count)
     phase = 2.0 * np.pi * (k / _LAP + i * 0.618)
-    radius = np.linspace(0.02, 0.06, count)
+    radius = np.linspace(0.02, 0.06 if count < 100 else 0.045, count)
     x = np.linspace(-1.35, 1.35, columns)[i % columns] + radius * np.cos(phase)
     y = np.linspace(-0.75, 0.75, -(-count // columns))[i // columns] + radius * np.sin(phase)
     return np.column_stack([x, y, phase + np.pi / 2])

@@ -1,9 +1,13 @@
 """Finds the tags that one threshold misses: faint, blurred, or with a corner or a side covered. It is slow.
 
-What is black is decided by the darkest and brightest greys nearby, so that no contrast is expected. A tag lies flat
-at a known height and has a known size, so one whole side of a black square says where all of it is: a cover that
-leaves one side whole leaves the tag to be found. Its cells say which target it can be and what hides the others of
-them; the photometric fit, without the hidden cells, places it.
+What is black is decided by the darkest and brightest greys nearby, where greys are steep, so that no contrast is
+expected. A tag lies flat at a known height and has a known size, so one whole side of a black square says where all of
+it is: a cover that leaves one side whole leaves the tag to be found. Squares whose paper is brightest beside their rim
+come first. Their cells say which target it can be and what hides the others of them; the photometric fit, without the
+hidden cells, places it.
+
+The fit's correlation says which tag it is; that of a faint one only once most noise is smoothed away. Blur makes tags
+alike: so few cells may then be misread that any other tag of the family has at least two more that are wrong.
 
 A cover may hide so many bits of the code that any two tags of the family still differ by two of those that are seen.
 Of the cells that are seen one may be wrong, as a cover's edge may lie on it; no other tag of the family may explain
@@ -24,15 +28,21 @@ from robofleet.tracking.tags.families import Squares, dark_squares, patterns, sa
 from robofleet.tracking.tags.photometric import ALIKE, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
 
-_LIKELY = 0.7  # the same of a tag that is blurred, or of which each cell is right: light that overflows widens white
+_LIKELY = 0.7  # least correlation of a tag that is blurred, faint, or of which each cell is right: white overflows
 _BLUR_PX = 0.8  # that takes the noise away, standard deviation
+_FINE = 0.27  # no more than so much, where bits are read: more would mix small ones [cells]
+_SMALL_PX = 4.0  # cells to whose middles a line does not lead well enough
+_STEPS_PX = (1.0, 0.5)  # by which their squares are shifted, one after the other,
+_AROUND = np.stack(np.meshgrid([0, -1, 1], [0, -1, 1]), axis=-1).reshape(9, 2)  # to the best of nine places
 _NEARBY = 0.45  # how far greys decide what is black: not beyond the paper, where the floor may be brighter [cells]
-_LEAST_CONTRAST = 9  # between black and white nearby: noise that is left makes 5 [grey levels]
+_LEAST_CONTRAST = 3  # of paper and rim: half of the least that a tag is found with [grey levels]
+_LEAST_SLOPE = 2.5  # of an edge: that of 15 levels that are blurred over a pixel; noise of 3.5 makes 2.2 [1/px]
+_SOBEL = 128.0  # what OpenCV's of 5 x 5 pixels makes of a slope of 1
 _OUTLINE = 2.2  # least outline of what is seen of a tag, where a diagonal step counts as one [sides]
 _STRAIGHT = 0.085  # of a side: a line so straight is one
-_LONGER = (0.82, 1.18)  # a whole side, over the true one
+_LONGER = (0.75, 1.25)  # a whole side, over the true one
 _SAME = 0.12  # places and headings closer than this are of one square [sides, rad]
-_SQUARES_AT_ONCE = 128  # sides of one length at once, of whose squares the cells are read
+_SIDES_AT_ONCE, _SQUARES_AT_ONCE = 1024, 64  # sides whose squares are compared, and squares that are read
 _MOST_FAILURES = 6  # squares at once that no target fits: a millisecond each
 _RIM = 0.53  # of the cells that are black in all tags, and must be seen: the rim
 _PAPER = 0.53  # of those that are white: the paper around it, one cell wide
@@ -52,33 +62,42 @@ class DeepSearch(TagSearch):
         self._sides = np.array([target.side for target in targets])
         sizes = [side_px(fit.geometry, target) for target in targets]
         self._sizes_px = min(sizes), max(sizes)
+        self._cell_px = min(sizes) / FAMILIES[fit.family].square
+        self._fine_px = min(_BLUR_PX, _FINE * self._cell_px)
         self._kinds = sorted({(target.side, target.height) for target in targets})
         self._family = FAMILIES[fit.family]
         self._grid, self._covers = _grid(self._family.cells + 2, self._family.square), _covers(fit.family)
+        self._on_grid = _weights(self._grid)
         self._paper, self._rim = same(fit.family)
         self._free = ~(self._paper | self._rim)[1:-1, 1:-1]
         self._all = patterns(fit.family).astype(np.float32)
         self._white = self._all[[target.tag for target in targets]]
         self._seen = (~self._covers[:, 1:-1, 1:-1]).reshape(len(self._covers), -1).astype(np.float32)
+        self._most_misread = (self._family.distance - _APART_BITS) // 2
         self._hidden = int((self._covers[:, 1:-1, 1:-1] & self._free).sum((1, 2)).max())  # bits of a code, at most
 
     def squares(self, image: Image, region: Region | None = None, bright: float | None = None) -> Squares:
         left, top, right, bottom = region or Region(0, 0, image.shape[1], image.shape[0])
-        part = _smooth(image[top:bottom, left:right])
+        part = _smooth(image[top:bottom, left:right], _BLUR_PX)
+        fine = part if self._fine_px == _BLUR_PX else _smooth(image[top:bottom, left:right], self._fine_px)
         begins, ends = self._edges(dark_squares(part, self._family))
         corner = np.array([left, top], np.float64)
         corners, found = [np.empty((0, 4, 2))], [np.empty(0, np.int64)]
         for side, height in self._kinds if len(begins) else ():
             which = np.flatnonzero([(target.side, target.height) == (side, height) for target in self._targets])
-            centre, psi = self._whole_sides(begins + corner, ends + corner, side, height)
-            chosen = self._order(len(centre))[:_SQUARES_AT_ONCE]
-            centre, psi = centre[chosen], psi[chosen]
-            pixels = self._pixels(centre, psi, side, height, self._grid)
-            cells = _levels(part, pixels - corner).reshape(-1, *self._rim.shape)
+            some = self._lot.permutation(len(begins))[:_SIDES_AT_ONCE]
+            centre, psi = self._whole_sides(begins[some] + corner, ends[some] + corner, side, height)
+            pixels = self._on_grid @ (self._pixels(centre, psi, side, height, CORNERS) - corner)
+            best = np.argsort(-self._likely(_levels(fine, pixels)))
+            chosen = best[self._order(len(best))[:_SQUARES_AT_ONCE]]
+            centre, psi, pixels = centre[chosen], psi[chosen], pixels[chosen]
+            shift = self._shifts(fine, pixels)
+            cells = _levels(fine, pixels + shift[:, None]).reshape(-1, *self._rim.shape)
             square, target, turns = self._read(cells, which)
             heading = psi[square] + turns * (math.pi / 2.0)
             others = _apart(centre[square], heading, target, _SAME * side)
-            corners.append(self._pixels(centre[square[others]], heading[others], side, height, CORNERS))
+            at = self._pixels(centre[square[others]], heading[others], side, height, CORNERS)
+            corners.append(at + shift[square[others], None])
             found.append(target[others])
         return Squares(np.concatenate(corners), np.concatenate(found))
 
@@ -116,15 +135,25 @@ class DeepSearch(TagSearch):
         followed: it was there in the image before, so that no other tag of the family can be there.
         """
         whole = self._fit.fit(image, np.array([target]), np.array([centre]), np.array([psi]))
-        if whole.alike[0] > ALIKE:
+        if whole.alike[0] > ALIKE or (whole.alike[0] > _LIKELY and self._is_noisy(image, whole, target)):
             return whole.found(0, target)
         covered = self._covered(image, target, centre, psi, followed=followed)
         if covered is not None or whole.alike[0] < _LIKELY:
             return covered
         blurred = self._fit.blurred(image, target, centre, psi)
-        if blurred.alike[0] > ALIKE:
+        if blurred.alike[0] > ALIKE and self._misread(image, blurred, target) <= self._most_misread:
             return blurred.found(0, target)
-        return whole.found(0, target) if self._is_right(image, whole, target) else None
+        return whole.found(0, target) if self._misread(image, whole, target) == 0 else None
+
+    def _is_noisy(self, image: Image, fit: Fit, target: int) -> bool:
+        """Return whether a print looks like its pattern once most of the noise is gone."""
+        if self._misread(image, fit, target) > self._most_misread:
+            return False
+        centre, psi = complex(fit.centre[0]), float(fit.psi[0])
+        left, top, right, bottom = self._around(image, target, centre, psi)
+        smooth = np.zeros(image.shape, np.uint8)
+        smooth[top:bottom, left:right] = _smooth(image[top:bottom, left:right], self._fine_px)
+        return bool(self._fit.blurred(smooth, target, centre, psi).alike[0] > ALIKE)
 
     def _covered(self, image: Image, target: int, centre: complex, psi: float, *, followed: bool) -> Found | None:
         """Return a target near a guess if something covers a part of it."""
@@ -161,8 +190,8 @@ class DeepSearch(TagSearch):
         box = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         darkest, brightest = cv2.erode(image, box), cv2.dilate(image, box)
         below = cv2.compare(image, cv2.addWeighted(darkest, 0.5, brightest, 0.5, 0.0), cv2.CMP_LT)
-        _, differ = cv2.threshold(cv2.subtract(brightest, darkest), _LEAST_CONTRAST - 1, 255, cv2.THRESH_BINARY)
-        black = cv2.medianBlur(cv2.bitwise_and(below, differ), 3)  # specks would be most of the outlines
+        steep = cv2.dilate(_steep(image, _LEAST_SLOPE), box)
+        black = cv2.medianBlur(cv2.bitwise_and(below, steep), 3)  # specks would be most of the outlines
         outlines, _ = cv2.findContours(black, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         fewest, straight = _OUTLINE * small, max(1.0, _STRAIGHT * small)
         corners = [cv2.approxPolyDP(line, straight, closed=True)[:, 0] for line in outlines if len(line) > fewest]
@@ -186,8 +215,7 @@ class DeepSearch(TagSearch):
         a, b = np.split(x_y[:, 0] + 1j * x_y[:, 1], 2)
         length = np.abs(b - a) / side
         good = (length > _LONGER[0]) & (length < _LONGER[1])
-        order = np.argsort(np.abs(length[good] - 1.0))
-        a, b = a[good][order], b[good][order]
+        a, b = a[good], b[good]
         ahead = (b - a) / np.abs(b - a)
         return (a + b) / 2.0 + 1j * ahead * side / 2.0, np.angle(ahead)
 
@@ -200,6 +228,22 @@ class DeepSearch(TagSearch):
         return self._fit.geometry.project(world.reshape(-1, 3)).reshape(*at.shape, 2)
 
     # Cells
+
+    def _likely(self, cells: Array) -> Array:
+        """Return how much brighter the paper is than the rim, in the spread of both, by a print's cells (..., K)."""
+        white, black = cells[..., self._paper.ravel()], cells[..., self._rim.ravel()]
+        return np.asarray((white.mean(-1) - black.mean(-1)) / np.sqrt(white.var(-1) + black.var(-1) + 1.0))
+
+    def _shifts(self, image: Image, pixels: Array) -> Array:
+        """Return how far off squares, whose cells are at ``pixels`` (M, K, 2), are likelier (M, 2) [px]: a line is not
+        good to a small cell."""
+        shift, every = np.zeros((len(pixels), 2)), np.arange(len(pixels))
+        for step in _STEPS_PX if self._cell_px < _SMALL_PX else ():
+            steps = shift + step * _AROUND[:, None]
+            at = (pixels + steps[:, :, None]).reshape(-1, *pixels.shape[1:])
+            likely = self._likely(_levels(image, at)).reshape(len(_AROUND), -1)
+            shift = steps[likely.argmax(0), every]
+        return shift
 
     def _read(self, cells: Array, which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Return which squares (M,) by their cells (M, C + 2, C + 2) may be which of the targets, turned how often."""
@@ -241,26 +285,33 @@ class DeepSearch(TagSearch):
 
     def _cells(self, image: Image, target: int, centre: complex, psi: float) -> Array | None:
         """Return the cells (C + 2, C + 2) of a print and its paper, 0: black, 1: white; None if it is not there."""
-        cell = np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
-        pixels = self._pixels(*cell, self._grid)[0]
-        left, top = np.floor(pixels.min(0)).astype(int) - 4
-        right, bottom = np.ceil(pixels.max(0)).astype(int) + 5
-        left, top = max(left, 0), max(top, 0)
-        if not (left + 9 < right and top + 9 < bottom and left + 9 < image.shape[1] and top + 9 < image.shape[0]):
+        left, top, right, bottom = self._around(image, target, centre, psi)
+        if right < left + 9 or bottom < top + 9:
             return None
-        part = _smooth(image[top:bottom, left:right])
-        cells = _levels(part, pixels[None] - [left, top])[0].reshape(self._rim.shape)
+        smooth = _smooth(image[top:bottom, left:right], self._fine_px)
+        pixels = self._pixels(*self._square(target, centre, psi), self._grid)
+        cells = _levels(smooth, pixels - [left, top])[0].reshape(self._rim.shape)
         white = np.pad(self._white[target] > 0.5, 1, constant_values=True)
         low, high = np.median(cells[~white]), np.median(cells[white])
         return None if high - low < _LEAST_CONTRAST else (cells - low) / (high - low)
 
-    def _is_right(self, image: Image, fit: Fit, target: int) -> bool:
-        """Return whether each cell of a print has the grey that it should have, and paper is around it."""
+    def _square(self, target: int, centre: complex, psi: float) -> tuple[Complex, Array, float, float]:
+        """Return a target as one of the squares that ``_pixels`` takes."""
+        return np.array([centre]), np.array([psi]), float(self._sides[target]), float(self._fit.heights[target])
+
+    def _around(self, image: Image, target: int, centre: complex, psi: float) -> Region:
+        """Return the part of an image in which a print and its paper are."""
+        pixels = self._pixels(*self._square(target, centre, psi), self._grid)[0]
+        left, top = np.maximum(np.floor(pixels.min(0)).astype(int) - 4, 0).tolist()
+        right, bottom = np.minimum(np.ceil(pixels.max(0)).astype(int) + 5, image.shape[::-1]).tolist()
+        return Region(left, top, right, bottom)
+
+    def _misread(self, image: Image, fit: Fit, target: int) -> int:
+        """Return how many cells of a print are not as they should be; all of them if there is no paper around it."""
         cells = self._cells(image, target, complex(fit.centre[0]), float(fit.psi[0]))
-        if cells is None:
-            return False
-        right = bool(((_sharp(cells[None])[0] > 0.5) == (self._white[target] > 0.5)).all())
-        return right and bool((cells[self._paper] > 0.5).mean() >= _PAPER)
+        if cells is None or (cells[self._paper] > 0.5).mean() < _PAPER:
+            return self._rim.size
+        return int(((_sharp(cells[None])[0] > 0.5) != (self._white[target] > 0.5)).sum())
 
     def _cover(self, cells: Array, target: int) -> tuple[NDArray[np.bool_], int]:
         """Return the cells (C + 2, C + 2) that are hidden, as far as that explains, and how many others are wrong."""
@@ -314,16 +365,29 @@ def _grid(count: int, square: int) -> Complex:
     return (at - 1j * at[:, None]).ravel()
 
 
-def _smooth(image: Image) -> Image:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8)
+def _weights(points: Complex) -> Array:
+    """Return how points (K,) of a square [sides] follow from its ``CORNERS`` (K, 4), if it is seen from above."""
+    x, y = points.real[:, None], points.imag[:, None]
+    return (0.5 + 2.0 * CORNERS.real * x) * (0.5 + 2.0 * CORNERS.imag * y)
+
+
+def _steep(image: Image, least: float) -> Image:
+    """Return where greys change by more than so much from pixel to pixel."""
+    across, down = (cv2.Sobel(image, cv2.CV_16S, *axis, ksize=5) for axis in ((1, 0), (0, 1)))
+    twice = cv2.add(cv2.convertScaleAbs(across, alpha=2.0 / _SOBEL), cv2.convertScaleAbs(down, alpha=2.0 / _SOBEL))
+    return np.asarray(cv2.threshold(twice, 2.0 * least, 255, cv2.THRESH_BINARY)[1], np.uint8)
+
+
+def _smooth(image: Image, sigma: float) -> Image:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8)
 
 
 def _levels(image: Image, pixels: Array) -> Array:
     """Return an image's greys (M, K) at pixels (M, K, 2)."""
     if not len(pixels):
         return np.empty(pixels.shape[:2])
-    at = pixels.astype(np.float32)
-    greys = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    at, none = np.asarray(pixels, np.float32), np.empty(0, np.float32)
+    greys = cv2.remap(image, at, none, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(greys, np.float64).reshape(pixels.shape[:2])
 
 

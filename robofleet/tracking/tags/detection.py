@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.core.arrays import Complex, Image
-from robofleet.tracking.tags.families import Squares, finder
+from robofleet.tracking.tags.families import NO_SQUARES, Squares, finder
 from robofleet.tracking.tags.photometric import ALIKE, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.targets import Target
 
@@ -23,7 +23,8 @@ _SKEW = 0.1  # its corners' largest distance from a true square's [sides]
 _DARK = 110  # an image whose brightest parts are darker than this is brightened first [grey]
 _BRIGHTENED = 200.0  # to this level [grey]
 _CHANGED = 0.04  # of its brightest part, by which one part of a tile must change: a tag's contrast is 0.8
-_SEARCHES, _ANYWAY = 3, 16  # visits in which a tile that changed is searched; of all visits, one in which any is
+_PART = 4  # of a thumbnail, its width [px]
+_SEARCHES, _ANYWAY = 3, 16  # visits in which what changed is searched; of all visits, one in which the whole tile is
 
 # As detectMarkers orders them: the print's top left, top right, bottom right, bottom left.
 CORNERS = np.array([-0.5 + 0.5j, 0.5 + 0.5j, 0.5 - 0.5j, -0.5 - 0.5j])
@@ -78,12 +79,13 @@ class TagDetector(TagSearch):
 
     def place(self, image: Image, squares: Squares, known: Complex | None = None) -> Findings:
         corners, found = squares
+        if known is not None and len(found):
+            middle = self._fit.geometry.to_plane(corners.mean(1), self._fit.heights[found])
+            new = ~(np.abs(middle[:, 0] + 1j * middle[:, 1] - known[found]) < 0.5 * self._sides[found])
+            corners, found = corners[new], found[new]
         if not len(found):
             return Findings((), 0)
         centre, psi, plausible = self._place(corners, found)
-        if known is not None:
-            new = ~(np.abs(centre - known[found]) < 0.5 * self._sides[found])
-            found, centre, psi, plausible = found[new], centre[new], psi[new], plausible[new]
         may = found[plausible]
         if not len(may):
             return Findings((), len(found))
@@ -126,21 +128,23 @@ class TagDetector(TagSearch):
 class _Searched(NamedTuple):
     """A tile."""
 
-    shown: Image  # its thumbnail when it was searched last
+    shown: Image  # its thumbnail, each part as it was when it was searched last
     squares: Squares  # that were found then
+    part: Region  # that changed last
     visits: int  # since it changed
 
 
 class Sweep:
-    """Searches an image tile by tile, another one each time. A tile that shows what it showed is not searched again.
+    """Searches an image tile by tile, another one each time; of a tile that shows what it showed, nothing.
 
-    What it shows is compared by the means of its parts, four pixels wide, with the newest of its searches: a tag that
-    comes or goes, or a light, changes them by more than noise does, and what creeps does in the end. A change is
-    followed by some searches more, and now and then there is one without any: noise may have hidden what is there.
+    What it shows is compared by the means of its parts, four pixels wide, with the newest of their searches: a tag that
+    comes or goes, or a light, changes them by more than noise does, and what creeps does in the end. Around what
+    changed, the tile is searched, and some times more; now and then all of it: noise may have hidden what is there.
     """
 
-    def __init__(self, detector: TagSearch, tiles: Sequence[Region]) -> None:
-        self._detector, self._tiles = detector, tuple(tiles)
+    def __init__(self, detector: TagSearch, tiles: Sequence[Region], overlap: float) -> None:
+        """Take tiles that overlap by more than a tag [px]."""
+        self._detector, self._tiles, self._overlap = detector, tuple(tiles), math.ceil(overlap)
         self._searched: list[_Searched | None] = [None] * len(self._tiles)
 
     def __len__(self) -> int:
@@ -148,20 +152,56 @@ class Sweep:
 
     def search(self, image: Image, turn: int, known: Complex) -> Findings:
         """Return the targets in the tile whose turn it is; not those that stand where they are ``known``."""
-        k = turn % len(self._tiles)
-        left, top, right, bottom = region = self._tiles[k]
+        round_, k = divmod(turn, len(self._tiles))
+        left, top, right, bottom = tile = self._tiles[k]
         shown = thumbnail(image[top:bottom, left:right])
         bright = float(shown.max())
-        before = self._searched[k]
-        same = before is not None and cv2.norm(shown, before.shown, cv2.NORM_INF) <= _CHANGED * bright
-        visits = before.visits + 1 if before is not None and same else 0
-        if before is None or visits < _SEARCHES or visits % _ANYWAY == 0:
-            squares = self._detector.squares(image, region, bright)
-        else:
-            shown, squares = before.shown, before.squares
+        before = self._searched[k] or _Searched(np.zeros_like(shown), NO_SQUARES, tile, 0)
+        every = self._searched[k] is None or (round_ + k) % _ANYWAY == 0
+        part, visits = self._changed(shown, before.shown, bright, tile), 0
+        if part is None:
+            part, visits = before.part, before.visits + 1
+        elif before.visits < _SEARCHES and not every:
+            part = _around(part, before.part)
+        squares, compared = before.squares, before.shown
+        if every or visits < _SEARCHES:
+            searched = tile if every else part
+            squares = _renewed(squares, self._detector.squares(image, searched, bright), searched)
+            compared = shown if every else _pasted(before.shown, shown, searched, tile)
         found = self._detector.place(image, squares, known)
-        self._searched[k] = _Searched(shown, squares if found.squares is None else found.squares, visits)
+        self._searched[k] = _Searched(compared, squares if found.squares is None else found.squares, part, visits)
         return found
+
+    def _changed(self, shown: Image, before: Image, bright: float, tile: Region) -> Region | None:
+        """Return the part of a tile around what changed since ``before``, so large that any tag of it is whole."""
+        difference = cv2.absdiff(shown, before)
+        u, v, width, height = cv2.boundingRect(cv2.threshold(difference, _CHANGED * bright, 1, cv2.THRESH_BINARY)[1])
+        if not width:
+            return None
+        left, top = tile.left + _PART * u - self._overlap, tile.top + _PART * v - self._overlap
+        wide, high = _PART * width + 2 * self._overlap, _PART * height + 2 * self._overlap
+        return Region(
+            max(tile.left, left), max(tile.top, top), min(tile.right, left + wide), min(tile.bottom, top + high)
+        )
+
+
+def _around(first: Region, other: Region) -> Region:
+    return Region(*map(min, first[:2], other[:2]), *map(max, first[2:], other[2:]))
+
+
+def _renewed(before: Squares, now: Squares, part: Region) -> Squares:
+    """Return squares of which those that are wholly in a part are the ones that it shows ``now``."""
+    beyond = ((before.corners < part[:2]) | (before.corners > part[2:])).any((1, 2))
+    return Squares(np.concatenate([now.corners, before.corners[beyond]]), np.append(now.which, before.which[beyond]))
+
+
+def _pasted(before: Image, shown: Image, part: Region, tile: Region) -> Image:
+    """Return a tile's thumbnail in which a part is as it is ``shown``."""
+    columns = slice((part.left - tile.left) // _PART, (part.right - tile.left) // _PART + 1)
+    rows = slice((part.top - tile.top) // _PART, (part.bottom - tile.top) // _PART + 1)
+    pasted = before.copy()
+    pasted[rows, columns] = shown[rows, columns]
+    return pasted
 
 
 def thumbnail(image: Image) -> Image:

@@ -28,6 +28,9 @@ class Squares(NamedTuple):
     which: NDArray[np.int64]  # (M,) of the tags that are looked for
 
 
+NO_SQUARES = Squares(np.empty((0, 4, 2)), np.empty(0, np.int64))
+
+
 def finder(family: str, ids: Sequence[int], parameters: cv2.aruco.DetectorParameters) -> "_BitsInside | _BitsAround":
     """Return what finds squares that read as these tags; its caller may change the parameters later."""
     inside = FAMILIES[family].square == FAMILIES[family].cells
@@ -101,7 +104,7 @@ class _BitsInside:
         self._detector.setDetectorParameters(self._parameters)
         corners, which, _ = self._detector.detectMarkers(image)
         if which is None or len(which) == 0:
-            return _NOTHING
+            return NO_SQUARES
         return Squares(np.concatenate(corners).astype(np.float64), which[:, 0].astype(np.int64))
 
 
@@ -119,7 +122,7 @@ class _BitsAround:
     def find(self, image: Image) -> Squares:
         quads = self._quads(dark_squares(image, self._family))
         if not quads:
-            return _NOTHING
+            return NO_SQUARES
         corners = np.stack(quads)
         cells = self._cells(image, corners)
         white, black = np.median(cells[:, self._white], axis=1), np.median(cells[:, self._black], axis=1)
@@ -135,7 +138,7 @@ class _BitsAround:
             if not any(which == other and _are_same(square, known) for other, known in found):
                 found.append((which, square))
         if not found:
-            return _NOTHING
+            return NO_SQUARES
         return Squares(np.stack([square for _, square in found]), np.array([which for which, _ in found]))
 
     def _quads(self, image: Image) -> list[Array]:
@@ -175,6 +178,3 @@ def _are_same(first: Array, other: Array) -> bool:
     return float(np.linalg.norm(first.mean(0) - other.mean(0))) < _SAME_SQUARE * float(
         np.linalg.norm(first[0] - first[1])
     )
-
-
-_NOTHING = Squares(np.empty((0, 4, 2)), np.empty(0, np.int64))

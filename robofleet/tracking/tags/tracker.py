@@ -34,7 +34,7 @@ from robofleet.tracking.tags.targets import Target
 CLEAR = 0.9  # a tag that is less alike may be placed better by what is not covered of it
 _COAST_NS = S // 2  # a tag that is hidden for longer is lost
 _SWEEP_TILES = (4, 3)  # across and down: one is searched in each image
-_DEEP_TILES = (3, 3)  # of the deep search
+_DEEP_TILES, _DEEP_TILE_PX = 3, (640, 360)  # of the deep search: so many across and down, or more of this size
 _BEGINNING = 30  # images that are searched as a whole as long as a tag was never seen
 _SEARCHES = 8  # hidden tags an image, at most: a flash that hides all at once may not stop the tracker
 _DEEP_SEARCHES = 1  # of these, whose regions are searched deeply
@@ -96,8 +96,9 @@ class TagTracker:
         self._followed = np.zeros(n, np.bool_)  # measured, or coasting for a short while
         self._suspects = Suspects(targets)
         overlap = 1.5 * max(side_px(geometry, target) * target.whole / target.side for target in targets)
-        self._sweep = Sweep(self._detector, tiles(image_size, _SWEEP_TILES, overlap))
-        self._deep_sweep = Sweep(self._deep, tiles(image_size, _DEEP_TILES, overlap))
+        self._sweep = Sweep(self._detector, tiles(image_size, _SWEEP_TILES, overlap), overlap)
+        across, down = (max(_DEEP_TILES, round(a / b)) for a, b in zip(image_size, _DEEP_TILE_PX, strict=True))
+        self._deep_sweep = Sweep(self._deep, tiles(image_size, (across, down), overlap), overlap)
         self._images = 0
         self._searches = self._deep_searches = 0  # that may be made still in this image
         self._news = News()

@@ -6,6 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from robofleet.core.settings import FAMILIES
+from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.deep import DeepSearch
 from robofleet.tracking.tags.families import Squares
 from robofleet.tracking.tags.photometric import PhotometricFit
@@ -27,7 +28,9 @@ from tools.measure.tracking.acquisition import SCENES, evaluate, trials
 
 
 @pytest.mark.slow_after_first
-@pytest.mark.parametrize(("title", "least"), [("contrast 30", 0.99), ("contrast 20", 0.93)])
+@pytest.mark.parametrize(
+    ("title", "least"), [("contrast 30", 0.99), ("contrast 20", 0.93), ("tags of 24 px, contrast 20", 0.93)]
+)
 def test_faint_tags_are_acquired_within_ten_images(title: str, least: float) -> None:
     row = evaluate(SCENES[title], [OURS], 1)[OURS]
     assert row["wrong"] == 0
@@ -77,10 +80,19 @@ def test_overexposed_tags_are_acquired() -> None:
     assert acquired(np.asarray(cv2.dilate(image, np.ones((2, 2), np.uint8)), np.uint8)) == {0, 1, 2}
 
 
-def acquired(image: NDArray[np.uint8]) -> set[int]:
+def test_small_tags_are_acquired() -> None:
+    half = np.array([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25], [0.0, 0.0, 1.0]])
+    geometry = CameraGeometry(half @ GEOMETRY.K, GEOMETRY.distortion, GEOMETRY.T_world_camera)  # 12 px
+    for k in range(1, 4):
+        image = scene().render(np.array(STANDING) + k * np.array([0.013, 0.007, 0.2]))
+        small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        assert acquired(np.asarray(small, np.uint8), geometry) == {0, 1, 2}
+
+
+def acquired(image: NDArray[np.uint8], geometry: CameraGeometry = GEOMETRY) -> set[int]:
     """Return what one deep search finds."""
     targets = [Target(tag, SIDE_M, HEIGHT_M, MAX_SPEED) for tag in IDS]
-    return {tag.target for tag in DeepSearch(PhotometricFit(GEOMETRY, targets), targets).detect(image).tags}
+    return {tag.target for tag in DeepSearch(PhotometricFit(geometry, targets), targets).detect(image).tags}
 
 
 def test_a_print_with_our_bits_and_wrong_ones_is_not_a_covered_tag() -> None:

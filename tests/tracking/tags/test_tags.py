@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from robofleet.core.arrays import Image
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.detection import Findings, Region, Sweep, TagDetector
+from robofleet.tracking.tags.families import Squares
 from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import Target
 from tests.shipped import OVERHEAD
@@ -141,21 +143,27 @@ def test_tag_of_a_wrong_size_is_refused(renderer: SceneRenderer) -> None:
     assert detector(side=0.05).detect(image) == Findings((), 1)
 
 
-def test_a_tile_is_searched_again_when_it_changes_and_now_and_then(
+def test_a_tile_is_searched_again_around_what_changes_and_now_and_then(
     renderer: SceneRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    searched: list[int] = []
-    squares = detector().squares
-    monkeypatch.setattr(detector(), "squares", lambda *what: (searched.append(1), squares(*what))[1])
-    sweep, known = Sweep(detector(), [Region(0, 0, OVERHEAD.width, OVERHEAD.height)]), np.full(4, np.nan, complex)
-    image = np.array([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
-    two = np.array([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), *2 * [(np.nan, np.nan, np.nan)]])
-    for poses, expected in ((image, {0}), (two, {0, 1}), (image, {0})):
+    searched: list[Region] = []
+    squares, tile = detector().squares, Region(0, 0, OVERHEAD.width, OVERHEAD.height)
+
+    def spied(image: Image, region: Region, bright: float) -> Squares:
+        searched.append(region)
+        return squares(image, region, bright)
+
+    monkeypatch.setattr(detector(), "squares", spied)
+    sweep, known = Sweep(detector(), [tile], 60.0), np.full(4, np.nan, complex)
+    alone = np.array([(-0.5, 0.0, 0.3), *3 * [(np.nan, np.nan, np.nan)]])
+    both = np.array([(-0.5, 0.0, 0.3), (0.5, 0.0, 1.0), *2 * [(np.nan, np.nan, np.nan)]])
+    for k, (poses, expected) in enumerate(((alone, {0}), (both, {0, 1}), (alone, {0}))):
         searched.clear()
         for visit in range(40):
-            findings = sweep.search(renderer.render(poses), visit, known)
+            findings = sweep.search(renderer.render(poses), 40 * k + visit + 1, known)
             assert {tag.target for tag in findings.tags} == expected
         assert 3 <= len(searched) <= 8
+        assert k == 0 or searched[0].right - searched[0].left < 0.3 * tile.right
 
 
 def test_prints_at_the_edge_of_a_fisheye_that_looks_aslant_are_refused() -> None:

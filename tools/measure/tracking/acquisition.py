@@ -57,6 +57,7 @@ SCENES = {
     "tags of 22 px": Scene(focal=0.6),
     "tags of 22 px, contrast 40": Scene(focal=0.6, contrast=40),
     "tags of 24 px, contrast 20": Scene(focal=24 / 36, contrast=20),
+    "tags of 24 px, contrast 20, lens of 0.9 px": Scene(focal=24 / 36, contrast=20, lens=0.9),
     "a side covered, 25 %": Scene(covered=0.25),
     "a corner covered, 12 %": Scene(covered=0.12, along=math.pi / 4),
     "a corner covered, 25 %": Scene(covered=0.25, along=math.pi / 4),
@@ -195,10 +196,10 @@ def main() -> None:
 
 def _show(title: str, rows: dict[str, dict[str, float]]) -> None:
     columns = ("acquired", "seen", "wrong", "rms_mm", "max_mm", "p50_ms", "max_ms")
-    print(f"{title:<40}" + "".join(f"{column:>9}" for column in columns))
+    print(f"{title:<44}" + "".join(f"{column:>9}" for column in columns))
     for name, row in rows.items():
         cells = (f"{row[c]:>9.4g}" if c in row else " " * 8 + "-" for c in columns)
-        print(f"  {name:<38}" + "".join(cells), flush=True)
+        print(f"  {name:<42}" + "".join(cells), flush=True)
     print()
 
 

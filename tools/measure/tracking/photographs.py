@@ -5,7 +5,8 @@
 FOLDER/OWNER/REPOSITORY is a clone of each repository in ``photographs.txt``; what is not there is left out. Libraries
 read each photograph as it is. Robofleet knows where its camera hangs and how high its tags lie: so each tag is laid
 flat by its listed corners, up to 0.4 sides aside, and searched there with forty ids that the fleet could have; and as
-many places beside the tags are searched, which show none. Columns: listed tags that are found; what else is said.
+many places beside the tags are searched, which show none. Nothing is enlarged. Rows by a tag's side in the photograph;
+columns: listed tags that are found; what else is said.
 """
 
 from collections import Counter
@@ -30,7 +31,7 @@ APRILTAG = "pyapriltags, decimate 1"
 OTHERS = range(40)
 _LIST = Path(__file__).with_suffix(".txt")
 _M_A_PX = 0.002  # of the plane onto which a tag is laid
-_LEAST_PX = 24.0  # along a side there: smaller ones are enlarged
+_SIDES_PX = (0, 14, 20, 30)  # from which a row counts
 
 
 class Listed(NamedTuple):
@@ -60,24 +61,36 @@ def listed() -> Iterator[Photograph]:
 
 
 def found(folder: Path) -> dict[str, dict[str, Counter[str]]]:
-    """Return by repositories and candidates how many tags are ``listed``, ``found`` and ``wrong``."""
+    """Return by sides and candidates how many tags are ``listed``, ``found`` and ``wrong``."""
     peers, tables = _peers(), dict[str, dict[str, Counter[str]]]()
     for photograph in listed():
         image = cv2.imread(str(folder / photograph.file), cv2.IMREAD_GRAYSCALE)
         if image is None:
             continue
-        table = tables.setdefault("/".join(photograph.file.split("/")[:2]), {})
         for name, detect in peers.items():
-            table.setdefault(name, Counter()).update(_judged(photograph.tags, detect(np.asarray(image, np.uint8))))
-        table.setdefault(OURS, Counter()).update(_ours(photograph, np.asarray(image, np.uint8)))
-    return tables
+            for size, row in _judged(photograph.tags, detect(np.asarray(image, np.uint8))):
+                tables.setdefault(size, {}).setdefault(name, Counter()).update(row)
+        for size, row in _ours(photograph, np.asarray(image, np.uint8)):
+            tables.setdefault(size, {}).setdefault(OURS, Counter()).update(row)
+    return {size: tables[size] for size in sorted(tables)}
 
 
-def _judged(tags: list[Listed], seen: list[Listed]) -> dict[str, int]:
-    """Return what a candidate's tags are."""
-    hits = {k for k, tag in enumerate(tags) if any(_are_same(tag, found_tag) for found_tag in seen)}
-    wrong = sum(not any(_are_same(tag, found_tag) for tag in tags) for found_tag in seen)
-    return {"listed": len(tags), "found": len(hits), "wrong": wrong}
+def _size(corners: Array) -> str:
+    """Return the row of a tag with these corners."""
+    least = max(least for least in _SIDES_PX if least <= _side(corners))
+    return f"from {least:>2} px"
+
+
+def _side(corners: Array) -> float:
+    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
+
+
+def _judged(tags: list[Listed], seen: list[Listed]) -> Iterator[tuple[str, dict[str, int]]]:
+    """Yield sizes, and what a candidate's tags are."""
+    for tag in tags:
+        yield _size(tag.corners), {"listed": 1, "found": int(any(_are_same(tag, found_tag) for found_tag in seen))}
+    for found_tag in seen:
+        yield _size(found_tag.corners), {"wrong": int(not any(_are_same(tag, found_tag) for tag in tags))}
 
 
 def _are_same(first: Listed, other: Listed) -> bool:
@@ -85,8 +98,8 @@ def _are_same(first: Listed, other: Listed) -> bool:
     return first.tag == other.tag and bool(apart < 0.5 * np.linalg.norm(first.corners[0] - first.corners[1]))
 
 
-def _ours(photograph: Photograph, image: Image) -> Counter[str]:
-    rng, total = np.random.default_rng(len(photograph.file)), Counter[str]()
+def _ours(photograph: Photograph, image: Image) -> Iterator[tuple[str, dict[str, int]]]:
+    rng = np.random.default_rng(len(photograph.file))
     expected = {tag.tag for tag in photograph.tags}
     for tag, corners in photograph.tags:
         aside = rng.uniform(-0.4, 0.4, 2)
@@ -95,18 +108,17 @@ def _ours(photograph: Photograph, image: Image) -> Counter[str]:
         wrong = sum(
             seen_tag not in expected or (seen_tag != tag and np.abs(at - aside).max() < 0.5) for seen_tag, at in seen
         )
-        total.update(listed=1, found=int(right), wrong=wrong)
+        yield _size(corners), {"listed": 1, "found": int(right), "wrong": wrong}
         elsewhere = corners - corners.mean(0) + rng.uniform((0, 0), image.shape[::-1])
         size = 2.0 * float(np.ptp(corners, axis=0).max())
         if all(np.linalg.norm(seen_tag.corners.mean(0) - elsewhere.mean(0)) > size for seen_tag in photograph.tags):
             strangers = set(OTHERS) - expected  # a listed tag may be at the rim of what is searched
-            total.update(wrong=len(_laid_flat(image, elsewhere, np.zeros(2), sorted(strangers))))
-    return total
+            yield _size(corners), {"wrong": len(_laid_flat(image, elsewhere, np.zeros(2), sorted(strangers)))}
 
 
 def _laid_flat(image: Image, corners: Array, aside: Array, ids: list[int]) -> list[tuple[int, Array]]:
     """Return what both searches find around a square that is laid flat, and where: from the middle [sides]."""
-    side = max(_LEAST_PX, float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean()))
+    side = _side(corners)
     middle, size = 1.5 * side, int(3.0 * side)
     onto = middle + side * (aside + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]))
     warp = cv2.getPerspectiveTransform(corners.astype(np.float32), onto.astype(np.float32))
@@ -152,13 +164,13 @@ def main() -> None:
     tables, total = found(folder), dict[str, Counter[str]]()
     if not tables:
         parser.error(f"{folder} has none of the files in {_LIST}: clone its repositories to {folder}/OWNER/REPOSITORY")
-    print(f"{'':<28}{'':<26}{'listed':>8}{'found':>8}{'wrong':>8}")
-    for repository, table in tables.items():
+    print(f"{'side':<12}{'':<26}{'listed':>8}{'found':>8}{'wrong':>8}")
+    for table in tables.values():
         for name, row in table.items():
             total.setdefault(name, Counter()).update(row)
-            print(f"{repository:<28}{name:<26}{row['listed']:>8}{row['found']:>8}{row['wrong']:>8}")
-    for name, row in total.items():
-        print(f"{'all':<28}{name:<26}{row['listed']:>8}{row['found']:>8}{row['wrong']:>8}")
+    for size, table in {**tables, "all": total}.items():
+        for name, row in table.items():
+            print(f"{size:<12}{name:<26}{row['listed']:>8}{row['found']:>8}{row['wrong']:>8}")
 
 
 if __name__ == "__main__":
