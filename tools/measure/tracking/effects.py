@@ -1,6 +1,6 @@
 """How well tags are placed under what lenses, cameras, light and prints do, on ray-cast frames, ours and a peer's.
 
-    python -m tools.measure.tracking.effects [--poses N] [--effects NAMES] [--sides PX ...] [--tags N]
+    python -m tools.measure.tracking.effects [--poses N] [--effects NAMES] [--sides PX ...] [--alone]
 
 accuracy.py's camera, with a smooth lens of sigma 0.7 px if nothing else is named, sees tags of 70 mm, 8 cm high, which
 drive at up to 0.2 m/s and 2 rad/s at any angle, at 70 % light and with a noise of 3.5 grey levels at grey 128. The
@@ -10,7 +10,8 @@ these are true; how many of the tags were measured in their image, and how many 
 and the measured share of pyapriltags, decimate 1, on the same images; its rms by ours; the time that an effect took,
 its share of the images' casting included [s].
 
-Effects of the same light and prints share their images before the camera. --effects takes parts of names, by commas.
+Effects of the same light and prints share their images before the camera. --effects takes parts of names, by commas;
+--alone leaves the peer out, which takes half of the time.
 """
 
 import math
@@ -36,6 +37,7 @@ from tools.measure.tracking.score import Score, squared
 
 PEER = "pyapriltags, decimate 1"
 LIGHT = 0.7
+TAGS = 20  # in each image
 WARM_UP, LEARNING = 20, 600  # images that do not count; where a print has to be learnt: 20 s,
 _LEARNT = 6  # by so many tags at most
 _ANCHORS = np.stack(np.meshgrid(np.linspace(-1.3, 1.3, 5), np.linspace(-0.75, 0.75, 4)), axis=-1).reshape(20, 2)
@@ -165,9 +167,9 @@ def _frames(
 class Trial:
     """One effect: its camera, who looks at it, and what they score."""
 
-    def __init__(self, sensor: Sensor, setting: Setting) -> None:
+    def __init__(self, sensor: Sensor, setting: Setting, candidates: Sequence[str]) -> None:
         self._camera = Camera(sensor, setting.size, np.random.default_rng(2))
-        self._see = {name: CANDIDATES[name](setting) for name in (OURS, PEER)}
+        self._see = {name: CANDIDATES[name](setting) for name in candidates}
         self._scores = {name: Score() for name in self._see}
 
     def add(self, frame: Frame) -> None:
@@ -179,7 +181,7 @@ class Trial:
                     self._scores[name].add(frame.prints, seen)
 
     def row(self) -> dict[str, float]:
-        ours, peer = (self._scores[name].row() for name in (OURS, PEER))
+        ours, peer = (self._scores.get(name, Score()).row() for name in (OURS, PEER))
         row = {"rms_mm": math.nan, "rms_deg": math.nan, "chi2_xy": math.nan, "chi2_psi": math.nan} | ours
         if self._scores[OURS].errors:
             xy, psi = squared(*(np.array(each) for each in (self._scores[OURS].errors, self._scores[OURS].covariances)))
@@ -190,14 +192,14 @@ class Trial:
 
 
 def evaluate(
-    effects: dict[str, Effect], side_px: float, tags: int, poses: int
+    effects: dict[str, Effect], side_px: float, tags: int, poses: int, candidates: Sequence[str] = (OURS, PEER)
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield the row of each effect; those of one scene, which is cast once, together."""
     for scene, names in groupby(
         sorted(effects, key=lambda name: effects[name].scene), lambda name: effects[name].scene
     ):
         begun, drive = stopwatch_ns(), take(scene, side_px, tags, poses)
-        trials = {name: Trial(effects[name].sensor, drive.setting) for name in names}
+        trials = {name: Trial(effects[name].sensor, drive.setting, candidates) for name in names}
         for frame in drive.frames:
             for trial in trials.values():
                 trial.add(frame)
@@ -207,17 +209,8 @@ def evaluate(
 
 
 _COLUMNS = (
-    "rms_mm",
-    "rms_deg",
-    "chi2_xy",
-    "chi2_psi",
-    "measured",
-    "wrong",
-    "peer_mm",
-    "peer_measured",
-    "ratio",
-    "seconds",
-)
+    "rms_mm", "rms_deg", "chi2_xy", "chi2_psi", "measured", "wrong", "peer_mm", "peer_measured", "ratio", "seconds",
+)  # fmt: skip
 
 
 def main() -> None:
@@ -225,7 +218,7 @@ def main() -> None:
         __doc__,
         poses=(1500, "of each effect"),
         effects=("", "parts of effects' names, by commas"),
-        tags=(20, "in each image"),
+        alone=(False, "without the peer"),
     )
     parser.add_argument("--sides", type=float, nargs="+", default=[36.0, 24.0], help="of tags [px]")
     arguments = parser.parse_args()
@@ -234,9 +227,10 @@ def main() -> None:
     if not effects:
         parser.error(f"--effects {arguments.effects}: of {', '.join(EFFECTS)}")
     cv2.setNumThreads(1)
+    candidates = (OURS,) if arguments.alone else (OURS, PEER)
     print(f"{'':<38}" + "".join(f"{column:>14}" for column in _COLUMNS))
     for side in arguments.sides:
-        for name, row in evaluate(effects, side, arguments.tags, arguments.poses):
+        for name, row in evaluate(effects, side, TAGS, arguments.poses, candidates):
             cells = "".join(f"{row[column]:>14.4g}" for column in _COLUMNS)
             print(f"{f'{side:g} px, {name}':<38}" + cells, flush=True)
 
