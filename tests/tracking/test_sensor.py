@@ -27,7 +27,8 @@ def test_a_camera_without_settings_rounds_and_clips() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tone", "grey", "shown"), [("gamma", 55.5, 127.5), ("srgb", 54.6, 127.5), ("srgb", 0.774, 10.0), ("srgb", 255, 255)]
+    ("tone", "grey", "shown"),
+    [("gamma", 55.5, 127.5), ("srgb", 54.6, 127.5), ("srgb", 0.774, 10.0), ("srgb", 255, 255)],
 )
 def test_tone_curves_are_the_standards(tone: str, grey: float, shown: float) -> None:
     assert image(flat(grey), tone=tone).mean() == pytest.approx(shown, abs=0.55)
