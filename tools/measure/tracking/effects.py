@@ -4,11 +4,11 @@
 
 accuracy.py's camera, with a smooth lens of sigma 0.7 px if nothing else is named, sees tags of 70 mm, 8 cm high, which
 drive at up to 0.2 m/s and 2 rad/s at any angle, at 70 % light and with a noise of 3.5 grey levels at grey 128. The
-tracker begins cold; the first images do not count, which are more where a print has to be learnt. Columns: position rms
-[mm] and heading rms [deg]; mean of the squared errors by the covariances, a degree of freedom (x and y; heading): 1 if
-these are true; how many of the tags were measured in their image, and how many said that are wrong; the position rms
-and the measured share of pyapriltags, decimate 1, on the same images; its rms by ours; the time that an effect took,
-its share of the images' casting included [s].
+tracker begins cold, and 20 images do not count. Where the print is not what the tracker is told, six tags drive circles
+of 0.3 m at 0.2 m/s, and 20 s do not count. Columns: position rms [mm] and heading rms [deg]; mean of the squared errors
+by the covariances, a degree of freedom (x and y; heading): 1 if these are true; how many of the tags were measured in
+their image, and how many said that are wrong; the position rms and the measured share of pyapriltags, decimate 1, on
+the same images; its rms by ours; the time that an effect took, its share of the images' casting included [s].
 
 Effects of the same light and prints share their images before the camera. --effects takes parts of names, by commas;
 --alone leaves the peer out, which takes half of the time.
@@ -38,9 +38,11 @@ from tools.measure.tracking.score import Score, squared
 PEER = "pyapriltags, decimate 1"
 LIGHT = 0.7
 TAGS = 20  # in each image
-WARM_UP, LEARNING = 20, 600  # images that do not count; where a print has to be learnt: 20 s,
-_LEARNT = 6  # by so many tags at most
+WARM_UP, LEARNING = 20, 600  # images that do not count; where a print has to be learnt
+_LEARNT = 6  # tags of which that is asked, at most
+_RADIUS = 0.3  # of their circles [m]
 _ANCHORS = np.stack(np.meshgrid(np.linspace(-1.3, 1.3, 5), np.linspace(-0.75, 0.75, 4)), axis=-1).reshape(20, 2)
+_CENTRES = np.stack(np.meshgrid(np.linspace(-1.1, 1.1, 4), (-0.45, 0.45)), axis=-1).reshape(8, 2)
 
 
 class Scene(NamedTuple):
@@ -107,7 +109,7 @@ EFFECTS = _effects()
 
 
 class Frame(NamedTuple):
-    light: Floats  # (H, W) before the camera, of any brightness that it has
+    light: Floats  # (H, W) of what comes through the lens, see ``Camera.image``
     prints: tuple[Print, ...]
     exposure_ns: int
     counts: bool
@@ -142,19 +144,25 @@ def take(scene: Scene, side_px: float, tags: int, poses: int, seed: int = 1) -> 
 def _frames(
     scene: Scene, caster: RayCaster, ids: Sequence[int], warm_up: int, images: int, rng: np.random.Generator
 ) -> Iterator[Frame]:
-    """Yield what the lens shows of tags that swing around their anchors, which no two can share."""
+    """Yield what the lens shows of tags that swing, or go round in circles, each in a place of its own."""
     n = len(ids)
     anchors = rng.choice(_ANCHORS, n, replace=False) + rng.uniform(-0.05, 0.05, (n, 2))
     heading = rng.uniform(-math.pi, math.pi, n)
+    if scene.learnt:
+        right = np.column_stack([np.sin(heading), -np.cos(heading)])
+        anchors = rng.choice(_CENTRES, n, replace=False) + _RADIUS * right
     if scene.along_rows:
         heading = np.round(heading / (math.pi / 2.0)) * (math.pi / 2.0)
     poses = list(map(tuple, np.column_stack([anchors, heading]).tolist()))
     beat, phase = rng.uniform(3.0, 6.0, (2, n)), rng.uniform(0.0, math.tau, (2, n))  # [rad/s], [rad]
     for k in range(-warm_up, images):
         swing = np.sin(beat * k * PERIOD + phase)
-        speeds = np.column_stack([0.14 * swing[0], 0.14 * swing[1], np.zeros(n)] if scene.along_rows
-                                 else [0.2 * swing[0], np.zeros(n), 2.0 * swing[1]])  # fmt: skip
-        twists = list(map(tuple, speeds.tolist()))
+        speeds = [0.2 * swing[0], np.zeros(n), 2.0 * swing[1]]
+        if scene.along_rows:
+            speeds = [0.14 * swing[0], 0.14 * swing[1], np.zeros(n)]
+        elif scene.learnt:
+            speeds = [np.full(n, 0.2), np.zeros(n), np.full(n, 0.2 / _RADIUS)]
+        twists = list(map(tuple, np.column_stack(speeds).tolist()))
         prints = tuple(
             Print(tag, SIDE, HEIGHT + scene.higher, pose, twist, stretch=scene.stretch, bow=scene.bow)
             for tag, pose, twist in zip(ids, poses, twists, strict=True)
