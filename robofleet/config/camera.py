@@ -22,6 +22,7 @@ from robofleet.core.settings import (
 )
 
 Turn = Annotated[float, Field(ge=-30, le=30)]  # about x right, y down or z forward
+Stretch = Annotated[float, Field(ge=-0.05, le=0.05)]
 Gain = Annotated[float, within(-(2**31), 2**31 - 1)]
 ControlValue = Annotated[int, within(-(2**31), 2**31 - 1)]
 StampedInstant = Literal["start", "transfer", "end"]
@@ -50,6 +51,19 @@ class Glare(Model):
     """Standard deviation of the Gaussian."""
     gray: Annotated[float, within(1e-3, 1e5)] = 400.0
     """Grey levels that are added at the centre. A sum above 255 saturates."""
+
+
+class Shadow(Model):
+    """The straight edge of a shadow on floor and robots. It lies still in the image, as the lens shows it."""
+
+    at_px: Pixel
+    """A pixel on the edge."""
+    angle_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    """Direction into the shadow: 0 to the image's right, 90 down."""
+    softness_px: Annotated[float, within(0.1, 1e4)] = 3.0
+    """Standard deviation of the Gaussian that blurs the edge."""
+    light: Annotated[float, within(0, 1)] = 0.5
+    """Share of the light that is left in the shadow."""
 
 
 class Outage(Model):
@@ -111,6 +125,28 @@ class TrueTagOffset(TagOffset):
     """True height of the tag above the floor; null: as configured."""
 
 
+class TruePrint(Model):
+    """How a simulated robot's tag was really printed and mounted."""
+
+    robot: Name | None = None
+    """Id of the robot; null: every robot that no other item names."""
+    stretch: Annotated[tuple[Stretch, Stretch], Field(strict=False)] = (0.0, 0.0)
+    """Shares by which the print is too long along its right, and along its top."""
+    bow_m: Annotated[float, Field(ge=-0.05, le=0.05)] = 0.0
+    """How far the middles of the left and right edges of its square lie below its centre."""
+    higher_m: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
+    """How far it lies above the height that the configuration says."""
+
+
+class Breathing(Model):
+    """The focus hunts: the focal length's logarithm is a sine in time. Each image is drawn anew, so it is slow."""
+
+    ratio: Annotated[float, within(1e-6, 0.1)]
+    """Largest share by which the focal length changes."""
+    period_s: Annotated[float, within(0.01, 1e4)] = 1.3
+    """Period of the sine."""
+
+
 class Daylight(Model):
     """How light it is at a time."""
 
@@ -121,7 +157,29 @@ class Daylight(Model):
 
 
 class SimulatedCameraSettings(Model):
-    """Troubles of the simulated camera. There are none by default."""
+    """Lens, electronics and troubles of the simulated camera. By default the lens is sharp, and all else is ideal."""
+
+    lens_sigma_px: Annotated[float, within(0.3, 3)] = 0.5
+    """Standard deviation of the Gaussian that a point of light becomes. A pixel's own square adds to it."""
+    breathing: Breathing | None = None
+    """A focus that hunts; null: the focal length stays."""
+    vignetting: Annotated[float, within(0, 0.9)] = 0.0
+    """Share of the light that the image's corners lack, beside the lamps' own unevenness."""
+    shadows: Annotated[tuple[Shadow, ...], Field(max_length=MANY, strict=False)] = ()
+    """Edges of shadows."""
+    bayer: bool = False
+    """Whether the sensor sees one colour in each pixel (RGGB), and the others are interpolated."""
+    denoising_gray: Annotated[float, within(0, 255)] = 0.0
+    """Strength of the camera's spatial denoising, a bilateral filter of 5 x 5 pixels: the difference of greys that it
+    takes for noise; 0: none."""
+    temporal_denoising: Annotated[float, within(0, 0.95)] = 0.0
+    """Share of the image before in each image."""
+    tone_curve: Literal["linear", "gamma", "srgb"] = "linear"
+    """How grey levels grow with the light: evenly, by the power 1/2.2, or as sRGB."""
+    sharpening: Annotated[float, within(0, 10)] = 0.0
+    """Strength of the camera's sharpening: how many times the difference to the blurred image is added."""
+    prints: Annotated[tuple[TruePrint, ...], Field(max_length=MANY, strict=False)] = ()
+    """True prints of the robots' tags. A robot that is not named has an exact one."""
 
     light: Annotated[float, within(1e-3, 1)] = 1.0
     """Share of full light."""
@@ -134,7 +192,7 @@ class SimulatedCameraSettings(Model):
     cables: Annotated[tuple[Cable, ...], Field(max_length=MANY, strict=False)] = ()
     """Thin objects between camera and arena."""
     glare: Annotated[tuple[Glare, ...], Field(max_length=MANY, strict=False)] = ()
-    """Reflections of lamps."""
+    """Reflections of lamps. A wide and faint one is a veil."""
     posters: Annotated[tuple[FloorTag, ...], Field(max_length=MANY, strict=False)] = ()
     """Prints of tags that nobody surveyed, of any id."""
     covers: Annotated[tuple[Cover, ...], Field(max_length=MANY, strict=False)] = ()

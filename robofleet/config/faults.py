@@ -290,6 +290,7 @@ def _in_scenes(path: str, simulated: SimulatedCameraSettings) -> list[Complaint]
     """Return the robots that a simulated camera names, each with its path."""
     named = [(f"{path}.covers.{i}.robot", cover.robot) for i, cover in enumerate(simulated.covers)]
     named += [(f"{path}.tag_offsets.{i}.robot", offset.robot) for i, offset in enumerate(simulated.tag_offsets)]
+    named += [(f"{path}.prints.{i}.robot", tag.robot) for i, tag in enumerate(simulated.prints) if tag.robot]
     swaps = ((i, k, robot) for i, swap in enumerate(simulated.swaps) for k, robot in enumerate(swap.robots))
     return [*named, *((f"{path}.swaps.{i}.robots.{k}", robot) for i, k, robot in swaps)]
 

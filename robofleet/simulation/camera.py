@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array, Array32, Image, Indices
-from robofleet.simulation.draw import BLUR_PX, cells, centres, draw, renew
+from robofleet.simulation.draw import cells, centres, draw, renew
 from robofleet.simulation.floor import WIDEST, Floor
 from robofleet.tracking.camera import CameraGeometry, Lens
 from robofleet.tracking.tags.targets import Target
 
+_PIXEL_VARIANCE = 1.0 / 12.0  # of a pixel's square [px^2]
 _BODY_RADIUS = 0.8  # [sides of the tag's print]
 _BODY_DROP_M = 0.02  # the body's top lies below the tag
 _IMAGES = 7  # that are drawn one after the other; with _STRIPS, which has no factor in common, see ``render``
@@ -52,12 +53,18 @@ class SceneRenderer:
         offsets: Array | None = None,
         light: float = 1.0,
         obstacles: Sequence[Array] = (),
+        lens_sigma_px: float = 0.5,
+        shade: Array32 | None = None,
+        stretches: Array | None = None,
+        bows: Array | None = None,
     ) -> None:
         """Take the image's (width, height), the tags on the N robots, all of one side, and those that lie still.
 
         exposure_s: of each row. line_time_s: from a row's to the next one's. offsets (N, 3): forward, left [m], turn
         [rad] of the tags on their robots. light: as ``expose`` takes it. obstacles (K, 2) each: outlines on the floor
-        [m].
+        [m]. lens_sigma_px: standard deviation of the lens's Gaussian. shade (H, W): what is left of the light.
+        stretches (N, 2): shares by which the robots' prints are too long along their right and their top. bows (N,):
+        how far the middles of their left and right edges lie below their centres [m].
         """
         self._size, self._robots, self._prints = image_size, tuple(robots), tuple(prints)
         self._shutter = exposure_s, line_time_s
@@ -66,10 +73,15 @@ class SceneRenderer:
         self._height = max(target.height for target in robots)
         width, height = image_size
         v, u = np.mgrid[:height, :width].astype(np.float64)
+        self._blur_px = math.sqrt(lens_sigma_px**2 + _PIXEL_VARIANCE)
         self._even = _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
+        if shade is not None:
+            self._even *= shade
         self._light = np.float32(light)
         self._gain = self._light * self._even
-        self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._whole, BLUR_PX, rng, obstacles)
+        self._floor = Floor(
+            self._plane_at(geometry, 0.0), geometry.position, self._whole, self._blur_px, rng, obstacles
+        )
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
         self._quiet_bank = np.clip(np.rint(bank), 0, 2 * self._offset).astype(np.uint8)
@@ -79,6 +91,8 @@ class SceneRenderer:
         self._boxes = np.zeros((_IMAGES, len(robots) + len(prints) + 1, 4), np.int64)
         self._rendered, self._noise = 0, 1.0
         self._heights = np.array([target.height for target in robots])
+        self._stretches = np.zeros((len(robots), 2)) if stretches is None else stretches
+        self._bows = np.zeros(len(robots)) if bows is None else bows
         looks = [cells(target.tag, target.family) for target in robots]
         self._looks = np.stack([*looks, np.zeros_like(looks[0])])
         self.moved(geometry)
@@ -91,7 +105,7 @@ class SceneRenderer:
         self._plane = plane[0].astype(np.float32), plane[1].astype(np.float32)
         away = plane - geometry.position[:2, None, None]
         near = np.maximum(*np.abs(away)) < WIDEST * geometry.position[2]
-        self._blurs = BLUR_PX * _scales(plane, near)
+        self._blurs = self._blur_px * _scales(plane, near)
         self._further = self._further_by(self._heights)
         away *= self._further_by(np.zeros(1))[0, 0]
         plane += away
@@ -121,7 +135,8 @@ class SceneRenderer:
             lying, height, look = np.array([[x, y, psi]]), np.array([target.height]), cells(target.tag, target.family)
             still, further = np.zeros((1, 3)), self._further_by(height)
             boxes = self._boxes[0, len(self._robots) + k :][:1]
-            self._draw(self._ground, quiet, look[None], target.whole, height, further, lying, still, still, boxes)
+            flat = self._shapes(np.zeros((1, 2)), np.zeros(1))
+            self._draw(self._ground, quiet, look[None], target.whole, height, further, flat, lying, still, still, boxes)
         self._boxes[1:] = self._boxes[0]
         self._unseen = _IMAGES  # images of another place
 
@@ -150,8 +165,8 @@ class SceneRenderer:
         renew(image, self._ground, noise, self._offset, boxes)
         moving = np.zeros_like(poses) if velocities is None else velocities
         self._draw(
-            image, noise, self._looks[self.looks], self._whole, self._heights, self._further, poses, moving,
-            self._offsets, boxes[:n], bodies=True,
+            image, noise, self._looks[self.looks], self._whole, self._heights, self._further,
+            self._shapes(self._stretches, self._bows), poses, moving, self._offsets, boxes[:n], bodies=True,
         )  # fmt: skip
         return image
 
@@ -161,13 +176,19 @@ class SceneRenderer:
 
     def _draw(
         self, image: Image, noise: Image, looks: Array32, side: float, heights: Array, further: Array,
-        poses: Array, velocities: Array, offsets: Array, boxes: Indices, *, bodies: bool = False,
+        shapes: Array, poses: Array, velocities: Array, offsets: Array, boxes: Indices, *, bodies: bool = False,
     ) -> None:  # fmt: skip
         draw(
-            image, noise, self._offset, *self._plane, self._gain, looks, self._blurs, side, self._geometry.flat,
-            self._geometry.position, heights, further, _BODY_RADIUS * side if bodies else 0.0, poses, velocities,
-            offsets, self._shutter, np.flatnonzero(np.isfinite(poses).all(1)), boxes,
+            image, noise, self._offset, *self._plane, self._gain, looks, self._blur_px, self._blurs, side,
+            self._geometry.flat, self._geometry.position, heights, further, _BODY_RADIUS * side if bodies else 0.0,
+            poses, velocities, offsets, shapes, self._shutter, np.flatnonzero(np.isfinite(poses).all(1)), boxes,
         )  # fmt: skip
+
+    def _shapes(self, stretches: Array, bows: Array) -> Array:
+        """Return prints' shapes (M, 4), as ``draw`` takes them; a bowed print is a part of a cylinder along its top."""
+        down = self._geometry.position[2] - self._height
+        curves = 4.0 * bows / self._robots[0].side ** 2  # how far a print lies lower, by the square of the way [1/m]
+        return np.column_stack([1.0 / (1.0 + stretches), curves / down, curves**2 * (2.0 / 3.0)])
 
     def _further_by(self, heights: Array) -> Array:
         """Return how far, of its way along the ground, a ray goes on from the map's height to tags' and bodies'."""

@@ -15,8 +15,6 @@ from robofleet.simulation.floor import BLACK, WHITE
 from robofleet.tracking.projection import project
 from robofleet.tracking.tags.families import pattern
 
-BLUR_PX = math.sqrt(0.5**2 + 1.0 / 12.0)  # standard deviation: lens, and a pixel's square
-
 _BODY_GREY = 70.0  # of a robot in full light
 _MARGIN = 1.1  # around a robot: the scale at its edge is not that of its middle
 _RAMP = math.sqrt(20.0)  # width of a smooth step [standard deviations of its blur]
@@ -47,10 +45,15 @@ def renew(image, floor, noise, offset, boxes):  # type: ignore[no-untyped-def]
 
 @image_kernel
 def draw(  # type: ignore[no-untyped-def]
-    image, noise, offset, plane_x, plane_y, gain, black, blurs, side, camera, eye, heights, further, body_radius,
-    poses, velocities, offsets, shutter, seen, boxes,
+    image, noise, offset, plane_x, plane_y, gain, black, blur_px, blurs, side, camera, eye, heights, further,
+    body_radius, poses, velocities, offsets, shapes, shutter, seen, boxes,
 ):  # fmt: skip
-    """Blend the prints ``seen``, and bodies below them, into an image; ``boxes`` (N, 4) become theirs."""
+    """Blend the prints ``seen``, and bodies below them, into an image; ``boxes`` (N, 4) become theirs.
+
+    shapes (N, 4): lengths meant by lengths printed, along right and top; of a bowed print, by a point's squared way
+    along it, how much further its ray goes than to the centre's height, and how much longer its way on the paper is,
+    as shares [1/m^2].
+    """
     exposure, line_time = shutter
     instants = np.empty((_MOST_INSTANTS, 6), np.float32)
     paper = side / 2 + side / (black.shape[1] - 2 * _RIM_CELLS)
@@ -58,10 +61,10 @@ def draw(  # type: ignore[no-untyped-def]
     for n in seen:
         u, v = _centre(camera, poses[n], offsets[n], heights[n])
         scale, finest = _scale(plane_x, plane_y, u, v, 1.0 + further[n, 0])
-        sigma = min(max(BLUR_PX * scale, blurs[0]), blurs[1])
+        sigma = min(max(blur_px * scale, blurs[0]), blurs[1])
         moved = math.hypot(velocities[n, 0], velocities[n, 1]) + abs(velocities[n, 2]) * side
         count = min(max(1, math.ceil(moved * exposure / (finest * _MOTION_PX))), _MOST_INSTANTS)
-        aside = math.sqrt(2.0) * paper
+        aside = math.sqrt(2.0) * paper / min(shapes[n, 0], shapes[n, 1], 1.0)
         if body_radius > 0.0:  # the body is seen beside the tag, as it lies lower
             foot = math.hypot(poses[n, 0] - eye[0], poses[n, 1] - eye[1])
             off = math.hypot(offsets[n, 0], offsets[n, 1])
@@ -73,7 +76,8 @@ def draw(  # type: ignore[no-untyped-def]
         box[2], box[3] = min(image.shape[1], int(u + reach) + 2), min(image.shape[0], int(v + reach) + 2)
         _robot(
             image, noise, offset, plane_x, plane_y, gain, box, u, v, reach, eye, further[n], instants[:count],
-            poses[n], velocities[n], offsets[n], exposure, line_time, black[n], side, sigma, paper, body_radius,
+            poses[n], velocities[n], offsets[n], shapes[n], exposure, line_time, black[n], side, sigma, paper,
+            body_radius,
         )  # fmt: skip
 
 
@@ -124,7 +128,7 @@ def _scale(plane_x, plane_y, u, v, further):  # type: ignore[no-untyped-def]
 @image_kernel
 def _robot(  # type: ignore[no-untyped-def]
     image, noise, offset, plane_x, plane_y, gain, box, u, v, reach, eye, further, instants, pose, velocity, tag_offset,
-    exposure, line_time, black, side, sigma, paper, body_radius,
+    shape, exposure, line_time, black, side, sigma, paper, body_radius,
 ):  # fmt: skip
     """Blend a robot, the mean of its ``instants``, into the disc in ``box`` that it can reach."""
     room, count = np.empty(5 * _CHUNK, np.float32), black.shape[0] - 2 * _RIM_CELLS
@@ -138,8 +142,8 @@ def _robot(  # type: ignore[no-untyped-def]
             room[_COVER:] = 0.0
             for k in range(len(instants)):
                 _shape(
-                    plane_x[i, left:right], plane_y[i, left:right], eye, further, instants[k], paper, body_radius,
-                    _RAMP * sigma, count / side, 0.5 * black.shape[0], room,
+                    plane_x[i, left:right], plane_y[i, left:right], eye, further, instants[k], shape, paper,
+                    body_radius, _RAMP * sigma, count / side, 0.5 * black.shape[0], room,
                 )  # fmt: skip
                 _print(black, side / (count * sigma), right - left, room)
             _blend(
@@ -149,7 +153,7 @@ def _robot(  # type: ignore[no-untyped-def]
 
 @image_kernel
 def _shape(  # type: ignore[no-untyped-def]
-    plane_x, plane_y, eye, further, instant, paper, body_radius, ramp, per_m, middle_cell, room
+    plane_x, plane_y, eye, further, instant, shape, paper, body_radius, ramp, per_m, middle_cell, room
 ):
     """Fill how much of each pixel of a row is tag, and where on its print that is [cells, with the rim]; add tag and
     body to the cover, and the body's grey to the light. The compiler does eight pixels at once."""
@@ -158,12 +162,19 @@ def _shape(  # type: ignore[no-untyped-def]
     eye_x, eye_y = np.float32(eye[0]), np.float32(eye[1])
     tag_x, tag_y, c, s, body_x, body_y = instant[0], instant[1], instant[2], instant[3], instant[4], instant[5]
     edge, radius, per_ramp = np.float32(paper), np.float32(body_radius), np.float32(1.0 / ramp)
+    to_right, to_top = np.float32(shape[0]), np.float32(shape[1])
+    right_x, right_y, top_x, top_y = c * to_right, s * to_right, s * to_top, c * to_top
+    sag, arc, bowed = np.float32(shape[2]), np.float32(shape[3]), shape[2] != 0.0
     per_cell, inside = np.float32(per_m), unit if body_radius > 0.0 else np.float32(0.0)
     for j in range(len(plane_x)):
         x, y = plane_x[j], plane_y[j]
         from_x, from_y = x - eye_x, y - eye_y
         d_x, d_y = x + from_x * to_tag - tag_x, y + from_y * to_tag - tag_y
-        a, b = c * d_x + s * d_y, c * d_y - s * d_x
+        a, b = right_x * d_x + right_y * d_y, top_y * d_y - top_x * d_x
+        if bowed:
+            lower = sag * a * a
+            a, b = a + lower * (c * from_x + s * from_y), b + lower * (c * from_y - s * from_x)
+            a += arc * a * a * a
         tag = _step((edge - abs(a)) * per_ramp) * _step((edge - abs(b)) * per_ramp)
         d_x, d_y = x + from_x * to_body - body_x, y + from_y * to_body - body_y
         body = inside * (unit - tag) * _step((radius - np.sqrt(d_x * d_x + d_y * d_y)) * per_ramp)

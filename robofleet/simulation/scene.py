@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from robofleet.config import obstacles
 from robofleet.config.calibrated import TagOffset
-from robofleet.config.camera import Cover, Knock, Outage, SimulatedCameraSettings
+from robofleet.config.camera import Cover, Knock, Outage, SimulatedCameraSettings, TruePrint
 from robofleet.config.tree import Config
 from robofleet.simulation.camera import Print, SceneRenderer
+from robofleet.simulation.effects import shade
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target, floor_targets, robot_targets
 
@@ -21,11 +22,16 @@ _LIGHT_STEP = 0.02  # by which daylight changes, at least
 def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
     """Return what draws the configuration's robots, floor tags, posters and obstacles."""
     camera, simulated = config.camera, config.camera.simulated
+    true = [_true_print(simulated, robot.id) for robot in config.seen]
+    targets = [
+        target._replace(height=target.height + tag.higher_m)
+        for target, tag in zip(robot_targets(config), true, strict=True)
+    ]
     lying = [*config.tracker.floor_tags, *simulated.posters]
     return SceneRenderer(
         CameraGeometry.from_model(camera.model),
         (camera.width, camera.height),
-        true_targets(config),
+        targets,
         camera.noise_gray,
         rng,
         exposure_s=camera.exposure_s,
@@ -37,6 +43,10 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
         offsets=np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in true_offsets(config)]),
         light=light_at(simulated, 0.0),
         obstacles=[solid.outline for solid in obstacles.standing(config.arena)],
+        lens_sigma_px=simulated.lens_sigma_px,
+        shade=shade(simulated, (camera.width, camera.height)),
+        stretches=np.array([tag.stretch for tag in true]).reshape(-1, 2),
+        bows=np.array([tag.bow_m for tag in true]),
     )
 
 
@@ -53,6 +63,12 @@ def true_targets(config: Config) -> list[Target]:
         target if (height := heights.get(robot.id)) is None else target._replace(height=height)
         for robot, target in zip(config.seen, robot_targets(config), strict=True)
     ]
+
+
+def _true_print(settings: SimulatedCameraSettings, robot: str) -> TruePrint:
+    """Return a robot's own print, else that of all others."""
+    by_robot = {tag.robot: tag for tag in settings.prints}
+    return by_robot.get(robot, by_robot.get(None, TruePrint()))
 
 
 def light_at(settings: SimulatedCameraSettings, t: float) -> float:
@@ -100,8 +116,8 @@ class ScenePlay:
 
     def camera(self, t: float) -> CameraGeometry | None:
         """Return where the camera hangs now, None if it has not moved since the last call."""
-        progress = [_progress(knock, t) for knock in self._settings.knocks]
-        if progress == self._progress:
+        progress, breathing = [_progress(knock, t) for knock in self._settings.knocks], self._settings.breathing
+        if progress == self._progress and breathing is None:
             return None
         self._progress = progress
         old = self._calibrated
@@ -110,6 +126,8 @@ class ScenePlay:
             K[:2, :2] *= 1.0 + share * (knock.focal_ratio - 1.0)
             T[:3, :3] = T[:3, :3] @ cv2.Rodrigues(share * np.radians(np.array(knock.rotation_deg)))[0]
             T[:3, 3] += share * np.array(knock.shift_m)
+        if breathing is not None:
+            K[:2, :2] *= math.exp(breathing.ratio * math.sin(math.tau * t / breathing.period_s))
         return CameraGeometry(K, old.distortion, T, old.lens)
 
 

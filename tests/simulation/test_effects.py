@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robofleet.config.camera import Cable, Glare, SimulatedCameraSettings
-from robofleet.simulation.effects import effects
+from robofleet.config.camera import Cable, Glare, Shadow, SimulatedCameraSettings
+from robofleet.simulation.effects import effects, shade
 
 SIZE = (320, 200)
 Image = NDArray[np.uint8]
@@ -47,6 +47,57 @@ def test_a_cable_hides_what_is_below_it_along_its_whole_way(width: int) -> None:
     assert np.abs(rows - (ends[0][1] + slope * (columns - ends[0][0]))).max() < 0.1
     assert hidden[:, columns].sum(0).mean() / math.hypot(1.0, slope) == pytest.approx(width, abs=0.1)
     assert not hidden[150:, :100].any()
+
+
+def noisy(sigma: float = 3.0) -> Image:
+    return np.random.default_rng(2).normal(120.0, sigma, SIZE[::-1]).round().astype(np.uint8)
+
+
+@pytest.mark.parametrize(("curve", "light", "shown"), [("gamma", 55, 127), ("srgb", 55, 128), ("srgb", 0, 0)])
+def test_tone_curves_brighten_what_is_dark(curve: str, light: int, shown: int) -> None:
+    assert after(SimulatedCameraSettings(tone_curve=curve), plain(light)) == pytest.approx(shown, abs=0.6)
+
+
+def test_a_mosaic_keeps_slopes_and_blurs_noise() -> None:
+    settings, inner = SimulatedCameraSettings(bayer=True), np.s_[2:-2, 2:-2]
+    ramp = np.tile(np.linspace(10.0, 250.0, SIZE[0]).round().astype(np.uint8), (SIZE[1], 1))
+    assert np.abs(after(settings, ramp) - ramp)[inner].max() <= 1.0
+    assert after(settings, noisy())[inner].std() < 2.2
+
+
+def test_denoising_calms_noise_and_keeps_edges() -> None:
+    image = noisy()
+    image[:, 160:] += 100
+    calm = after(SimulatedCameraSettings(denoising_gray=12.0), image)
+    assert calm[:, :150].std() < 1.5
+    assert calm[:, 160].mean() - calm[:, 159].mean() > 98.0
+
+
+def test_temporal_denoising_shows_the_image_before() -> None:
+    (mix,) = effects(SimulatedCameraSettings(temporal_denoising=0.3), SIZE, np.random.default_rng(1))
+    shown = [plain(gray) for gray in (100, 200, 200)]
+    for image in shown:
+        mix(image, 0.0)
+    assert [image.mean() for image in shown] == [100.0, 170.0, 191.0]
+
+
+def test_sharpening_overshoots_at_edges_alone() -> None:
+    image = plain(60)
+    image[:, 160:] = 160
+    sharp = after(SimulatedCameraSettings(sharpening=1.0), image)
+    assert sharp[100, 160] > 170.0
+    assert sharp[100, 159] < 50.0
+    assert sharp[100, [20, 300]].tolist() == [60.0, 160.0]
+
+
+def test_light_is_left_by_vignetting_and_shadows() -> None:
+    assert (shade(SimulatedCameraSettings(), SIZE) == 1.0).all()
+    corners = shade(SimulatedCameraSettings(vignetting=0.4), SIZE)[[0, 0, -1, -1], [0, -1, 0, -1]]
+    assert corners == pytest.approx(0.6, abs=1e-6)
+    edge = Shadow(at_px=(100.0, 80.0), angle_deg=90.0, softness_px=4.0, light=0.3)
+    column = shade(SimulatedCameraSettings(shadows=(edge,)), SIZE)[:, 50]
+    assert column[[20, 80, 140]] == pytest.approx([1.0, 0.65, 0.3], abs=1e-4)
+    assert column[84] == pytest.approx(1.0 - 0.7 * 0.8413, abs=1e-3)
 
 
 def test_jpeg_loses_more_the_lower_its_quality() -> None:

@@ -2,7 +2,7 @@
 
 import math
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,12 +19,21 @@ SIDE, HEIGHT = 0.07, 0.08
 TAG = 17
 BLACK, WHITE, BODY = 30.0, 215.0, 70.0
 BODY_RADIUS, BODY_DROP = 0.8 * SIDE, 0.02
-LENS_BLUR_PX = 0.5
 SUB = 9  # points a pixel, each way
 MARGIN = 4  # pixels around the patch, for the blur
 
 Array = NDArray[np.float64]
 
+
+class Look(NamedTuple):
+    """A lens, and a print that is not as it should be."""
+
+    lens: float = 0.5  # standard deviation [px]
+    stretch: tuple[float, float] = (0.0, 0.0)
+    bow: float = 0.0  # [m]
+
+
+IDEAL = Look()
 
 EXPOSURE = 0.004
 NOBODY = np.full((1, 3), np.nan)
@@ -62,17 +71,24 @@ def rays(u: Array, v: Array) -> Array:
     return np.stack([a, b, np.ones_like(a)], axis=-1) @ GEOMETRY.T_world_camera[:3, :3].T
 
 
-def sharp(directions: Array, pose: Array) -> tuple[Array, Array]:
+def sharp(directions: Array, pose: Array, look: Look) -> tuple[Array, Array]:
     """What each ray hits: 1 where a robot, and its grey (0 elsewhere)."""
     x, y, psi = pose
     eye = GEOMETRY.position
 
-    def body_frame(height: float) -> tuple[Array, Array]:
-        hit = eye + directions * ((height - eye[2]) / directions[..., 2:])
+    def body_frame(height: float | Array) -> tuple[Array, Array]:
+        hit = eye + directions * ((np.asarray(height)[..., None] - eye[2]) / directions[..., 2:])
         d_x, d_y = hit[..., 0] - x, hit[..., 1] - y
         return d_x * math.cos(psi) + d_y * math.sin(psi), d_y * math.cos(psi) - d_x * math.sin(psi)
 
     forward, left = body_frame(HEIGHT)
+    if look.bow:
+        for _ in range(4):
+            forward, left = body_frame(HEIGHT - look.bow * (2.0 * forward / SIDE) ** 2)
+        run = np.linspace(-SIDE, SIDE, 4001)
+        length = np.cumsum(np.hypot(1.0, 8.0 * look.bow * run / SIDE**2)) * (run[1] - run[0])
+        forward = np.interp(forward, run, length - length[2000])
+    forward, left = forward / (1.0 + look.stretch[0]), left / (1.0 + look.stretch[1])
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     cells = np.pad(family.generateImageMarker(TAG, 8), 1, constant_values=255) > 0
     column, row = np.floor(forward / (SIDE / 8) + 5).astype(int), np.floor(5 - left / (SIDE / 8)).astype(int)
@@ -82,25 +98,25 @@ def sharp(directions: Array, pose: Array) -> tuple[Array, Array]:
     return (paper | body).astype(float), np.where(paper, print_gray, np.where(body, BODY, 0.0))
 
 
-def oracle(poses: Array, left: int, top: int, size: int) -> tuple[Array, Array]:
+def oracle(poses: Array, left: int, top: int, size: int, look: Look) -> tuple[Array, Array]:
     """How much of each pixel of a patch is robot, and the robot's grey times that."""
     span = (np.arange((size + 2 * MARGIN) * SUB) - SUB // 2) / SUB - MARGIN
     u, v = np.meshgrid(left + span, top + span)
     directions = rays(u, v)
-    images = np.mean([sharp(directions, pose) for pose in poses], axis=0)
+    images = np.mean([sharp(directions, pose, look) for pose in poses], axis=0)
     inside = slice(MARGIN * SUB + SUB // 2, (MARGIN + size) * SUB, SUB)
-    lens = (cv2.GaussianBlur(image, (0, 0), LENS_BLUR_PX * SUB) for image in images)
+    lens = (cv2.GaussianBlur(image, (0, 0), look.lens * SUB) for image in images)
     cover, light = (cv2.blur(image, (SUB, SUB))[inside, inside] for image in lens)
     return np.asarray(cover), np.asarray(light)
 
 
-def compared(renderer: SceneRenderer, pose: Array, velocity: Array) -> tuple[Array, Array]:
+def compared(renderer: SceneRenderer, pose: Array, velocity: Array, look: Look = IDEAL) -> tuple[Array, Array]:
     """A moving robot: the errors of its picture beside the oracle's, all, and those of the print as (grey, slopes)."""
     u, v = GEOMETRY.project(np.array([[*pose[:2], HEIGHT]]))[0]
     size, left, top = 52, round(u) - 26, round(v) - 26
     patch = np.s_[top : top + size, left : left + size]
     poses = pose + velocity * EXPOSURE * np.linspace(-0.5, 0.5, 9 if velocity.any() else 1)[:, None]
-    cover, light = oracle(poses, left, top, size)
+    cover, light = oracle(poses, left, top, size, look)
     floor = renderer.render(NOBODY)[patch].astype(float)
     shown = renderer.render(pose[None], velocity[None])[patch].astype(float)
     robot = shown - floor * (1 - cover)
@@ -129,6 +145,16 @@ def test_pixels_are_those_of_the_oracle(renderer: SceneRenderer, x: float, y: fl
     assert np.sqrt((error**2).mean()) < 2.0  # a few pixels are off where body and paper end in the same one
     assert np.sqrt((inner[:, 0] ** 2).mean()) < 1.5
     assert np.abs(inner[:, 0]).max() < 6.0  # two standard deviations of the noise
+    assert np.abs(shift_px(inner)).max() < 0.003
+
+
+@pytest.mark.slow_after_first
+@pytest.mark.parametrize("look", [Look(0.8, (0.01, -0.02), 0.002), Look(1.2)])
+def test_other_lenses_and_prints_are_those_of_the_oracle(look: Look) -> None:
+    own = scene(lens_sigma_px=look.lens, stretches=np.array([look.stretch]), bows=np.array([look.bow]))
+    error, inner = compared(own, np.array([0.7, -0.4, 0.6]), np.zeros(3), look)
+    assert np.sqrt((error**2).mean()) < 2.0
+    assert np.sqrt((inner[:, 0] ** 2).mean()) < 1.0
     assert np.abs(shift_px(inner)).max() < 0.003
 
 

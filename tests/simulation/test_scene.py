@@ -98,6 +98,22 @@ def test_a_tag_sits_where_the_calibration_says_or_where_it_truly_is() -> None:
         assert_near(look(calibrated(config), drawn(config).render(PLACES), target), expected)
 
 
+def test_prints_are_what_they_truly_are() -> None:
+    """A tag that lies higher is seen further out; a print of its own goes before that of all."""
+    config = load("camera.simulated.prints=[{robot: r1, higher_m: 0.02}, {stretch: [0.05, 0.05]}]")
+    eye, image = calibrated(config), drawn(config).render(PLACES)
+    (x, y, psi), target = PLACES[0], Target(1, SIDE, HEIGHT + 0.02, 0.2)
+    assert_near(look(eye, image, target), (x, y, psi))
+    assert look(eye, image, Target(2, SIDE * 1.05, HEIGHT, 0.2))
+
+
+def test_a_focus_that_hunts_changes_the_focal_length_as_a_sine() -> None:
+    config = load("camera.simulated.breathing={ratio: 0.005, period_s: 2}")
+    play, focal = ScenePlay(config), calibrated(config).K[0, 0]
+    ratios = [play.camera(t).K[0, 0] / focal for t in (0.0, 0.5, 1.5)]
+    assert ratios == pytest.approx([1.0, math.exp(0.005), math.exp(-0.005)])
+
+
 def test_the_noise_is_as_strong_in_the_dark() -> None:
     renderer = drawn(load("camera.simulated.light=0.15", "camera.noise_gray=2"))
     nobody = np.full((4, 3), np.nan)
@@ -168,6 +184,7 @@ def test_a_slow_knock_comes_in_small_steps_and_ends_where_it_should() -> None:
         ("camera.simulated.covers=[{robot: r9, duration_s: 1}]", "covers.0.robot"),
         ("camera.simulated.swaps=[{robots: [r1, r8], at_s: 1}]", "swaps.0.robots.1"),
         ("camera.simulated.tag_offsets=[{robot: r5}]", "tag_offsets.0.robot"),
+        ("camera.simulated.prints=[{robot: r6, bow_m: 0.001}]", "prints.0.robot"),
         ("camera.simulated.light=0", "simulated.light"),
         ("camera.simulated.jpeg_quality=0", "jpeg_quality"),
         ("camera.simulated.cables=[{points_px: [[1, 2]]}]", "cables.0.points_px"),

@@ -54,7 +54,8 @@ class RayCamera:
 
 def _pinhole(x: NDArray[Any], y: NDArray[Any], distortion: Array) -> tuple[NDArray[Any], NDArray[Any]]:
     """Distort rays x/z, y/z, real or complex, as OpenCV's documentation defines it."""
-    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tilt_x, tilt_y = np.pad(distortion, (0, 14 - len(distortion)))
+    none = [0.0] * (14 - len(distortion))
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tilt_x, tilt_y = [*distortion.tolist(), *none]
     r2 = x * x + y * y
     radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
     a = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2)

@@ -35,8 +35,6 @@ _NODES = 8  # along a patch: between them, where rays meet a plane is a polynomi
 _ARC = 64.0 / 6.0  # a parabola's length from its top, past its run: so many times sag^2 run^3 / chord^4
 _TAIL = 4.0  # standard deviations of the lens's Gaussian, beyond which nothing is left
 _INSTANT_PX = 0.25  # motion that a sub-sample averages with one instant drawn from it
-
-
 _SIGMAS = np.linspace(-6.0, 6.0, 2401)
 _BEYOND = np.array([0.5 * math.erfc(at / math.sqrt(2.0)) for at in _SIGMAS.tolist()])  # of a normal distribution
 
@@ -163,15 +161,17 @@ class RayCaster:
         # Of its quickest point [px/s].
         speed = (math.hypot(*tag.twist[:2]) + 0.72 * cells * cell * abs(tag.twist[2])) / pixel
         smear = speed * (camera.exposure + 2.0 * np.ptp(corners[:, 1]) * camera.line_time)
-        first = np.floor(corners.min(0) - smear - self._spread - 2.0).astype(int).clip(0, camera.size)
-        last = np.ceil(corners.max(0) + smear + self._spread + 3.0).astype(int).clip(0, camera.size)
+        spread = self._spread
+        first = np.floor(corners.min(0) - smear - spread - 2.0).astype(int).clip(0, camera.size)
+        last = np.ceil(corners.max(0) + smear + spread + 3.0).astype(int).clip(0, camera.size)
         if (first >= last).any():
             none = np.zeros((0, 0), np.float32)
             return Patch((slice(0, 0), slice(0, 0)), none, none)
-        more = self._spread
-        u, v = ((np.arange((b - a + 2 * more) * _SUB) + 0.5) / _SUB + a - more - 0.5
-                for a, b in zip(first, last, strict=True))  # fmt: skip
-        # What an edge's sub-sample averages is the run of its way across it, so that no step is left at any angle.
+        u, v = (
+            (np.arange((b - a + 2 * spread) * _SUB) + 0.5) / _SUB + a - spread - 0.5
+            for a, b in zip(first, last, strict=True)
+        )
+        # A sub-sample's square, seen along the image's axis that crosses an edge best: so the lattice leaves no steps.
         edge = np.abs(corners[1] - corners[0])
         footprint = pixel / _SUB * float(edge.max() / np.hypot(*edge))
         cover, light = self._exposed(tag, u, v, footprint, max(1, math.ceil(speed * camera.exposure / _INSTANT_PX)))
@@ -229,8 +229,8 @@ class RayCaster:
             fine = cv2.filter2D(fine, cv2.CV_32F, self._disc, borderType=cv2.BORDER_REPLICATE)
         first = self._spread * _SUB - (len(self._taps) - _SUB) // 2
         shape = fine.shape[0] // _SUB - 2 * self._spread, fine.shape[1] // _SUB - 2 * self._spread
-        return _decimated(fine, self._taps, first, np.zeros((shape[0], fine.shape[1]), np.float32),
-                          np.zeros(shape, np.float32))  # fmt: skip
+        rows = np.zeros((shape[0], fine.shape[1]), np.float32)
+        return np.asarray(_decimated(fine, self._taps, first, rows, np.zeros(shape, np.float32)))
 
 
 @numba.njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]

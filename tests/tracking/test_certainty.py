@@ -9,9 +9,15 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
 from tools.measure.tracking.certainty import Scene, biases, certainty
 
+LENS = 0.35  # sigma [px]: the blur that the fit expects of a camera before it has learnt any
+
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", [Scene(), Scene(light=0.15), Scene(covered=0.2)], ids=["plain", "dark", "covered"])
+@pytest.mark.parametrize(
+    "scene",
+    [Scene(lens=LENS), Scene(lens=LENS, light=0.15), Scene(lens=LENS, covered=0.2)],
+    ids=["plain", "dark", "covered"],
+)
 def test_squared_errors_are_as_large_as_said(scene: Scene) -> None:
     row = certainty(scene, 80)
     assert 0.8 < row["chi2_xy"] < 1.3  # of 160 numbers: 1 +- 0.11
@@ -21,7 +27,7 @@ def test_squared_errors_are_as_large_as_said(scene: Scene) -> None:
 
 
 def test_edges_along_the_rows_do_not_bias() -> None:
-    ((_, bias_px, worst_mm),) = biases(np.array([0.0]), 160)
+    ((_, bias_px, worst_mm),) = biases(np.array([0.0]), 160, LENS)
     assert bias_px < 0.01
     assert worst_mm < 0.03
 

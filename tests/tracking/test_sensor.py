@@ -27,7 +27,8 @@ def test_a_camera_without_settings_rounds_and_clips() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tone", "grey", "shown"), [("gamma", 55.5, 127.5), ("srgb", 54.6, 127.5), ("srgb", 0.5, 6.46), ("srgb", 255, 255)]
+    ("tone", "grey", "shown"),
+    [("gamma", 55.5, 127.5), ("srgb", 54.6, 127.5), ("srgb", 0.774, 10.0), ("srgb", 255, 255)],
 )
 def test_tone_curves_are_the_standards(tone: str, grey: float, shown: float) -> None:
     assert image(flat(grey), tone=tone).mean() == pytest.approx(shown, abs=0.55)
@@ -82,6 +83,7 @@ def test_jpeg_of_less_quality_is_further_off() -> None:
 def test_veil_and_vignette_are_smooth_and_as_large_as_stated() -> None:
     veiled = image(flat(50.0), veil=60.0, veil_sigma_px=20.0, veil_pitch_px=100.0)
     assert veiled[50, 50] == 110.0
+    assert veiled[50, 70] == pytest.approx(50.0 + 60.0 * np.exp(-0.5), abs=0.5)
     assert veiled[0, 0] < 53.0
     corner = image(flat(200.0), vignetting=0.4)
     assert corner[[0, 0, -1, -1], [0, -1, 0, -1]] == pytest.approx(120.0)

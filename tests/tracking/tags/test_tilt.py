@@ -26,7 +26,7 @@ def errors(
     """Return the headings' errors and standard deviations (images, 4) [deg] as the tracker sees four robots drive whose
     tags are level from the image IMAGES on."""
     rng = np.random.default_rng(1)
-    eye = camera(Scene(small=True))
+    eye = camera(Scene(small=True, lens=0.35))
     caster = RayCaster(eye, clutter(eye.size, rng), rng)
     tracker = TagTracker(
         CameraGeometry(eye.K, eye.distortion, eye.T_world_camera),

@@ -139,9 +139,9 @@ def certainty(scene: Scene, poses: int) -> dict[str, float]:
     }  # fmt: skip
 
 
-def biases(angles: Array, poses: int) -> Iterator[tuple[float, float, float]]:
+def biases(angles: Array, poses: int, lens: float = 0.7) -> Iterator[tuple[float, float, float]]:
     """Yield angle [deg], mean error [px] and the worst phase's rms [mm] of tags with cells of 3 px."""
-    scene = Scene(16, moving=False)
+    scene = Scene(16, lens=lens, moving=False)
     eye = camera(scene)
     K = eye.K * [[24 / 36, 1, 1], [1, 24 / 36, 1], [1, 1, 1]]
     down = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -1,16 +1,17 @@
 """How well tags are placed under what lenses, cameras, light and prints do, on ray-cast frames, ours and a peer's.
 
-    python -m tools.measure.tracking.effects [--poses N] [--effects NAMES] [--sides PX ...] [--tags N]
+    python -m tools.measure.tracking.effects [--poses N] [--effects NAMES] [--sides PX ...] [--alone]
 
 accuracy.py's camera, with a smooth lens of sigma 0.7 px if nothing else is named, sees tags of 70 mm, 8 cm high, which
 drive at up to 0.2 m/s and 2 rad/s at any angle, at 70 % light and with a noise of 3.5 grey levels at grey 128. The
-tracker begins cold; the first images do not count, which are more where a print has to be learnt. Columns: position rms
-[mm] and heading rms [deg]; mean of the squared errors by the covariances, a degree of freedom (x and y; heading): 1 if
-these are true; how many of the tags were measured in their image, and how many said that are wrong; the position rms
-and the measured share of pyapriltags, decimate 1, on the same images; its rms by ours; the time that an effect took,
-its share of the images' casting included [s].
+tracker begins cold, and 20 images do not count. Where the print is not what the tracker is told, six tags drive circles
+of 0.3 m at 0.2 m/s, and 20 s do not count. Columns: position rms [mm] and heading rms [deg]; mean of the squared errors
+by the covariances, a degree of freedom (x and y; heading): 1 if these are true; how many of the tags were measured in
+their image, and how many said that are wrong; the position rms and the measured share of pyapriltags, decimate 1, on
+the same images; its rms by ours; the time that an effect took, its share of the images' casting included [s].
 
-Effects of the same light and prints share their images before the camera. --effects takes parts of names, by commas.
+Effects of the same light and prints share their images before the camera. --effects takes parts of names, by commas;
+--alone leaves the peer out, which takes half of the time.
 """
 
 import math
@@ -36,9 +37,12 @@ from tools.measure.tracking.score import Score, squared
 
 PEER = "pyapriltags, decimate 1"
 LIGHT = 0.7
-WARM_UP, LEARNING = 20, 600  # images that do not count; where a print has to be learnt: 20 s,
-_LEARNT = 6  # by so many tags at most
+TAGS = 20  # in each image
+WARM_UP, LEARNING = 20, 600  # images that do not count; where a print has to be learnt
+_LEARNT = 6  # tags of which that is asked, at most
+_RADIUS = 0.3  # of their circles [m]
 _ANCHORS = np.stack(np.meshgrid(np.linspace(-1.3, 1.3, 5), np.linspace(-0.75, 0.75, 4)), axis=-1).reshape(20, 2)
+_CENTRES = np.stack(np.meshgrid(np.linspace(-1.1, 1.1, 4), (-0.45, 0.45)), axis=-1).reshape(8, 2)
 
 
 class Scene(NamedTuple):
@@ -105,7 +109,7 @@ EFFECTS = _effects()
 
 
 class Frame(NamedTuple):
-    light: Floats  # (H, W) before the camera, of any brightness that it has
+    light: Floats  # (H, W) of what comes through the lens, see ``Camera.image``
     prints: tuple[Print, ...]
     exposure_ns: int
     counts: bool
@@ -140,19 +144,25 @@ def take(scene: Scene, side_px: float, tags: int, poses: int, seed: int = 1) -> 
 def _frames(
     scene: Scene, caster: RayCaster, ids: Sequence[int], warm_up: int, images: int, rng: np.random.Generator
 ) -> Iterator[Frame]:
-    """Yield what the lens shows of tags that swing around their anchors, which no two can share."""
+    """Yield what the lens shows of tags that swing, or go round in circles, each in a place of its own."""
     n = len(ids)
     anchors = rng.choice(_ANCHORS, n, replace=False) + rng.uniform(-0.05, 0.05, (n, 2))
     heading = rng.uniform(-math.pi, math.pi, n)
+    if scene.learnt:
+        right = np.column_stack([np.sin(heading), -np.cos(heading)])
+        anchors = rng.choice(_CENTRES, n, replace=False) + _RADIUS * right
     if scene.along_rows:
         heading = np.round(heading / (math.pi / 2.0)) * (math.pi / 2.0)
     poses = list(map(tuple, np.column_stack([anchors, heading]).tolist()))
     beat, phase = rng.uniform(3.0, 6.0, (2, n)), rng.uniform(0.0, math.tau, (2, n))  # [rad/s], [rad]
     for k in range(-warm_up, images):
         swing = np.sin(beat * k * PERIOD + phase)
-        speeds = np.column_stack([0.14 * swing[0], 0.14 * swing[1], np.zeros(n)] if scene.along_rows
-                                 else [0.2 * swing[0], np.zeros(n), 2.0 * swing[1]])  # fmt: skip
-        twists = list(map(tuple, speeds.tolist()))
+        speeds = [0.2 * swing[0], np.zeros(n), 2.0 * swing[1]]
+        if scene.along_rows:
+            speeds = [0.14 * swing[0], 0.14 * swing[1], np.zeros(n)]
+        elif scene.learnt:
+            speeds = [np.full(n, 0.2), np.zeros(n), np.full(n, 0.2 / _RADIUS)]
+        twists = list(map(tuple, np.column_stack(speeds).tolist()))
         prints = tuple(
             Print(tag, SIDE, HEIGHT + scene.higher, pose, twist, stretch=scene.stretch, bow=scene.bow)
             for tag, pose, twist in zip(ids, poses, twists, strict=True)
@@ -165,9 +175,9 @@ def _frames(
 class Trial:
     """One effect: its camera, who looks at it, and what they score."""
 
-    def __init__(self, sensor: Sensor, setting: Setting) -> None:
+    def __init__(self, sensor: Sensor, setting: Setting, candidates: Sequence[str]) -> None:
         self._camera = Camera(sensor, setting.size, np.random.default_rng(2))
-        self._see = {name: CANDIDATES[name](setting) for name in (OURS, PEER)}
+        self._see = {name: CANDIDATES[name](setting) for name in candidates}
         self._scores = {name: Score() for name in self._see}
 
     def add(self, frame: Frame) -> None:
@@ -179,7 +189,7 @@ class Trial:
                     self._scores[name].add(frame.prints, seen)
 
     def row(self) -> dict[str, float]:
-        ours, peer = (self._scores[name].row() for name in (OURS, PEER))
+        ours, peer = (self._scores.get(name, Score()).row() for name in (OURS, PEER))
         row = {"rms_mm": math.nan, "rms_deg": math.nan, "chi2_xy": math.nan, "chi2_psi": math.nan} | ours
         if self._scores[OURS].errors:
             xy, psi = squared(*(np.array(each) for each in (self._scores[OURS].errors, self._scores[OURS].covariances)))
@@ -190,14 +200,14 @@ class Trial:
 
 
 def evaluate(
-    effects: dict[str, Effect], side_px: float, tags: int, poses: int
+    effects: dict[str, Effect], side_px: float, tags: int, poses: int, candidates: Sequence[str] = (OURS, PEER)
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield the row of each effect; those of one scene, which is cast once, together."""
     for scene, names in groupby(
         sorted(effects, key=lambda name: effects[name].scene), lambda name: effects[name].scene
     ):
         begun, drive = stopwatch_ns(), take(scene, side_px, tags, poses)
-        trials = {name: Trial(effects[name].sensor, drive.setting) for name in names}
+        trials = {name: Trial(effects[name].sensor, drive.setting, candidates) for name in names}
         for frame in drive.frames:
             for trial in trials.values():
                 trial.add(frame)
@@ -207,17 +217,8 @@ def evaluate(
 
 
 _COLUMNS = (
-    "rms_mm",
-    "rms_deg",
-    "chi2_xy",
-    "chi2_psi",
-    "measured",
-    "wrong",
-    "peer_mm",
-    "peer_measured",
-    "ratio",
-    "seconds",
-)
+    "rms_mm", "rms_deg", "chi2_xy", "chi2_psi", "measured", "wrong", "peer_mm", "peer_measured", "ratio", "seconds",
+)  # fmt: skip
 
 
 def main() -> None:
@@ -225,7 +226,7 @@ def main() -> None:
         __doc__,
         poses=(1500, "of each effect"),
         effects=("", "parts of effects' names, by commas"),
-        tags=(20, "in each image"),
+        alone=(False, "without the peer"),
     )
     parser.add_argument("--sides", type=float, nargs="+", default=[36.0, 24.0], help="of tags [px]")
     arguments = parser.parse_args()
@@ -234,9 +235,10 @@ def main() -> None:
     if not effects:
         parser.error(f"--effects {arguments.effects}: of {', '.join(EFFECTS)}")
     cv2.setNumThreads(1)
+    candidates = (OURS,) if arguments.alone else (OURS, PEER)
     print(f"{'':<38}" + "".join(f"{column:>14}" for column in _COLUMNS))
     for side in arguments.sides:
-        for name, row in evaluate(effects, side, arguments.tags, arguments.poses):
+        for name, row in evaluate(effects, side, TAGS, arguments.poses, candidates):
             cells = "".join(f"{row[column]:>14.4g}" for column in _COLUMNS)
             print(f"{f'{side:g} px, {name}':<38}" + cells, flush=True)
 
