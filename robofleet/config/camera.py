@@ -126,7 +126,7 @@ class TrueTagOffset(TagOffset):
 
 
 class TruePrint(Model):
-    """How a simulated robot's tag was really printed and mounted."""
+    """How a simulated robot's tag was really printed."""
 
     robot: Name | None = None
     """Id of the robot; null: every robot that no other item names."""
@@ -134,8 +134,6 @@ class TruePrint(Model):
     """Shares by which the print is too long along its right, and along its top."""
     bow_m: Annotated[float, Field(ge=-0.05, le=0.05)] = 0.0
     """How far the middles of the left and right edges of its square lie below its centre."""
-    higher_m: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
-    """How far it lies above the height that the configuration says."""
 
 
 class Breathing(Model):

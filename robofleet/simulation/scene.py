@@ -23,15 +23,11 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
     """Return what draws the configuration's robots, floor tags, posters and obstacles."""
     camera, simulated = config.camera, config.camera.simulated
     true = [_true_print(simulated, robot.id) for robot in config.seen]
-    targets = [
-        target._replace(height=target.height + tag.higher_m)
-        for target, tag in zip(robot_targets(config), true, strict=True)
-    ]
     lying = [*config.tracker.floor_tags, *simulated.posters]
     return SceneRenderer(
         CameraGeometry.from_model(camera.model),
         (camera.width, camera.height),
-        targets,
+        true_targets(config),
         camera.noise_gray,
         rng,
         exposure_s=camera.exposure_s,

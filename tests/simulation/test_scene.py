@@ -100,7 +100,10 @@ def test_a_tag_sits_where_the_calibration_says_or_where_it_truly_is() -> None:
 
 def test_prints_are_what_they_truly_are() -> None:
     """A tag that lies higher is seen further out; a print of its own goes before that of all."""
-    config = load("camera.simulated.prints=[{robot: r1, higher_m: 0.02}, {stretch: [0.05, 0.05]}]")
+    config = load(
+        "camera.simulated.prints=[{robot: r1}, {stretch: [0.05, 0.05]}]",
+        f"camera.simulated.tag_offsets=[{{robot: r1, height_m: {HEIGHT + 0.02}}}]",
+    )
     eye, image = calibrated(config), drawn(config).render(PLACES)
     (x, y, psi), target = PLACES[0], Target(1, SIDE, HEIGHT + 0.02, 0.2)
     assert_near(look(eye, image, target), (x, y, psi))
