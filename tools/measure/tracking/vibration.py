@@ -3,13 +3,13 @@ truth is known.
 
     python -m tools.measure.tracking.vibration [--images N] [--motions WORDS] [--survey MM] [--full-hd] [--json]
 
-The shipped platoon's camera hangs 2.5 m up, with 720 or, ``--full-hd``, 1080 rows. It turns about its own axes (x right,
-y down, z forward) as a sine of 7 Hz, or its focal length is multiplied by 1 plus a sine of 0.25 or 0.5 % of 1.3 s, at 30
-images a second, without a rolling shutter; during an exposure it stands still. Four floor tags of 100 mm lie in the
-corners, surveyed to ``--survey``. Of four robots two drive, up to 0.2 m/s and 2 rad/s, and two stand. Columns, from
-the tenth image on, once without floor tags and once with them: position rms and largest error [mm], mean of the squared
-errors by their covariances (1 a degree of freedom if they are true), how many images measured no robot at all, and how
-many of the robots' images were measured.
+The shipped platoon's camera hangs 2.5 m up, with 720 or, ``--full-hd``, 1080 rows. It turns about its own axes (x
+right, y down, z forward) as a sine of 7 Hz, or its focal length is multiplied by 1 plus a sine of 0.25 or 0.5 % of
+1.3 s, at 30 images a second, without a rolling shutter; during an exposure it stands still. Four floor tags of 100 mm
+lie in the corners, surveyed to ``--survey``. Of four robots two drive, up to 0.2 m/s and 2 rad/s, and two stand.
+Columns, from the tenth image on, once without floor tags and once with them: position rms and largest error [mm], mean
+of the squared errors by their covariances (1 a degree of freedom if they are true), how many images measured no robot
+at all, and how many of the robots' images were measured.
 """
 
 import json
