@@ -38,7 +38,7 @@ _KNOCK = np.diag([5e-3, 5e-3, 5e-3, 2e-3, 2e-3, 3e-4]) ** 2  # by a knock
 _FOCUS = 5e-3**2  # variance of a focal length that breathes [1], and of its change in an image
 # Variances of what is new in an image: the least, and what a first surprise makes of it.
 _REST = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 3e-7]) ** 2
-_SHAKEN = np.array([1e-4, 1e-4, 1e-4, 4e-5, 4e-5, 6e-6]) ** 2
+_SHAKEN = np.array([1e-4, 1e-4, 1e-4, 4e-5, 4e-5, 0.0]) ** 2
 _SHAKEN_MORE = 4.0  # a surprise raises them by so much at most
 _VIBRATION_GAIN = 0.1
 # Standard deviations of a landmark's x, y [m], psi [rad].
@@ -116,40 +116,40 @@ class DriftMonitor:
         before, residual = self.geometry, self._residuals(sightings)
         self._shaken, self._uncertainty = np.zeros(6), self._covariance + np.diag(self._vibration)
         voters = ~np.isnan(residual[:, 0]) & (self._off < _OFF_IMAGES)
-        self._follow_focus(residual, voters)
+        notices = self._follow_focus(residual, voters)
         offset = residual - self._own
         variance = self._noise**2 + self._own_variance
         self.floor_seen = bool(np.count_nonzero(voters))
         if not self.floor_seen:  # landmarks that moved themselves may lie where they were again
             surprise = offset - self._seen(self._state)
             agree = self._distance(surprise, variance, self._covariance + np.diag(self._vibration)) < 1.0
-            return before, self._blame(surprise, agree)
+            return before, notices + self._blame(surprise, agree)
         if self._calm < _CALM_IMAGES and self._agrees(offset, variance, voters, *self._home):
             (self._state, self._covariance), self._calm = self._home, _CALM_IMAGES
         if self._agrees(offset, variance, voters, self._state, self._covariance):
-            happenings = self._followed(residual, offset, variance, voters)
+            notices += self._followed(residual, offset, variance, voters)
         else:
-            happenings = self._knocked(offset, variance, voters)
+            notices += self._knocked(offset, variance, voters)
         self._follow_noise(residual - self._seen(self._state + self._shaken), variance)
         if self._calm >= _CALM_IMAGES:
-            happenings += self._settled()
+            notices += self._settled()
         camera = self._state + self._shaken
         if self._given_up or np.abs(self._seen(camera)[:, :2]).max() < _STALE_M:
-            return self.geometry, happenings
-        return corrected(self.geometry, camera), happenings
+            return self.geometry, notices
+        return corrected(self.geometry, camera), notices
 
     def covariance(self, points: Array) -> Array:
         """Return the covariances (N, 3, 3) of x, y [m] and psi [rad] that the newest image's camera adds to those of
         tags at points (N, 3)."""
         return pose_covariance(self.geometry, points, self._uncertainty)
 
-    def _follow_focus(self, residual: Array, voters: Flags) -> None:
+    def _follow_focus(self, residual: Array, voters: Flags) -> tuple[Notice, ...]:
         """Learn how much the focal length changes from image to image, if nothing else but vibration moved at least
         three landmarks."""
         moved, self._last = residual - self._last, residual
         both = voters & ~np.isnan(moved[:, 0])
         if np.count_nonzero(both) < 3:
-            return
+            return ()
         variance = 2.0 * self._noise**2
         rows, moved = self._sensitivity.reshape(-1, 3, 6)[both], moved[both]
         weighted = (rows / variance[:, None]).reshape(-1, 6)
@@ -157,14 +157,16 @@ class DriftMonitor:
         covariance = np.linalg.inv(weighted.T @ rows.reshape(-1, 6) + prior)
         change = covariance @ (weighted.T @ moved.ravel())
         if (((moved - rows @ change) ** 2 / variance).sum(1) > _STILL_GATE).any():
-            return
+            return ()
         before, sure = self._vibration[5], change[5] ** 2 - _BREATHES * covariance[5, 5]
         self._vibration[5] = max(_REST[5], (1.0 - _VIBRATION_GAIN) * before, sure)
-        if sure > _BEGINS * before:
-            self._covariance = self._covariance + np.diag(_SLOW * _FOCUS)
-            fresh = self._learnt < _LEARNT_SIGHTINGS
-            self._mean[fresh], self._own[fresh] = 0.0, 0.0
-            self._own_variance[fresh], self._learnt[fresh] = _SURVEY**2, 0.0
+        if sure < _BEGINS * before:
+            return ()
+        self._covariance = self._covariance + np.diag(_SLOW * _FOCUS)
+        fresh = self._learnt < _LEARNT_SIGHTINGS
+        self._mean[fresh], self._own[fresh] = 0.0, 0.0
+        self._own_variance[fresh], self._learnt[fresh] = _SURVEY**2, 0.0
+        return (Notice(TrackerEvent.CAMERA_BREATHES, value=abs(float(change[5]))),)
 
     def _agrees(self, offset: Array, variance: Array, voters: Flags, state: Array, covariance: Array) -> bool:
         """Return whether half of the voters lie where a camera shows them."""
@@ -264,7 +266,7 @@ class DriftMonitor:
                 self._correct(surprise, variance, agree.astype(np.float64), prior)
                 jump = self._state - self._home[0] + self._shaken
                 most = _SHAKEN_MORE * self._vibration + _SHAKEN
-                self._vibration = self._vibration + np.minimum(jump**2, most)
+                self._vibration = self._vibration + _FAST * np.minimum(jump**2, most)
         errors = np.hypot(offset[voting, 0], offset[voting, 1])
         error, bound = float(np.median(errors)), _BOUND_SHARE * self.geometry.position[2]
         self.trusted = self.trusted and error <= _TOLERATED_M
@@ -320,7 +322,10 @@ class DriftMonitor:
         settled = count > _LEARNT_SIGHTINGS
         known = np.where(settled, np.minimum(known, before), known)
         part = np.where(settled, known / variance, 1.0 / count)
-        self._mean[fresh] += part * (residual - self._seen(self._state) - self._mean)[fresh]
+        left = (residual - self._seen(self._state))[fresh]
+        stretched = self._sensitivity[:, 5].reshape(-1, 3)[fresh]  # what a lens that breathes still explains
+        breath = (stretched * left).sum() / ((stretched**2).sum() + self._noise[0] ** 2 / self._vibration[5])
+        self._mean[fresh] += part * (left - breath * stretched - self._mean[fresh])
         self._own_variance[fresh] = known
         self._own[fresh] = self._mean[fresh] * (1.0 - known / _SURVEY**2)
 
@@ -335,7 +340,8 @@ class DriftMonitor:
         largest = float(np.hypot(shift[:, 0], shift[:, 1]).max())
         if largest > _BOUND_SHARE * self._calibrated.position[2]:
             return self._give_up(largest)
-        report = self._given_up or float(np.abs(shift - self._reported).max()) > _REPORTED_M
+        breathes = self._vibration[5] > _BEGINS * _REST[5]  # that is known already
+        report = self._given_up or (not breathes and float(np.abs(shift - self._reported).max()) > _REPORTED_M)
         self.trusted, self._given_up = True, False
         self._last = self._last - self._seen(self._state)
         self.geometry, self._state = geometry, np.zeros(6)

@@ -449,6 +449,7 @@ def test_a_lens_that_breathes_is_followed(share: float, seconds_at_rest: int) ->
             assert lab.monitor.trusted, k
             errors.append(error_mm(true, lab.used))
     assert max(errors) < (0.05 if seconds_at_rest else 0.5)  # relative to the calibration; else as good as the survey
+    assert TrackerEvent.CAMERA_BREATHES in lab.events()
     assert TrackerEvent.TAG_JUMPED not in lab.events()
     still = lab.used
     lab.see(CALIBRATED, 5 * SECOND)
