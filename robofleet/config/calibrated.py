@@ -119,6 +119,23 @@ class SeenMark(Model):
     """Standard deviation of the pixel, one coordinate."""
 
 
+class ImagingSettings(Model):
+    """How a camera shows an edge, beside its lens's geometry. Greys count from 0 to 255; contrast is white minus black.
+    A run starts from these values and learns on; a value that is missing is learnt from the beginning."""
+
+    blur_px: Annotated[float, within(0, 20)] | None = None
+    """Standard deviation of the lens's point spread in the middle of the image, without the pixel's own square."""
+    blur_edge_px: Annotated[float, within(0, 20)] | None = None
+    """The same in the corners. Between them it grows with the squared distance from the middle."""
+    tone: Annotated[float, within(-0.5, 0.5)] | None = None
+    """How far the image of light halfway between black and white lies above halfway, as a share of the contrast; 0: the
+    camera is linear. sRGB: 0.13 to 0.24, the more the darker black is."""
+    read_noise_gray: Annotated[float, within(0, 255)] | None = None
+    """Standard deviation of a dark pixel's grey, from image to image."""
+    shot_noise: Annotated[float, within(-255, 255)] | None = None
+    """By how much that variance grows with each grey level. A tone curve may make it shrink: then this is below 0."""
+
+
 class CameraModel(Model):
     """A calibrated camera (a file of ``configs/cameras``)."""
 
@@ -139,6 +156,8 @@ class CameraModel(Model):
     s1 s2 s3 s4 tx ty. ``fisheye``: k1 k2 k3 k4."""
     line_time_s: Annotated[float, within(0, 0.1)] = 0.0
     """Time from one row's exposure to the next row's, of a rolling shutter; 0: global shutter."""
+    imaging: ImagingSettings | None = None
+    """Blur, tone curve and noise; null: not measured."""
     T_world_camera: PoseSettings | None = None
     """Pose of the camera; null: not measured yet."""
     intrinsics: Provenance | None = None

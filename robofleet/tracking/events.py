@@ -34,6 +34,8 @@ class TrackerEvent(IntEnum):
     CAMERA_TOO_DARK = 22  # at the limits of exposure and gain: contrast of the tags, or the image's light grey
     CAMERA_TOO_BRIGHT = 23  # white paper is saturated, at the limits of exposure and gain: its grey level
     CAMERA_LIGHT_GOOD = 24  # neither any more: grey level of white paper
+    CAMERA_DENOISES = 25  # over time, so that what moves lags, and it is corrected: share of the image before
+    CAMERA_BREATHES = 26  # its focal length changes, and is corrected: share of it, from an image to the next
     CAMERA_DISAGREES = 30  # with the others, that see the same robots elsewhere: how far [m]; its poses are not used
     CAMERA_AGREES = 31  # with the others again: how far they are apart now [m]
     POSES_SILENT = 32  # nothing from a source that is no camera: seconds
@@ -81,6 +83,10 @@ _SENTENCES = {
     TrackerEvent.CAMERA_TOO_DARK: "too dark for the camera: {value:.0f} grey levels at its limits; switch a lamp on",
     TrackerEvent.CAMERA_TOO_BRIGHT: "too bright for the camera: white paper is at {value:.0f}; shade the arena",
     TrackerEvent.CAMERA_LIGHT_GOOD: "the camera's light is good again: white paper is at {value:.0f}",
+    TrackerEvent.CAMERA_DENOISES: "camera mixes {value:.0%} of the image before into each image: corrected, with more "
+    "noise; switch its temporal noise reduction off",
+    TrackerEvent.CAMERA_BREATHES: "camera's focal length changes by {value:.2%} from one image to the next: corrected; "
+    "switch its autofocus off",
     TrackerEvent.CAMERA_DISAGREES: "camera sees robots {value:.4f} m from where others do, was it knocked? "
     "Its poses are not used until it agrees again; calibrate its place",
     TrackerEvent.CAMERA_AGREES: "camera agrees with the others again, to {value:.4f} m",

@@ -1,4 +1,5 @@
-"""From an image to the poses of the robots' centres: tags, where they sit on their robots, and the camera's drift."""
+"""From an image to the poses of the robots' centres: tags, where they sit on their robots, the camera's drift, and what
+its images have of those before."""
 
 from collections.abc import Sequence
 
@@ -8,12 +9,15 @@ from numpy.typing import NDArray
 from robofleet.config.tree import Config
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.cameras.light import Light, TagLight
+from robofleet.tracking.denoising import TemporalDenoising
 from robofleet.tracking.drift import DriftMonitor
-from robofleet.tracking.events import News
+from robofleet.tracking.events import NO_TAG, News, TrackerEvent
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
+from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import floor_tags_in_view, floor_targets, robot_targets
 from robofleet.tracking.tags.tracker import Sightings, TagSighting, TagTracker
 
+_MOVES_PX = 1.0  # from image to image, of a tag that shows whether images lag
 _BLIND_IMAGES = 10  # with robots in sight and no floor tag that lies where it was: the camera may look elsewhere
 
 
@@ -29,6 +33,8 @@ class FleetSight:
         self._light = TagLight(targets)
         self._measured: list[TagSighting] = []  # in the newest image
         self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s)
+        self._targets, self._line_time = targets, model.line_time_s
+        self._denoising = TemporalDenoising()
         self._offsets = {robot.tag: robot.tag_offset for robot in config.seen}
         self._drift = DriftMonitor(geometry, lying) if lying else None
         self._camera = geometry  # of the newest image
@@ -37,11 +43,42 @@ class FleetSight:
 
     def see(self, image: NDArray[np.uint8], exposure_ns: int) -> Sightings:
         """Return the poses of robots' centres in an image (H, W). ``exposure_ns``: mid-exposure of its middle row."""
+        undone, before = self._denoising.undone(image, exposure_ns), self._measured
+        if undone is None:
+            return self._seen(image, exposure_ns)
+        if self._denoising.share:
+            return self._seen(undone, exposure_ns)
+        sightings = self._seen(image, exposure_ns)
+        self._judge(image, undone, before)
+        if self._denoising.share:
+            self._news.say(TrackerEvent.CAMERA_DENOISES, NO_TAG, self._denoising.share, exposure_ns)
+        return sightings
+
+    def _judge(self, image: NDArray[np.uint8], undone: NDArray[np.uint8], before: Sequence[TagSighting]) -> None:
+        """Compare how much tags that moved look like themselves with the image before in theirs, and without it."""
+        earlier = {seen.tag: (seen.x, seen.y) for seen in before}
+        rows = {target.tag: row for row, target in enumerate(self._targets)}
+        both = [seen for seen in self._measured if seen.tag in earlier]
+        here = np.array([(seen.x, seen.y, self._heights[seen.tag]) for seen in both]).reshape(-1, 3)
+        then = np.array([(*earlier[seen.tag], self._heights[seen.tag]) for seen in both]).reshape(-1, 3)
+        geometry = self._tracker.geometry
+        moved = np.linalg.norm(geometry.project(here) - geometry.project(then), axis=1) > _MOVES_PX if both else []
+        moving = [seen for seen, moves in zip(both, moved, strict=True) if moves]
+        if moving:
+            index = np.array([rows[seen.tag] for seen in moving])
+            guess = np.array([complex(seen.x, seen.y) for seen in moving]), np.array([seen.psi for seen in moving])
+            fits = [
+                PhotometricFit(geometry, self._targets, self._line_time).fit(picture, index, *guess).alike
+                for picture in (image, undone)
+            ]
+            self._denoising.judge(*fits)
+
+    def _seen(self, image: NDArray[np.uint8], exposure_ns: int) -> Sightings:
         drift = self._drift
         if drift is None:
             poses, refused, happenings = self._tracker.track(image, exposure_ns)
             self._measured = [pose for pose in poses if pose.coasted_ns == 0]
-            return Sightings(tuple(map(self._robot, poses)), refused, happenings)
+            return Sightings(tuple(map(self._robot, poses)), refused, happenings + self._news.take())
         placed = False
 
         def place(lying: list[TagSighting]) -> None:

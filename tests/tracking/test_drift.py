@@ -91,7 +91,8 @@ class Lab:
         """Give the monitor poses (L, 3) with noise."""
         noisy = poses + self._rng.normal(0, self._sigma, poses.shape) * [1.0, 1.0, HEADING]
         rows = [i for i in range(len(noisy)) if i not in hidden]
-        geometry, news = self.monitor.update([TagSighting(100 + i, *noisy[i].tolist(), 0, 0) for i in rows])
+        spread = (self._sigma**2, 0.0, self._sigma**2, 0.0, 0.0, (self._sigma * HEADING) ** 2)
+        geometry, news = self.monitor.update([TagSighting(100 + i, *noisy[i].tolist(), 0, 0, spread) for i in rows])
         self.news += news
         self.given += geometry is not self.used
         self.used = geometry
@@ -433,6 +434,27 @@ def test_a_knock_of_a_camera_that_vibrates() -> None:
             assert lab.monitor.trusted, k
             assert error_mm(true, lab.used) < 0.3, k
     assert TrackerEvent.CAMERA_CORRECTED in lab.events()
+
+
+@pytest.mark.parametrize("seconds_at_rest", [0, 1])
+@pytest.mark.parametrize("share", [0.001, 0.0025, 0.005])
+def test_a_lens_that_breathes_is_followed(share: float, seconds_at_rest: int) -> None:
+    lab, errors = Lab(CORNERS), []
+    lab.see(CALIBRATED, seconds_at_rest * SECOND)
+    for k in range(4 * SECOND):
+        lab.see(
+            true := moved(focal=1.0 + share * math.sin(math.tau * k / (1.3 * SECOND) + 0.4 * (seconds_at_rest == 0)))
+        )
+        if k >= SECOND // 2:
+            assert lab.monitor.trusted, k
+            errors.append(error_mm(true, lab.used))
+    assert max(errors) < (0.05 if seconds_at_rest else 0.5)  # relative to the calibration; else as good as the survey
+    assert TrackerEvent.CAMERA_BREATHES in lab.events()
+    assert TrackerEvent.TAG_JUMPED not in lab.events()
+    still = lab.used
+    lab.see(CALIBRATED, 5 * SECOND)
+    assert error_mm(CALIBRATED, lab.used) < (0.05 if seconds_at_rest else 0.5)
+    assert still is not lab.used
 
 
 def test_the_uncertainty_of_an_images_camera_is_true() -> None:

@@ -13,7 +13,7 @@ from robofleet.tracking.events import TrackerEvent
 from robofleet.tracking.sight import FleetSight
 from robofleet.tracking.tags.tracker import Sightings
 from tests.shipped import PLATOON
-from tools.measure.tracking.vibration import configuration, evaluate
+from tools.measure.tracking.vibration import Motion, configuration, evaluate
 
 PERIOD_S = 0.033
 KNOCKED = 15  # the first image after it
@@ -69,7 +69,7 @@ def test_a_camera_that_sees_no_floor_tag_goes_on_where_another_one_sees_some() -
 
 @pytest.mark.slow
 def test_a_camera_that_vibrates_measures_all_robots_in_every_image() -> None:
-    rows = evaluate({"floor tags": configuration(floor_tags=True)}, [0.05, 0.0, 0.0], 30)
+    rows = evaluate({"floor tags": configuration(floor_tags=True)}, Motion((0.05, 0.0, 0.0)), 30)
     assert rows["floor tags"]["without"] == 0
     assert rows["floor tags"]["measured"] == 1.0
     assert rows["floor tags"]["rms_mm"] < 0.25  # without a correction: 1.5

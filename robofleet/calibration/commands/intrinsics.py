@@ -12,11 +12,12 @@ from robofleet.calibration.frames import open_camera
 from robofleet.calibration.lens.board import Board
 from robofleet.calibration.lens.floor import Ceiling
 from robofleet.calibration.lens.gathering import Gathering, gather
+from robofleet.calibration.lens.imaging import measure_imaging
 from robofleet.calibration.lens.intrinsics import COEFFICIENTS, Conditions, Measured, measure
 from robofleet.calibration.lens.live import capture, lens_config, screen
 from robofleet.calibration.lens.page import page
 from robofleet.calibration.store import CalibrationError, load, save
-from robofleet.config.calibrated import CameraModel
+from robofleet.config.calibrated import CameraModel, ImagingSettings
 from robofleet.tracking.camera import Lens as Kind
 
 _USUAL: dict[Kind, int] = {"pinhole": 5, "fisheye": 4}  # coefficients
@@ -125,13 +126,27 @@ def _write(file: Path, measured: Measured, camera: str) -> None:
     earlier = _earlier(file)
     if earlier is not None and earlier.height == model.height:
         model = model.model_copy(update={"line_time_s": earlier.line_time_s})  # not the lens's: it was not measured
+    imaging = measure_imaging(measured.fit.lens, measured.fit.views, measured.fit.poses, measured.conditions.board)
+    model = model.model_copy(update={"imaging": imaging})
     kept = save(file, model)
     for warning in measured.warnings():
         print(warning)
     print(f"places are known to {measured.arena_mm:.2f} mm rms over the arena, as far as the lens goes")
+    print(_shown(imaging))
     print(f"written: {file}" + (f"; the one before: {kept}" if kept else ""))
     if earlier is not None and earlier.T_world_camera is not None:
         print("the camera's place belonged to the earlier lens and was dropped: run robofleet calibrate arena again")
+
+
+def _shown(imaging: ImagingSettings | None) -> str:
+    """Return in words how the camera shows edges."""
+    if imaging is None:
+        return "blur, tone curve and noise were not measured: bring the board nearer, so that its squares are larger"
+    noise = "" if imaging.read_noise_gray is None else f", noise {imaging.read_noise_gray:.1f} grey levels in the dark"
+    return (
+        f"blur {imaging.blur_px:.2f} px in the middle, {imaging.blur_edge_px:.2f} px in the corners; "
+        f"tone curve {imaging.tone:+.2f} (0: linear){noise}"
+    )
 
 
 def _earlier(file: Path) -> CameraModel | None:
