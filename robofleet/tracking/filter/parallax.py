@@ -41,8 +41,8 @@ class Parallax:
     @classmethod
     def of(cls, config: Config) -> Self:
         """Return that of a configuration's cameras, and of the robots of its groups."""
-        places = [view.camera.model.T_world_camera for view in config.views]
-        cameras = [(math.nan,) * 3 if place is None else place.position_m for place in places]
+        poses = [view.camera.model.T_world_camera for view in config.views]
+        cameras = [(math.nan,) * 3 if pose is None else pose.position_m for pose in poses]
         return cls(np.array(cameras), np.array([slices.tag_height_m(config, robot) for robot in config.members]))
 
     def add(self, camera: int, other: int, places: Array, apart: Array, variances: Array) -> None:
