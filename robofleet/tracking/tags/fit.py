@@ -17,13 +17,13 @@ from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
 from robofleet.tracking.tags.imaging import KNOWN, NARROWEST, WIDEST, corner_share, learn_blur
 from robofleet.tracking.tags.mapping import map_pixels, on_level, shift_map, sight_slope
-from robofleet.tracking.tags.pixels import CHUNK, MOST_ROWS, PARAMETERS, SHAPED, SLOTS, accumulate, likeness
+from robofleet.tracking.tags.pixels import BLOCKED, CHUNK, MOST_ROWS, PARAMETERS, SHAPED, SLOTS, accumulate, likeness
 from robofleet.tracking.tags.shape import TILT, turn_variance
 
 _PASSES = 10  # at most
 _COARSE = 12  # pixels along a side in the first pass, about; MOST_ROWS in the others
 _WIDER = 1.4  # blur of the first pass over the expected one: it catches guesses that are further off
-_CONVERGED_PX = 0.01  # a last step so short is the last: what it leaves is hundredths of it
+_CONVERGED_PX = 0.1  # a last step so short is the last: what it leaves is hundredths of it
 _NEAR = 0.015  # step after which the last map of pixels is good still [sides]
 _LONGEST_PX = 2.0  # step
 _FURTHEST = 0.2  # from the guess [sides, rad]
@@ -38,7 +38,8 @@ _EVERYTHING = 1e9  # no cut [grey levels]
 _LEAST_NOISE = 0.5  # [grey levels]
 _BLUR_STEP_PX, _BLUR_CONVERGED_PX = 0.6, 0.05  # of a blur that is not known, from pass to pass
 _LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
-_GAIN = 0.2  # of what is learnt about blur and noise
+_GAIN = 0.2  # of what is learnt about a tag's noise
+_FALL, _RISE = 0.2, 0.01  # gains of the camera's least noise: that of tags without shadows
 
 
 class _Room(NamedTuple):
@@ -49,6 +50,7 @@ class _Room(NamedTuple):
     products: Array  # (9, 9)
     sums: Array  # (6,)
     none: Array  # (0, 15)
+    no_blocks: Array  # (0, 10, 10)
     factor: Array  # (8, 8), lower triangle: Cholesky's, of the normal equations
     solution: Array  # (8,)
     level: Array  # (4,): brightness, its slopes forward and left, contrast [grey levels]
@@ -56,13 +58,13 @@ class _Room(NamedTuple):
     bend: Array  # (2, 6)
     shape: Array  # (2, 6)
     window: Array  # (6,)
-    used: Array  # (1,) blur of the newest fit [px]
+    used: Array  # (3,) blur of the newest fit [px]
 
 
 @image_kernel
 def fit_tags(  # type: ignore[no-untyped-def]
     image, camera, line_time, sides, heights, prints, cells, hidden, to_quadratic, index, centre, psi, velocity, omega,
-    wide, camera_blur, blur_known, tone, noises, shapes, spreads, levels,
+    wide, camera_blur, blur_known, tone, doubt, quietest, noises, shapes, spreads, levels,
     fit_centre, fit_psi, fit_alike, fit_row, fit_covariance,
 ):  # fmt: skip
     """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
@@ -74,23 +76,23 @@ def fit_tags(  # type: ignore[no-untyped-def]
     n = PARAMETERS
     room = _Room(
         np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), np.empty((n + 1, n + 1)), np.empty(6),
-        np.empty((0, n + 1 + SHAPED)), np.empty((n, n)), np.empty(n), np.empty(4),
-        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6), np.empty(1),
+        np.empty((0, n + 1 + SHAPED)), np.empty((0, BLOCKED, BLOCKED)), np.empty((n, n)), np.empty(n), np.empty(4),
+        np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6), np.empty(3),
     )  # fmt: skip
     for m in range(len(index)):
         i = index[m]
         fit_centre[m], fit_psi[m], fit_alike[m], fit_row[m] = _fit(
             image, camera, line_time, sides[i], heights[i], prints[i], cells, hidden, to_quadratic, centre[m], psi[m],
-            velocity[m], omega[m], wide, camera_blur, blur_known, tone[0], noises, shapes[i], spreads[i], i, room,
+            velocity[m], omega[m], wide, camera_blur, blur_known, tone[0], doubt, quietest, noises, shapes[i], spreads[i], i, room,
             fit_covariance[m],
         )  # fmt: skip
-        levels[m, :4], levels[m, 4] = room.level, room.used[0]
+        levels[m, :4], levels[m, 4:] = room.level, room.used
 
 
 @image_kernel
 def _fit(  # type: ignore[no-untyped-def]
     image, camera, line_time, side, height, corners, cells, hidden, to_quadratic, guess, guess_psi, velocity, omega,
-    wide, camera_blur, blur_known, tone, noises, tag_shape, spread, i, room, covariance,
+    wide, camera_blur, blur_known, tone, doubt, quietest, noises, tag_shape, spread, i, room, covariance,
 ):  # fmt: skip
     """Return centre, heading, likeness and row of one tag."""
     centre, psi, blur, noise, row = guess, guess_psi, wide, noises[i], 0.0
@@ -153,12 +155,16 @@ def _fit(  # type: ignore[no-untyped-def]
     if min(alike, left / room.sums[0]) > _LEARNT_FROM and not by_cells and wide == 0.0:
         noise = max(math.sqrt(variance), _LEAST_NOISE)
         noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
+        quiet = noise * noise / (1.0 + max(level[0] + 128.0, 0.0) / 128.0)
+        gain = _FALL if quiet < quietest[0] else _RISE
+        quietest[0] = quiet if quietest[0] == 0.0 else quietest[0] + gain * (quiet - quietest[0])
         expected = camera_blur[0] + share * camera_blur[1]
         wider = blur - expected + (solution[7] / level[3] if settled else 0.0)
         learn_blur(camera_blur, blur_known, share, wider, variance / (room.factor[7, 7] * level[3]) ** 2)
     room.used[0] = blur
-    model = (_MODEL * blur * cells / side_px) ** 2
-    _covary(room.factor, variance / (level[3] * level[3]), model, side, psi, covariance)
+    room.used[1] = left / room.sums[0]
+    room.used[2] = variance / (1.0 + max(level[0] + 128.0, 0.0) / 128.0) / max(quietest[0], 0.1)
+    _covary(room.factor, variance / (level[3] * level[3]), doubt, side, psi, covariance)
     covariance[5] += turn_variance(slope, spread)
     return centre, psi, alike, row
 
@@ -169,7 +175,7 @@ def _look(image, corners, cells, hidden, tally, side_px, blur, tone, cut, coarse
     stride = max(1, round(side_px / _COARSE)) if coarse else 1 + int(side_px / MOST_ROWS)
     return side_px > 0.0 and accumulate(
         image, room.shape, room.window, corners, cells, hidden, tally, side_px, _WIDER * blur if coarse else blur,
-        tone, room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none,
+        tone, room.level, cut, stride, room.rows, room.pixels, room.products, room.sums, (0.0, 0.0), room.none, room.no_blocks,
     )  # fmt: skip
 
 
@@ -221,7 +227,7 @@ def _solve(products, factor, solution):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _covary(factor, noise, model, side, psi, covariance):  # type: ignore[no-untyped-def]
+def _covary(factor, noise, doubt, side, psi, covariance):  # type: ignore[no-untyped-def]
     """Write the covariance (6,) of x, y [m; world] and psi [rad]: xx, xy, yy, x psi, y psi, psi psi; noise and model
     are variances of a pixel's grey [contrasts^2]."""
     # The last rows of the equations' inverse need the last rows of their factor only.
@@ -238,21 +244,21 @@ def _covary(factor, noise, model, side, psi, covariance):  # type: ignore[no-unt
         for j in range(3):
             for k in range(max(i, j), 4):
                 products[i, j] += inverse[k, i] * inverse[k, j]
-    c, s, area = math.cos(psi), math.sin(psi), side * side * (noise + model)
+    c, s, area = math.cos(psi), math.sin(psi), side * side * noise * doubt[0]
     ff, fl, ll = products[0, 0], products[0, 1], products[1, 1]
     covariance[0] = area * (c * c * ff - 2.0 * c * s * fl + s * s * ll)
     covariance[1] = area * (c * s * (ff - ll) + (c * c - s * s) * fl)
     covariance[2] = area * (s * s * ff + 2.0 * c * s * fl + c * c * ll)
-    both = side * (noise + _MODEL_TURNS * model)
+    both = side * noise * math.sqrt(doubt[0] * doubt[1])
     covariance[3] = both * (c * products[0, 2] - s * products[1, 2])
     covariance[4] = both * (s * products[0, 2] + c * products[1, 2])
-    covariance[5] = (noise + _MODEL_TURNS * _MODEL_TURNS * model) * products[2, 2]
+    covariance[5] = noise * doubt[1] * products[2, 2]
 
 
 @image_kernel
 def study_tag(  # type: ignore[no-untyped-def]
     image, camera, line_time, side, height, corners, cells, to_quadratic, centre, psi, velocity, omega, tag_shape, blur,
-    tone, level, cut, products,
+    tone, level, cut, products, blocks,
 ):  # fmt: skip
     """Fill the products (15, 15) of the coefficients of pose, light and blur, of what is left of the grey, and of the
     shape's coefficients, of a tag where it was fitted. Return the share of pixels that count, and the slope under
@@ -268,7 +274,7 @@ def study_tag(  # type: ignore[no-untyped-def]
     inside = accumulate(
         image, shape, window, corners, cells, np.zeros(0, np.bool_), np.zeros((0, 2), np.int64), side_px, blur, tone,
         level, cut, 1 + int(side_px / MOST_ROWS), np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), first, sums,
-        slope, shaped,
+        slope, shaped, blocks,
     )  # fmt: skip
     for i in range(n):
         for j in range(i + 1):
@@ -276,7 +282,7 @@ def study_tag(  # type: ignore[no-untyped-def]
     for i in range(SHAPED):
         for j in range(n + i + 1):
             products[n + i, j] = products[j, n + i] = shaped[i, j]
-    return first[0, 0] / sums[0] if inside else 0.0, slope
+    return first[0, 0] / sums[0] if inside else 0.0, slope, side_px
 
 
 KERNELS: tuple[Any, ...] = (fit_tags, study_tag)  # that are called from Python

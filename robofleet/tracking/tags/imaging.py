@@ -18,6 +18,10 @@ _SIGMA = np.array([1.0, 0.3])  # of the blur in the middle, and of its growth to
 _FORGET = 0.998  # of what was known, from tag to tag
 _LEAST_PX = 0.03  # standard deviation of what one tag says: print and lens are not exact
 KNOWN = 1.0 / 0.04**2  # information from which a blur is known [1/px^2]
+_TONE_EXPECTED = 1.0 / 0.1**2  # information
+_TONE_DOUBT = 4.0  # variance of what is learnt over that of white noise
+_MOST_TONE = 0.24
+_DOUBT_GAIN = 0.02
 _STEP_PX = 1.0  # at most, by one tag
 
 
@@ -27,10 +31,36 @@ class Imaging(NamedTuple):
     blur: Array  # (2,) in the middle, and how much more in the corners [px]
     known: Array  # (2, 2) information on these [1/px^2]
     tone: Array  # (1,) how far the middle between black and white lies above linear light [contrasts]
+    tone_known: Array  # (1,) information on it
+    doubt: Array  # (2,) variances of position and of heading over those of white noise
+    quietest: Array  # (1,) variance of a grey of 0, if a grey of 128 has twice as much, of tags in even light
 
     @classmethod
     def unknown(cls) -> Self:
-        return cls(np.array([_EXPECTED_PX, 0.0]), np.diag(1.0 / _SIGMA**2), np.zeros(1))
+        return cls(np.array([_EXPECTED_PX, 0.0]), np.diag(1.0 / _SIGMA**2), np.zeros(1), np.full(1, _TONE_EXPECTED), np.ones(2), np.zeros(1))
+
+    def learn(self, blocks: Array, contrast: float) -> None:
+        """Learn response and noise from the products (B, P + 2, P + 2) of a tag's blocks: of P coefficients, what is
+        left of the grey, and the response's coefficient."""
+        n = blocks.shape[1] - 2
+        blocks = blocks[blocks[:, 0, 0] > 0.0]
+        total = blocks.sum(0)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(total)[:n], 1e-9))
+        inverse = np.linalg.inv(total[:n, :n] * np.outer(scale, scale) + 1e-9 * np.eye(n)) * np.outer(scale, scale)
+        values = inverse @ total[:n, n]
+        step = np.append(-values, 1.0)
+        variance = step @ total[: n + 1, : n + 1] @ step / (total[0, 0] - n)
+        score = blocks[:, :n, : n + 1] @ step
+        robust = inverse @ (score.T @ score) @ inverse * len(blocks) / (len(blocks) - 5.0)
+        white = variance * np.diag(inverse)
+        ratio = np.array([(robust[4, 4] + robust[5, 5]) / (white[4] + white[5]), robust[6, 6] / white[6]])
+        self.doubt[:] += _DOUBT_GAIN * (np.clip(ratio, 0.2, 5.0) - self.doubt)
+        curve = total[n + 1, : n + 1] - total[n + 1, :n] @ inverse @ total[:n, : n + 1]
+        size = total[n + 1, n + 1] - total[n + 1, :n] @ inverse @ total[:n, n + 1]
+        known = contrast**2 * size / (_TONE_DOUBT * variance)
+        self.tone_known[0] = _FORGET * self.tone_known[0] + (1.0 - _FORGET) * _TONE_EXPECTED + known
+        self.tone[0] += known / self.tone_known[0] * curve[n] / (size * contrast)
+        self.tone[0] = min(max(self.tone[0], -_MOST_TONE), _MOST_TONE)
 
 
 @image_kernel

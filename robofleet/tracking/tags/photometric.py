@@ -9,6 +9,7 @@ Points of the plane are complex numbers, x + iy; in the tag's own frame, forward
 the whole print.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,13 +23,17 @@ from robofleet.tracking.offset import Covariance
 from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.fit import fit_tags, study_tag
 from robofleet.tracking.tags.imaging import Imaging
-from robofleet.tracking.tags.mapping import quadratic
-from robofleet.tracking.tags.pixels import PARAMETERS, SHAPED, neighbourhoods
-from robofleet.tracking.tags.shape import STUDIED, STUDIED_FROM, Shapes, cut, explained
+from robofleet.tracking.tags.mapping import on_level, quadratic
+from robofleet.tracking.tags.pixels import BLOCKED, BLOCKS, PARAMETERS, SHAPED, neighbourhoods
+from robofleet.tracking.tags.shape import TILT, STUDIED, STUDIED_FROM, Shapes, cut, explained
+from robofleet.tracking.tags.structure import solve
 from robofleet.tracking.tags.targets import Target
 
 _WIDE_PX = 2.2  # blur of a tag that is out of focus, or moves
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
+MODE = 0
+_CUT_OFF = 0.993
+_NOISY = 1.6
 _NONE = np.zeros((0, 0), np.bool_)
 NOBODY = -1  # as a target
 
@@ -100,26 +105,61 @@ class PhotometricFit:
         if velocity is None or omega is None:
             velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
         fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m), np.empty((m, 6)))
-        levels = np.empty((m, 5))
+        levels = np.empty((m, 7))
         fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
-            wide_px, *self.imaging, self._noise, self.shapes.values, self.shapes.spreads, levels, *fit,
+            wide_px, self.imaging.blur, self.imaging.known, self.imaging.tone, self.imaging.doubt, self.imaging.quietest, self._noise, self.shapes.values, self.shapes.spreads, levels, *fit,
         )  # fmt: skip
+        self.levels = levels
+        structured = (levels[:, 5] < _CUT_OFF) | (levels[:, 6] > _NOISY)
+        for row in np.flatnonzero((fit.alike > 0.6) & structured).tolist():
+            self._again(image, fit, row, int(index[row]), complex(velocity[row]), float(omega[row]), levels[row], hidden)
         for row in np.flatnonzero(index == studied).tolist():
             self._study(image, fit, row, studied, complex(velocity[row]), float(omega[row]), levels[row])
         return fit
 
+    def _again(self, image, fit, row, i, velocity, omega, level, hidden):
+        """Fit a tag once more whose light has a structure."""
+        level, centre, psi, side = level.copy(), complex(fit.centre[row]), float(fit.psi[row]), self._wholes[i]
+        n = PARAMETERS
+        products = np.empty((n + 1 + SHAPED,) * 2)
+        blocks = np.empty((BLOCKS * BLOCKS, BLOCKED, BLOCKED))
+        for _ in range(2):
+            _, slope, side_px = study_tag(
+                image, self.geometry.flat, self._line_time, self._wholes[i], self.heights[i], self._prints[i],
+                FAMILIES[self.family].cells, self._to_quadratic, centre, psi, velocity, omega, self.shapes.values[i],
+                level[4], self.imaging.tone[0], level[:4], 0.5 * level[3], products, blocks,
+            )  # fmt: skip
+            lower = blocks[:, : n + 1, : n + 1]
+            whole = lower + np.tril(lower, -1).transpose(0, 2, 1)
+            solution = solve(whole)
+            level[:4] += solution.values[:4]
+            forward, left, turn = -solution.values[4:7] / level[3]
+            if not (np.hypot(forward, left) < 0.1 and abs(turn) < 0.2):
+                return
+            ahead = side * complex(math.cos(psi), math.sin(psi))
+            centre += ahead * on_level(forward, left, self.shapes.values[i, TILT:], slope)
+            psi += turn
+        fit.centre[row], fit.psi[row] = centre, psi
+        C = np.maximum(1.0, 0) * solution.robust[4:7, 4:7] / level[3] ** 2
+        if MODE == 1: C = solution.covariance[4:7, 4:7] / level[3] ** 2
+        c, s = math.cos(psi), math.sin(psi)
+        R = np.array([[side * c, -side * s, 0.0], [side * s, side * c, 0.0], [0.0, 0.0, 1.0]])
+        C = R @ C @ R.T
+        fit.covariance[row] = C[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
     def _study(self, image, fit, row, i, velocity, omega, level):
-        if fit.alike[row] < STUDIED_FROM:
+        if self.imaging.known[0, 0] < 1e4 or fit.alike[row] < STUDIED_FROM or level[5] < _CUT_OFF or level[6] > _NOISY:
             return
         contrast = level[3]
         products = np.empty((PARAMETERS + 1 + SHAPED,) * 2)
-        counts, slope = study_tag(
+        blocks = np.empty((BLOCKS * BLOCKS, BLOCKED, BLOCKED))
+        counts, slope, _ = study_tag(
             image, self.geometry.flat, self._line_time, self._wholes[i], self.heights[i], self._prints[i],
             FAMILIES[self.family].cells, self._to_quadratic, fit.centre[row], fit.psi[row], velocity, omega,
             self.shapes.values[i], level[4], self.imaging.tone[0], level[:4], cut(self.shapes.counts[i]) * contrast,
-            products,
+            products, blocks,
         )  # fmt: skip
         if counts < STUDIED:
             return
@@ -128,6 +168,7 @@ class PhotometricFit:
         products[:, n] /= contrast
         left = explained(products)
         variance = max(left[0, 0] / (products[0, 0] - n), (self._noise[i] / contrast) ** 2)
+        self.imaging.learn(blocks + np.tril(blocks, -1).transpose(0, 2, 1), contrast)
         self.shapes.learn(i, left, np.array(slope), variance)
 
     def blurred(self, image: NDArray[np.uint8], target: int, centre: complex, psi: float) -> Fit:
@@ -139,7 +180,7 @@ class PhotometricFit:
         return fit
 
     def report(self):
-        i=self.imaging; return f'blur {i.blur[0]:.3f}+{i.blur[1]:.3f} tone {i.tone[0]:.3f} noise {np.median(self._noise):.1f}'
+        i=self.imaging; return f'blur {i.blur[0]:.3f}+{i.blur[1]:.3f} tone {i.tone[0]:.3f} noise {np.median(self._noise):.1f} doubt {i.doubt[0]:.2f} {i.doubt[1]:.2f}'
 
     def pixels(self, index: Indices, centre: Complex) -> Array:
         """Return where points (M,) on the targets' planes appear (M, 2) [px]."""

@@ -19,6 +19,7 @@ from robofleet.core.kernels import image_kernel
 
 REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 PARAMETERS = 8
+BLOCKS, BLOCKED = 5, 10  # along a tag's square, in which brightness may differ; coefficients of which products are added there
 SHAPED = 6  # more coefficients, of a tag's own shape
 SLOTS, CHUNK = 18, 512  # numbers of a pixel; pixels that are computed at once
 MOST_ROWS = 150  # of pixels along a side that are looked at
@@ -40,7 +41,7 @@ def neighbourhoods(white: NDArray[np.bool_]) -> NDArray[np.float32]:
 @image_kernel
 def accumulate(  # type: ignore[no-untyped-def]
     image, shape, window, corners, cells, hidden, tally, side_px, blur, tone, level, cut, stride, rows, flat, products,
-    sums, slope, shaped,
+    sums, slope, shaped, blocks,
 ):  # fmt: skip
     """Add up the normal equations: ``products`` (9, 9) of the pixels' eight coefficients and what is left of their
     grey; and ``sums`` (6,) over all pixels: their number, the pattern, the grey, and the products of these two.
@@ -51,7 +52,7 @@ def accumulate(  # type: ignore[no-untyped-def]
     ``shape.py``.
     rows (2, CHUNK) and flat (SLOTS * CHUNK,) are overwritten. Return whether the square is in the image.
     """
-    products[:], sums[:], shaped[:] = 0.0, 0.0, 0.0
+    products[:], sums[:], shaped[:], blocks[:] = 0.0, 0.0, 0.0, 0.0
     height, width = image.shape
     top, left = int(window[1]), int(window[0])
     many_rows = (int(window[5]) - int(window[4])) // stride + 1
@@ -69,7 +70,7 @@ def accumulate(  # type: ignore[no-untyped-def]
         if full + many > CHUNK or n == many_rows:
             _add_up(
                 flat, full, shape, corners, cells, hidden, tally, side_px, blur, tone, level, cut, products, sums,
-                slope, shaped,
+                slope, shaped, blocks,
             )  # fmt: skip
             full = np.int64(0)
         if many > 0:
@@ -95,7 +96,7 @@ def _bound(rows, many, begin, stride, shape, window):  # type: ignore[no-untyped
 @image_kernel
 def _add_up(  # type: ignore[no-untyped-def]
     flat, full, shape, corners, cells, hidden, tally, side_px, blur, tone, level, cut, products, sums, slope,
-    shaped,
+    shaped, blocks,
 ):
     """Add the pixels that were read."""
     many = min(-(-full // _LANES) * _LANES, CHUNK)
@@ -117,6 +118,8 @@ def _add_up(  # type: ignore[no-untyped-def]
         tally[cell, 1] += int(flat[k])
     _multiply(flat, many, products)
     _sum(flat, many, sums)
+    if len(blocks):
+        _multiply_in_blocks(flat, full, blocks)
     if len(shaped):
         _multiply_shaped(flat, many, slope, shaped)
 
@@ -277,6 +280,22 @@ def _multiply_shaped(flat, many, slope, shaped):  # type: ignore[no-untyped-def]
         x = flat[(9 + i) * CHUNK : (9 + i) * CHUNK + three]
         for j in range(0, PARAMETERS + 1 + SHAPED, 3):
             _multiply_three(x, flat[j * CHUNK : j * CHUNK + three], many, shaped[i : i + 3, j : j + 3])
+
+
+@image_kernel
+def _multiply_in_blocks(flat, many, blocks):  # type: ignore[no-untyped-def]
+    """Add the products of 0 to 8, and of the response's coefficient, to those of the block in which a pixel lies."""
+    values = np.empty(BLOCKED, np.float32)
+    for k in range(many):
+        if flat[k] > 0.0:
+            column = min(max(int(BLOCKS * (0.5 + 0.5 / REACH * flat[16 * CHUNK + k])), 0), BLOCKS - 1)
+            row = min(max(int(BLOCKS * (0.5 + 0.5 / REACH * flat[17 * CHUNK + k])), 0), BLOCKS - 1)
+            for i in range(PARAMETERS + 1):
+                values[i] = flat[i * CHUNK + k]
+            values[BLOCKED - 1] = flat[10 * CHUNK + k]
+            for i in range(BLOCKED):
+                for j in range(i + 1):
+                    blocks[row * BLOCKS + column, i, j] += values[i] * values[j]
 
 
 @image_kernel
