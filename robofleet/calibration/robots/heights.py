@@ -120,8 +120,8 @@ def by_parallax(recording: Recording) -> dict[int, Array]:
 
 def find(config: Config, drive: RobotDrive) -> TagHeight:
     """Return what a drive says of a tag's height."""
-    robot, places = config.robot(drive.robot), [view.camera.model.T_world_camera for view in config.views]
-    heights = [place.position_m[2] for place in places if place is not None]
+    robot, poses = config.robot(drive.robot), [view.camera.model.T_world_camera for view in config.views]
+    heights = [pose.position_m[2] for pose in poses if pose is not None]
     return TagHeight(
         robot=drive.robot, tag=robot.tag, configured_m=slices.tag_height_m(config, robot),
         side_m=config.tracker.tag_side_m, camera_m=sum(heights) / max(len(heights), 1),

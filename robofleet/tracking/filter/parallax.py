@@ -41,15 +41,14 @@ class Parallax:
     @classmethod
     def of(cls, config: Config) -> Self:
         """Return that of a configuration's cameras, and of the robots of its groups."""
-        places = [view.camera.model.T_world_camera for view in config.views]
-        cameras = [(math.nan,) * 3 if place is None else place.position_m for place in places]
+        poses = [view.camera.model.T_world_camera for view in config.views]
+        cameras = [(math.nan,) * 3 if pose is None else pose.position_m for pose in poses]
         return cls(np.array(cameras), np.array([slices.tag_height_m(config, robot) for robot in config.members]))
 
     def add(self, camera: int, other: int, places: Array, apart: Array, variances: Array) -> None:
         """Take where a camera sees robots (N, 2), how far from where the other one does that is (N, 2), and the
         variance of this along an axis (N,) [m^2]; NaN where not both see a robot."""
-        first, second = ((places - self._cameras[k, :2]) / self._above(k)[:, None] for k in (camera, other))
-        slope = first - second
+        slope = self._slopes(camera, places) - self._slopes(other, places - apart)
         square = (slope**2).sum(axis=1)
         seen = np.isfinite(apart[:, 0]) & (square > _LEAST_SLOPE**2)
         for sums, new in (
@@ -73,6 +72,7 @@ class Parallax:
             self._named[row] = higher[row]
             yield row, float(higher[row])
 
-    def _above(self, camera: int) -> Array:
-        above: Array = self._cameras[camera, 2] - self._heights
-        return above
+    def _slopes(self, camera: int, places: Array) -> Array:
+        """Return how far from a camera's foot robots (N, 2) appear, in the height of the camera above their tags."""
+        slopes: Array = (places - self._cameras[camera, :2]) / (self._cameras[camera, 2] - self._heights)[:, None]
+        return slopes

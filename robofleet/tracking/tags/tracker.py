@@ -41,6 +41,7 @@ _DEEP_SEARCHES = 1  # of these, whose regions are searched deeply
 _GAP_NS = S // 10  # a tag that was hidden for longer may be another print of it when it is found again,
 _SETTLED_NS = 10 * S  # which shows when both are seen within so long
 _OFTEN = 10  # images from which each shape is learnt at first, one an image
+_NAMED_EVERY = 4  # studies after which a print is named that is off
 _SELDOM, _TURNS = 2, 16  # then from one of so many; and each from one of so many, if there is time for all
 _REGION_MARGIN = 0.6  # of a region around what a tag can have reached [sides]
 
@@ -173,7 +174,7 @@ class TagTracker:
         centre, psi, velocity = self._predicted(index, exposure_ns)
         studied = self._studied(index)
         fit = self._fit.fit(image, index, centre, psi, velocity, self._omega[index], studied=studied)
-        if studied != NOBODY:
+        if studied != NOBODY and self._fit.shapes.counts[studied] % _NAMED_EVERY == 0:
             for event, value in self._prints.news(studied):
                 self._say(event, studied, value, exposure_ns)
         if (fit.alike >= CLEAR).all():

@@ -50,6 +50,7 @@ def learnt(higher: float = 0.0, **of_print: Any) -> Learnt:
     return Learnt(fit.shapes, math.sqrt(np.square(off[-15:]).mean()))
 
 
+@pytest.mark.slow
 def test_a_flat_level_print_of_its_size_has_no_news() -> None:
     flat = learnt()
     assert not flat.named()
@@ -57,7 +58,7 @@ def test_a_flat_level_print_of_its_size_has_no_news() -> None:
     assert flat.late_deg < 0.03
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("stretch", [(0.003, 0.0), (0.0, 0.01)])
 def test_a_stretched_print_is_not_taken_for_a_tilt(stretch: tuple[float, float]) -> None:
     found = learnt(stretch=stretch)
