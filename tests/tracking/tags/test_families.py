@@ -4,7 +4,7 @@ import numpy as np
 import pyapriltags
 import pytest
 
-from robofleet.calibration.extrinsics.fiducials import TagFinder
+from robofleet.tracking.tags.prints import TagFinder
 from robofleet.config.load import ConfigError, load_config
 from robofleet.core.settings import FAMILIES, FamilyName
 from robofleet.simulation.camera import SceneRenderer
