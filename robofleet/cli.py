@@ -64,6 +64,7 @@ COMMANDS = (
     *(Row(name, "operator.commands", name, _RUNNING) for name in ("status", "web")),
     *(Row(name, "reports.commands", name, _AFTERWARDS) for name in ("report", "replay", "repair")),
     *(Row(name, "gateways.exports.command", name, _AFTERWARDS) for name in ("export", "film")),
+    Row("track", "gateways.videos.command", "track", _PROGRAMS),
     Row("sheet", "calibration.commands.sheet", heading=_LABORATORY),
     *(Row(f"sheet {name}", "calibration.commands.sheet", name) for name in ("tags", "floor", "board")),
     Row("calibrate", "calibration.commands", heading=_LABORATORY),

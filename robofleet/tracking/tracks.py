@@ -67,6 +67,7 @@ class Tracks:
     Attributes:
         camera: The camera, and how well its place is known.
         count: Images of the source; 0: not known.
+        rate_hz: Images per second, on average; 0: not known.
         notes: What was assumed, and what looks wrong.
     """
 
@@ -76,10 +77,11 @@ class Tracks:
         notes: tuple[str, ...],
         targets: Sequence[Target],
         images: Iterable[_Taken],
-        count: int,
+        count: int = 0,
+        rate_hz: float = 0.0,
     ) -> None:
         """Take what ``track`` found out."""
-        self.camera, self.notes, self.count = camera, notes, count
+        self.camera, self.notes, self.count, self.rate_hz = camera, notes, count, rate_hz
         self._targets, self._images = {target.tag: target for target in targets}, images
         self._tracker = TagTracker(camera.geometry, camera.size, targets, camera.line_time_s)
 
@@ -152,10 +154,10 @@ def track(
     if isinstance(source, str | Path):
         recording = Recording(Path(source), None if times is None else Path(times), rate_hz)
         placed, notes = _placed(_recorded(recording), _LOOK_S, targets, model, fov_deg, str(source))
-        return Tracks(placed, notes, targets, _recorded(recording), recording.count)
+        return Tracks(placed, notes, targets, _recorded(recording), recording.count, recording.rate_hz)
     live = _live(source)
     placed, notes = _placed(live, _LIVE_LOOK_S, targets, model, fov_deg, "the camera")
-    return Tracks(placed, notes, targets, live, 0)
+    return Tracks(placed, notes, targets, live)
 
 
 def _faults(ids: Sequence[int], side_m: float, fov_deg: float | None, family: str) -> list[str]:
@@ -226,7 +228,7 @@ def _placed(
     size_px = image.image.shape[1], image.image.shape[0]
     if not whole:
         camera = plane.placed(seen.corners, first.side, first.height, size_px, model, fov_deg)
-        return camera, (_uncalibrated(camera, fov_deg is not None),)
+        return camera, (_uncalibrated(camera, first.height, named=fov_deg is not None),)
     assert model is not None
     camera = plane.calibrated(model)
     ratio = plane.side_ratio(camera.geometry, seen.corners, first.side, first.height)
@@ -242,21 +244,16 @@ def _placed(
     return camera, (wrong,)
 
 
-def _uncalibrated(camera: PlacedCamera, named: bool) -> str:
-    """Return what was assumed of a camera, and what that costs."""
-    where = (
-        f"the camera is {camera.height_m:.2f} m above the floor, tilted by {camera.tilt_deg:.0f} degrees, by the tags' "
-        "shapes; x, y = 0 below the image's middle, x to the image's right there, y up"
+def _uncalibrated(camera: PlacedCamera, height_m: float, *, named: bool) -> str:
+    """Return what was assumed of a camera above tags of a height, and what that costs."""
+    fov = f"its horizontal field of view, {camera.fov_deg:.0f} degrees, is {'the one named' if named else 'estimated'}"
+    lens = "" if camera.lens_calibrated else f"The lens is not calibrated: {fov}, and so is its distortion. "
+    return (
+        f"by the tags' shapes the camera is {camera.height_m - height_m:.2f} m above them, tilted by "
+        f"{camera.tilt_deg:.0f} degrees. x, y = 0 lies below the image's middle, x to the image's right there, y up. "
+        f"{lens}Positions may be off by {_mm(camera.edge_error_m)} at the image's edge, less inside. All lengths are as "
+        "right as the tags' side. `robofleet calibrate` measures a lens, and a place in the laboratory's frame"
     )
-    lens = "" if camera.lens_calibrated else (
-        f"its lens is not calibrated: a horizontal field of view of {camera.fov_deg:.0f} degrees is "
-        f"{'named' if named else 'estimated'}, and distortion is estimated. "
-    )  # fmt: skip
-    cost = (
-        f"Positions may be off by {_mm(camera.edge_error_m)} at the image's edge, less inside; all lengths are as right "
-        "as the tags' side, and there is no frame of the laboratory. `robofleet calibrate` mends both"
-    )
-    return f"{where}. {lens}{cost}"
 
 
 def _mm(length_m: float) -> str:

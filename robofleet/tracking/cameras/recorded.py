@@ -62,16 +62,19 @@ class Recording:
         Raises:
             CameraError: There is anything wrong with them, or the recording cannot be opened.
         """
-        self.path, self._rate_hz = path, rate_hz
+        self.path, self._fixed_hz = path, rate_hz
         self._stamps = None if rate_hz is not None else _stamps(path, stamps)
-        self.count = _count(path)  # of images; 0: a video does not tell
+        self.count, own_hz = _count(path)  # of images; 0: a video does not tell
+        self.rate_hz = own_hz if rate_hz is None else rate_hz  # on average; 0: not known
+        if self._stamps and len(self._stamps) > 1:
+            self.rate_hz = (len(self._stamps) - 1) * S / (self._stamps[-1].exposure_ns - self._stamps[0].exposure_ns)
 
     def shots(self) -> Iterator[Shot]:
         """Yield the images, later from one to the next; CameraError as ``images``, and where there are too few."""
         if self._stamps is None:
             shots = _shots(self.path)
-            if self._rate_hz is not None:
-                shots = (shot._replace(taken_ns=round(k * S / self._rate_hz)) for k, shot in enumerate(shots))
+            if self._fixed_hz is not None:
+                shots = (shot._replace(taken_ns=round(k * S / self._fixed_hz)) for k, shot in enumerate(shots))
             yield from shots
             return
         shots = map(_file, (self.path / stamp.file for stamp in self._stamps))
@@ -125,14 +128,15 @@ def _names(path: Path) -> list[str]:
     return sorted(names, key=lambda name: [int(p) if p.isdecimal() else p for p in re.split(r"(\d+)", name)])
 
 
-def _count(path: Path) -> int:
+def _count(path: Path) -> tuple[int, float]:
+    """Return how many images there are, and how many a second; 0: it is not known."""
     if _is_folder(path):
-        return len(_names(path))
+        return len(_names(path)), 0.0
     if _is_image(path):
-        return 1
-    capture, frames, _ = _opened(path)
+        return 1, 0.0
+    capture, frames, rate_hz = _opened(path)
     capture.release()
-    return max(frames, 0)
+    return max(frames, 0), rate_hz
 
 
 def _file(file: Path) -> Shot:
@@ -196,7 +200,7 @@ def _stamps(path: Path, file: Path | None) -> list[Stamp] | None:
     elif file is None:
         return None
     else:
-        frames = _count(path)
+        frames, _ = _count(path)
         stamps = read_stamps(file, named=False)
         if len(stamps) > frames > 0:
             raise CameraError(f"{stamps[frames].where}: is for frame {frames}, but {path} has {frames} frames")
