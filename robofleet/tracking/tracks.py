@@ -1,6 +1,7 @@
 """Poses of AprilTags in a video, a folder of images or a camera's images, without a fleet and its configuration."""
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -24,7 +25,7 @@ from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagTracker
 
 _LOOK_S, _LOOK_EVERY_S = 10.0, 0.5  # of the images in which the camera's place is sought, from the first tag on
-_LIVE_LOOK_S = 3.0  # of a live camera
+_LIVE_LOOK_S, _LIVE_PATIENCE_S = 3.0, 10.0  # of a live camera; within which it must show a tag
 _FEW = 5  # tags by which a calibrated place is compared with their side
 _SIDE_OFF = 0.02  # share of its side by which a tag may seem larger or smaller
 _SIDE_RATIO = (0.8, 1.25)  # beyond, the tracker takes it for none
@@ -153,10 +154,10 @@ def track(
     targets = [Target(tag, side_m, height_m, max_speed_m_s, family, _ANY_S) for tag in ids]
     if isinstance(source, str | Path):
         recording = Recording(Path(source), None if times is None else Path(times), rate_hz)
-        placed, notes = _placed(_recorded(recording), _LOOK_S, targets, model, fov_deg, str(source))
+        placed, notes = _placed(_recorded(recording), _LOOK_S, math.inf, targets, model, fov_deg, str(source))
         return Tracks(placed, notes, targets, _recorded(recording), recording.count, recording.rate_hz)
     live = _live(source)
-    placed, notes = _placed(live, _LIVE_LOOK_S, targets, model, fov_deg, "the camera")
+    placed, notes = _placed(live, _LIVE_LOOK_S, _LIVE_PATIENCE_S, targets, model, fov_deg, "the camera")
     return Tracks(placed, notes, targets, live)
 
 
@@ -189,8 +190,20 @@ def _live(camera: Camera) -> Iterator[_Taken]:
             yield _Taken(f"image {number}", frame.exposure_ns, frame.image)
 
 
+def _readable(images: Iterator[_Taken]) -> Iterator[_Taken]:
+    """Yield images up to one that cannot be read, if there is one before: who tracks them will come to it again."""
+    some = False
+    try:
+        for image in images:
+            yield image
+            some = True
+    except CameraError:
+        if not some:
+            raise
+
+
 def _placed(
-    images: Iterator[_Taken], look_s: float, targets: Sequence[Target], model: CameraModel | None,
+    images: Iterator[_Taken], look_s: float, patience_s: float, targets: Sequence[Target], model: CameraModel | None,
     fov_deg: float | None, name: str,
 ) -> tuple[PlacedCamera, tuple[str, ...]]:  # fmt: skip
     """Return the camera, and notes about it, by the tags in images of ``look_s`` from the first one on that shows any.
@@ -204,8 +217,8 @@ def _placed(
     seen = SeenTags()
     missed: list[Image] = []
     finder = TagFinder(first.family, [target.tag for target in targets])
-    next_ns = end_ns = None
-    for image in images:
+    first_ns = next_ns = end_ns = None
+    for image in _readable(images):
         if model is not None and image.image.shape != (model.height, model.width):
             raise CameraError(
                 f"{name}: {size(image.image)}, but the camera is calibrated for {model.width} x {model.height}: "
@@ -213,6 +226,7 @@ def _placed(
             )
         if next_ns is not None and image.taken_ns < next_ns:
             continue
+        first_ns = image.taken_ns if first_ns is None else first_ns
         next_ns = image.taken_ns + round(_LOOK_EVERY_S * S)
         for tag, prints in finder.find(image.image).items():
             if len(prints) == 1:
@@ -221,6 +235,8 @@ def _placed(
             end_ns = image.taken_ns + round(look_s * S)
         elif not len(seen) and len(missed) < _DIAGNOSED:
             missed.append(image.image)
+        if not len(seen) and image.taken_ns - first_ns > patience_s * S:
+            break
         if end_ns is not None and (image.taken_ns >= end_ns or (whole and len(seen) >= _FEW)):
             break
     if not len(seen):
@@ -249,10 +265,10 @@ def _uncalibrated(camera: PlacedCamera, height_m: float, *, named: bool) -> str:
     fov = f"its horizontal field of view, {camera.fov_deg:.0f} degrees, is {'the one named' if named else 'estimated'}"
     lens = "" if camera.lens_calibrated else f"The lens is not calibrated: {fov}, and so is its distortion. "
     return (
-        f"by the tags' shapes the camera is {camera.height_m - height_m:.2f} m above them, tilted by "
+        f"camera: by the tags' shapes {camera.height_m - height_m:.2f} m above them, tilted by "
         f"{camera.tilt_deg:.0f} degrees. x, y = 0 lies below the image's middle, x to the image's right there, y up. "
-        f"{lens}Positions may be off by {_mm(camera.edge_error_m)} at the image's edge, less inside. All lengths are as "
-        "right as the tags' side. `robofleet calibrate` measures a lens, and a place in the laboratory's frame"
+        f"{lens}Positions may be off by {_mm(camera.edge_error_m)} at the image's edge, less inside. All lengths are "
+        "as right as the tags' side. `robofleet calibrate` measures a lens, and a place in the laboratory's frame"
     )
 
 

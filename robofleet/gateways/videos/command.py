@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -43,6 +44,7 @@ _STDOUT = "-"
 _FILM, _PICTURE = ".mp4", ".png"
 _FILM_PX, _PICTURE_PX = 1280, 3840
 _USUAL_HZ = 30
+_AV_LOG_QUIET = "-8"
 _LINE_NS = 10 * S  # between lines that say how far a source without an end is
 _MOST_TAGS = 2000
 _MOST_TOLD = 10
@@ -97,6 +99,8 @@ def track(
 
     $ robofleet track /dev/video0 --ids 1-6 --side-mm 70 --fov 78
     """
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _AV_LOG_QUIET)  # what is wrong is said below
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     tags = numbers(ids)
     given = _source(source, None if camera is None else load_part(camera, CameraModel))
     live = not isinstance(given.opened, Path)
@@ -203,8 +207,8 @@ def _written(tracks: Tracks, tags: list[int], name: str, target: str, film: Path
 
 
 def _is_middle(number: int, count: int) -> bool:
-    """Return whether an image is the middle one; where the count is not known, whether it may become that."""
-    return number == count // 2 if count else number & (number + 1) == 0
+    """Return whether an image is the middle one, or may be that, where there are not so many, or nobody counted."""
+    return number == count // 2 or ((not count or number < count // 2) and number & (number + 1) == 0)
 
 
 @contextmanager

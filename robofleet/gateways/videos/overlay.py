@@ -45,10 +45,11 @@ class Overlay:
         shown = image if self._scale == 1.0 else cv2.resize(image, on.shape[1::-1], interpolation=cv2.INTER_AREA)
         cv2.cvtColor(shown[: on.shape[0], : on.shape[1]], cv2.COLOR_GRAY2RGB, dst=on)
         self._head(picture, t_s)
+        for tag, colour in self._colours.items() if whole else ():
+            if len(self._centres[tag]) > 1:
+                line(on, self._at(np.array(self._centres[tag])), colour, max(1, self._stroke // 2))
         for tag, colour in self._colours.items():
             times, centres = self._t[tag], self._centres[tag]
-            if whole and len(centres) > 1:
-                line(on, self._at(np.array(centres)), colour, self._stroke)
             last = bisect.bisect_right(times, t_s)
             recent = centres[bisect.bisect_left(times, t_s - _TRAIL_S) : last]
             if len(recent) > 1:

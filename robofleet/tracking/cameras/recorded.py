@@ -20,6 +20,7 @@ from robofleet.tracking.sources import CameraError
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp"}
 _AS_TAKEN = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # pixels as the sensor has them
 _TIMES_MISSING = "name a CSV of its times, or its rate"
+_SHORTEST_NS = 100_000  # between two images: numbers that count are no times
 _TRUNCATED = 1.5  # a video that ends so many of its longest intervals too early
 
 
@@ -209,6 +210,8 @@ def _stamps(path: Path, file: Path | None) -> list[Stamp] | None:
     for before, stamp in itertools.pairwise(stamps):
         if stamp.exposure_ns <= before.exposure_ns:
             raise CameraError(f"{stamp.where}: is not later than the one before: sort the lines by time")
+    if file is None and stamps[-1].exposure_ns - stamps[0].exposure_ns < _SHORTEST_NS * (len(stamps) - 1):
+        raise CameraError(f"{path}: the images' names are numbers, and no times in ns: {_TIMES_MISSING}")
     return stamps
 
 

@@ -51,5 +51,5 @@ def _listed(ids: Sequence[int]) -> str:
             runs[-1].append(tag)
         else:
             runs.append([tag])
-    words = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
+    words = [f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
     return ", ".join(words[:_MOST_NAMED]) + (", ..." if len(words) > _MOST_NAMED else "")
