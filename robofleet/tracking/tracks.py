@@ -1,7 +1,6 @@
 """Poses of AprilTags in a video, a folder of images or a camera's images, without a fleet and its configuration."""
 
 import itertools
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -13,23 +12,16 @@ from robofleet.config.files.part import load_part
 from robofleet.core.arrays import Array, Image
 from robofleet.core.clock import S
 from robofleet.core.settings import FAMILIES, is_family
-from robofleet.tracking import plane
-from robofleet.tracking.cameras.recorded import Recording, decoded, size
+from robofleet.tracking.cameras.recorded import Recording, decoded
 from robofleet.tracking.events import Notice
+from robofleet.tracking.look import Lasting, Look, Taken
 from robofleet.tracking.outlines import corners_of
-from robofleet.tracking.plane import PlacedCamera, SeenTags
+from robofleet.tracking.plane import PlacedCamera
 from robofleet.tracking.sources import Camera, CameraError
-from robofleet.tracking.tags.instead import instead
-from robofleet.tracking.tags.prints import TagFinder
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagTracker
 
-_LOOK_S, _LOOK_EVERY_S = 10.0, 0.5  # of the images in which the camera's place is sought, from the first tag on
-_LIVE_LOOK_S, _LIVE_PATIENCE_S = 3.0, 10.0  # of a live camera; within which it must show a tag
-_FEW = 5  # tags by which a calibrated place is compared with their side
-_SIDE_OFF = 0.02  # share of its side by which a tag may seem larger or smaller
-_SIDE_RATIO = (0.8, 1.25)  # beyond, the tracker takes it for none
-_DIAGNOSED = 3  # images in which other tags are sought where none of those that are asked for is seen
+_RECORDED, _LIVE = Lasting(10.0, 120.0), Lasting(3.0, 10.0)
 _SIDES_M, _FOVS_DEG = (1e-3, 10.0), (10.0, 170.0)
 _ANY_S = 1e9  # for which a tag may move unseen
 
@@ -54,14 +46,6 @@ class TrackedImage(NamedTuple):
     happenings: tuple[Notice, ...]
 
 
-class _Taken(NamedTuple):
-    """An image, and when it was taken [ns]."""
-
-    name: str
-    taken_ns: int
-    image: Image
-
-
 class Tracks:
     """The poses of tags, image by image: iterate over it once.
 
@@ -77,7 +61,7 @@ class Tracks:
         camera: PlacedCamera,
         notes: tuple[str, ...],
         targets: Sequence[Target],
-        images: Iterable[_Taken],
+        images: Iterable[Taken],
         count: int = 0,
         rate_hz: float = 0.0,
     ) -> None:
@@ -154,11 +138,10 @@ def track(
     targets = [Target(tag, side_m, height_m, max_speed_m_s, family, _ANY_S) for tag in ids]
     if isinstance(source, str | Path):
         recording = Recording(Path(source), None if times is None else Path(times), rate_hz)
-        placed, notes = _placed(_recorded(recording), _LOOK_S, math.inf, targets, model, fov_deg, str(source))
-        return Tracks(placed, notes, targets, _recorded(recording), recording.count, recording.rate_hz)
-    live = _live(source)
-    placed, notes = _placed(live, _LIVE_LOOK_S, _LIVE_PATIENCE_S, targets, model, fov_deg, "the camera")
-    return Tracks(placed, notes, targets, live)
+        look = Look(_recorded(recording), str(source), targets, model, _RECORDED)
+        return Tracks(*look.camera(fov_deg), targets, _recorded(recording), recording.count, recording.rate_hz)
+    images = _live(source)
+    return Tracks(*Look(images, "the camera", targets, model, _LIVE).camera(fov_deg), targets, images)
 
 
 def _faults(ids: Sequence[int], side_m: float, fov_deg: float | None, family: str) -> list[str]:
@@ -178,99 +161,13 @@ def _faults(ids: Sequence[int], side_m: float, fov_deg: float | None, family: st
     return faults
 
 
-def _recorded(recording: Recording) -> Iterator[_Taken]:
+def _recorded(recording: Recording) -> Iterator[Taken]:
     for shot, image in decoded(recording.path, recording.shots()):
-        yield _Taken(shot.name, shot.taken_ns, image)
+        yield Taken(shot.name, shot.taken_ns, image)
 
 
-def _live(camera: Camera) -> Iterator[_Taken]:
+def _live(camera: Camera) -> Iterator[Taken]:
     with suppress(EOFError):
         for number in itertools.count():
             frame = camera.read()
-            yield _Taken(f"image {number}", frame.exposure_ns, frame.image)
-
-
-def _readable(images: Iterator[_Taken]) -> Iterator[_Taken]:
-    """Yield images up to one that cannot be read, if there is one before: who tracks them will come to it again."""
-    some = False
-    try:
-        for image in images:
-            yield image
-            some = True
-    except CameraError:
-        if not some:
-            raise
-
-
-def _placed(
-    images: Iterator[_Taken], look_s: float, patience_s: float, targets: Sequence[Target], model: CameraModel | None,
-    fov_deg: float | None, name: str,
-) -> tuple[PlacedCamera, tuple[str, ...]]:  # fmt: skip
-    """Return the camera, and notes about it, by the tags in images of ``look_s`` from the first one on that shows any.
-
-    Raises:
-        CameraError: No tag is seen, or it cannot be of this size.
-    """
-    first = targets[0]
-    assert is_family(first.family)
-    whole = model is not None and model.T_world_camera is not None
-    seen = SeenTags()
-    missed: list[Image] = []
-    finder = TagFinder(first.family, [target.tag for target in targets])
-    first_ns = next_ns = end_ns = None
-    for image in _readable(images):
-        if model is not None and image.image.shape != (model.height, model.width):
-            raise CameraError(
-                f"{name}: {size(image.image)}, but the camera is calibrated for {model.width} x {model.height}: "
-                "take images of that size, or calibrate the lens for this one"
-            )
-        if next_ns is not None and image.taken_ns < next_ns:
-            continue
-        first_ns = image.taken_ns if first_ns is None else first_ns
-        next_ns = image.taken_ns + round(_LOOK_EVERY_S * S)
-        for tag, prints in finder.find(image.image).items():
-            if len(prints) == 1:
-                seen.add(tag, prints[0].corners)
-        if len(seen) and end_ns is None:
-            end_ns = image.taken_ns + round(look_s * S)
-        elif not len(seen) and len(missed) < _DIAGNOSED:
-            missed.append(image.image)
-        if not len(seen) and image.taken_ns - first_ns > patience_s * S:
-            break
-        if end_ns is not None and (image.taken_ns >= end_ns or (whole and len(seen) >= _FEW)):
-            break
-    if not len(seen):
-        raise CameraError(f"{name}: {instead(missed, [target.tag for target in targets], first.family)}")
-    size_px = image.image.shape[1], image.image.shape[0]
-    if not whole:
-        camera = plane.placed(seen.corners, first.side, first.height, size_px, model, fov_deg)
-        return camera, (_uncalibrated(camera, first.height, named=fov_deg is not None),)
-    assert model is not None
-    camera = plane.calibrated(model)
-    ratio = plane.side_ratio(camera.geometry, seen.corners, first.side, first.height)
-    if abs(ratio - 1.0) < _SIDE_OFF:
-        return camera, ()
-    wrong = (
-        f"tags seem to have a side of {1e3 * ratio * first.side:.1f} mm in place of {1e3 * first.side:g} mm: measure "
-        f"the {FAMILIES[first.family].named} and the tags' height above the floor ({1e3 * first.height:g} mm), or "
-        "calibrate the camera's place again"
-    )
-    if not _SIDE_RATIO[0] < ratio < _SIDE_RATIO[1]:
-        raise CameraError(f"{name}: {wrong}")
-    return camera, (wrong,)
-
-
-def _uncalibrated(camera: PlacedCamera, height_m: float, *, named: bool) -> str:
-    """Return what was assumed of a camera above tags of a height, and what that costs."""
-    fov = f"its horizontal field of view, {camera.fov_deg:.0f} degrees, is {'the one named' if named else 'estimated'}"
-    lens = "" if camera.lens_calibrated else f"The lens is not calibrated: {fov}, and so is its distortion. "
-    return (
-        f"camera: by the tags' shapes {camera.height_m - height_m:.2f} m above them, tilted by "
-        f"{camera.tilt_deg:.0f} degrees. x, y = 0 lies below the image's middle, x to the image's right there, y up. "
-        f"{lens}Positions may be off by {_mm(camera.edge_error_m)} at the image's edge, less inside. All lengths are "
-        "as right as the tags' side. `robofleet calibrate` measures a lens, and a place in the laboratory's frame"
-    )
-
-
-def _mm(length_m: float) -> str:
-    return f"{1e3 * length_m:.1f} mm" if length_m < 0.01 else f"{1e3 * length_m:.0f} mm"
+            yield Taken(f"image {number}", frame.exposure_ns, frame.image)
