@@ -141,7 +141,7 @@ def _uncalibrated(camera: PlacedCamera, height_m: float, *, named: bool) -> str:
         f"camera: by the tags' shapes {camera.height_m - height_m:.2f} m above them, tilted by "
         f"{camera.tilt_deg:.0f} degrees. x, y = 0 lies below the image's middle, x to the image's right there, y up. "
         f"{lens}Positions may be off by {_mm(camera.edge_error_m)} at the image's edge, less inside{unsure}. All "
-        "lengths are as right as the tags' side. `robofleet calibrate` measures a lens, and a place in the laboratory's frame"
+        "lengths are as right as the tags' side. `robofleet calibrate` measures a lens, and a place in a laboratory"
     )
 
 
