@@ -88,10 +88,10 @@ def test_a_calibrated_lens_tells_height_and_tilt() -> None:
 
 def test_one_tag_tells_little_and_says_so() -> None:
     seeing = camera((0.0, 0.0), 65.0, (), 2.0)
-    _, one = tags(seeing, 1, np.random.default_rng(3))
+    _, single = tags(seeing, 1, np.random.default_rng(3))
     _, many = tags(seeing, 20, np.random.default_rng(3))
     assert (
-        placed(one, SIDE, 0.0, SIZE, None, None).edge_error_m
+        placed(single, SIDE, 0.0, SIZE, None, None).edge_error_m
         > 10 * placed(many, SIDE, 0.0, SIZE, None, None).edge_error_m
     )
 

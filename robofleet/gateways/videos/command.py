@@ -234,8 +234,8 @@ def _row(image: TrackedImage, pose: TagPose) -> tuple[Any, ...]:
     known = pose.xx_m2 > 0.0
     sigmas = (f"{math.sqrt(v):.3g}" if known else "" for v in (pose.xx_m2, pose.yy_m2, pose.psipsi_rad2))
     t_s = image.t_s + pose.after_ns / S
-    place = f"{pose.x_m:.6f}", f"{pose.y_m:.6f}", f"{pose.psi_rad:.6f}"
-    return f"{t_s:.6f}", image.number, pose.tag, *place, int(pose.coasted_ns == 0), *sigmas
+    position = f"{pose.x_m:.6f}", f"{pose.y_m:.6f}", f"{pose.psi_rad:.6f}"
+    return f"{t_s:.6f}", image.number, pose.tag, *position, int(pose.coasted_ns == 0), *sigmas
 
 
 @contextmanager

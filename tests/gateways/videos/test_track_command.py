@@ -47,12 +47,12 @@ def test_a_video_becomes_poses_a_picture_and_a_film(
     video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = video, "--ids", "4-6", "--side-mm", 70, "--film", "film.mp4"
-    code, shown, said = run(tmp_path, monkeypatch, *given)
-    assert code == 0, said
+    code, shown, errors = run(tmp_path, monkeypatch, *given)
+    assert code == 0, errors
     assert shown.splitlines()[-3:] == ["robots-poses.csv", "robots-poses.png", "film.mp4"]
     assert "100.0" in shown
-    assert "tag 6 was never seen" in said
-    assert "above them" in said
+    assert "tag 6 was never seen" in errors
+    assert "above them" in errors
     with (tmp_path / "robots-poses.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == COLUMNS
@@ -74,10 +74,10 @@ def test_a_video_that_breaks_off_keeps_what_was_read(
     video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "cut.avi").write_bytes(video.read_bytes()[: round(0.6 * video.stat().st_size)])
-    code, shown, said = run(tmp_path, monkeypatch, "cut.avi", "--ids", "4,5", "--side-mm", 70)
+    code, shown, errors = run(tmp_path, monkeypatch, "cut.avi", "--ids", "4,5", "--side-mm", 70)
     assert code == 1
-    assert "the video is truncated" in said
-    assert "all images before it are kept" in said
+    assert "the video is truncated" in errors
+    assert "all images before it are kept" in errors
     rows = (tmp_path / "cut-poses.csv").read_text().splitlines()[1:]
     assert f"{len(rows) // 2} images" in shown
     assert 0 < len(rows) < 2 * COUNT
@@ -98,9 +98,9 @@ def test_a_video_that_breaks_off_keeps_what_was_read(
 def test_bad_input_ends_with_one_line(
     words: list[str], why: str, video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    code, shown, said = run(tmp_path, monkeypatch, *(str(video) if word == "VIDEO" else word for word in words))
+    code, shown, errors = run(tmp_path, monkeypatch, *(str(video) if word == "VIDEO" else word for word in words))
     assert (code, shown) == (2, "")
-    assert why in said.replace("\n", " ")
+    assert why in errors.replace("\n", " ")
     assert list(tmp_path.iterdir()) == []
 
 
