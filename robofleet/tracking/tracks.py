@@ -131,6 +131,8 @@ def track(
             mend.
     """
     faults = _faults(ids, side_m, fov_deg, family)
+    if fov_deg is not None and camera is not None:
+        faults.append("fov: the calibrated camera has one: leave it out")
     if faults:
         raise CameraError("\n".join(faults))
     assert is_family(family)

@@ -15,6 +15,8 @@ from robofleet.tracking import TrackedImage, track
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraError, Frame
 from robofleet.tracking.tags.targets import Target
+from tests.tracking.raycamera import RayCamera
+from tests.tracking.raycast import Print, RayCaster, clutter
 
 SIZE, SIDE, HEIGHT, RATE_HZ, COUNT = (640, 360), 0.07, 0.05, 25, 40
 IDS = (1, 2, 3, 7)
@@ -161,3 +163,26 @@ def test_times_of_a_folder_come_from_a_rate_or_its_names(images: list[NDArray[np
     with pytest.raises(CameraError, match="numbers, and no times"):
         track(tmp_path, ids=IDS, side_m=SIDE)
     assert [image.t_s for image in track(tmp_path, ids=IDS, side_m=SIDE, rate_hz=10.0)] == [0.0, 0.1, 0.2, 0.3]
+
+
+@pytest.mark.slow
+def test_frames_of_an_independent_renderer_become_poses_without_any_calibration(tmp_path: Path) -> None:
+    rng, size = np.random.default_rng(3), (1280, 720)
+    T = np.eye(4)
+    T[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ cv2.Rodrigues(np.radians([6.0, -4.0, 0.0]))[0]
+    T[:3, 3] = 0.1, 0.0, 1.6
+    K = np.array([[860.0, 0.0, 644.0], [0.0, 860.0, 356.0], [0.0, 0.0, 1.0]])
+    camera = RayCamera(size, K, np.array([-0.12, 0.02, 0.0005, -0.0004, 0.0]), T, exposure=0.004)
+    caster = RayCaster(camera, clutter(size, rng), rng)
+    places = [0.8 * math.cos(a) + 0.42j * math.sin(a) for a in 0.35 * np.arange(18)]  # of five tags in turn
+    for k in range(12):
+        prints = [Print(tag, SIDE, HEIGHT, (places[k + tag].real, places[k + tag].imag, 0.7 * tag)) for tag in range(5)]
+        assert cv2.imwrite(str(tmp_path / f"{k}.png"), caster.image(prints, 1.0, 2.0))
+    seen, true = [], []
+    for image in track(tmp_path, ids=range(5), side_m=SIDE, rate_hz=2.0):
+        seen += [found.x_m + 1j * found.y_m for found in image.poses]
+        true += [places[image.number + found.tag] for found in image.poses]
+    assert len(seen) == 60
+    off = np.array(seen) - np.mean(seen), np.array(true) - np.mean(true)
+    turn = (off[1] * off[0].conj()).sum()
+    assert np.abs(off[0] * turn / abs(turn) - off[1]).max() < 0.001

@@ -125,7 +125,11 @@ def track(
         raise RefusedError(str(error)) from error
     for note in tracks.notes:
         _say(note)
-    raise typer.Exit(_written(tracks, tags, given.name, target, film, live=live))
+    with ExitStack() as held:
+        if not isinstance(given.opened, Path):
+            held.callback(given.opened.close)
+        code = _written(tracks, tags, given.name, target, film, live=live)
+    raise typer.Exit(code)
 
 
 def numbers(text: str) -> list[int]:
@@ -148,50 +152,52 @@ def _source(source: str, model: CameraModel | None) -> _Source:
         if config.cameras:
             raise RefusedError(f"{source}: it has several cameras: name a configuration with one of them")
     elif device.startswith("/dev/"):
-        size = [] if model is None else [f"camera.width={model.width}", f"camera.height={model.height}"]
-        changes = "camera.source=v4l2", f"camera.v4l2.device={device}", "camera.rate_hz=30", *size
+        sides = {} if model is None else {"width": model.width, "height": model.height}
+        size = [f"camera.{part}{side}={px}" for side, px in sides.items() for part in ("", "model.")]
+        changes = "camera.source=v4l2", f"camera.v4l2.device={device}", f"camera.rate_hz={_USUAL_HZ}", *size
         config = live_config(_ANY, changes)
     else:
         return _Source(source, Path(source), model)
     opened = open_camera(config)
-    own = config.camera.model if Path(source).suffix in CONFIGURATIONS else None
-    return _Source(device, opened, model or own)
+    if model is None and Path(source).suffix in CONFIGURATIONS:
+        model = config.camera.model
+    if model is not None and model.camera not in ("", opened.identity):
+        opened.close()
+        raise RefusedError(
+            f"--camera: it is for {model.camera!r}, this camera is {opened.identity!r}: plug in that one"
+        )
+    return _Source(device, opened, model)
 
 
 def _written(tracks: Tracks, tags: list[int], name: str, target: str, film: Path | None, *, live: bool) -> int:
     """Write the poses, and what is drawn of them, until the images end; returns the exit code."""
-    overlay = Overlay(tags, tracks.camera.size, Path(name).name, _PICTURE_PX)
-    summary, code, why = Summary(tags), 0, ""
+    overlay, summary = Overlay(tags, tracks.camera.size, Path(name).name, _PICTURE_PX), Summary(tags)
     happened: dict[tuple[int, int], str] = {}
     middle: tuple[TrackedImage, dict[int, Array]] | None = None
-    shown: Console = Console(stderr=target == _STDOUT)
+
+    def take(image: TrackedImage) -> None:
+        nonlocal middle
+        outlines = tracks.outlines(image.poses)
+        add(image)
+        overlay.add(image.t_s, outlines)
+        summary.add(image.t_s, image.poses)
+        if filmed is not None:
+            filmed(image, outlines)
+        if _is_middle(image.number, tracks.count):
+            middle = image._replace(image=image.image.copy()), outlines
+        for event, tag, value in image.happenings:
+            if event in _TOLD:
+                happened.setdefault((event, tag), f"{image.t_s:.2f} s: {describe(event, tag, value)}")
+        counted()
+
     with ExitStack() as held:
         add = held.enter_context(_csv(target))
         filmed = None if film is None else held.enter_context(_filmed(film, tags, tracks, name))
         counted = held.enter_context(_counting(tracks.count))
-        try:
-            for image in tracks:
-                add(image)
-                outlines = tracks.outlines(image.poses)
-                overlay.add(image.t_s, outlines)
-                summary.add(image.t_s, image.poses)
-                if filmed is not None:
-                    filmed(image, outlines)
-                if _is_middle(image.number, tracks.count):
-                    middle = image._replace(image=image.image.copy()), outlines
-                for event, tag, value in image.happenings:
-                    if event in _TOLD:
-                        happened.setdefault((event, tag), f"{image.t_s:.2f} s: {describe(event, tag, value)}")
-                counted()
-        except CameraError as error:
-            code, why = 1, f"{error}; all images before it are kept"
-        except KeyboardInterrupt:
-            code, why = (0, "") if live else (1, "ended by Ctrl-C; all images so far are kept")
-    for line in list(happened.values())[:_MOST_TOLD]:
+        code, why = _followed(tracks, take, target, live=live)
+    for line in [*happened.values()][:_MOST_TOLD] + [why] * bool(why):
         _say(line)
-    if why:
-        _say(why)
-    shown.print(summary.table(f"{printable(name)}: {summary.images:,} images"))
+    Console(stderr=target == _STDOUT).print(summary.table(f"{printable(name)}: {summary.images:,} images"))
     for tag in summary.unseen:
         _say(f"tag {tag} was never seen")
     written = [] if target == _STDOUT else [Path(target)]
@@ -200,10 +206,23 @@ def _written(tracks: Tracks, tags: list[int], name: str, target: str, film: Path
         image, outlines = middle
         picture = overlay.drawn(image.t_s, image.image, outlines, whole=True)
         cv2.imwrite(str(written[-1]), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-    written += [] if film is None else [film]
-    for file in written:
+    for file in [*written, *([] if film is None else [film])]:
         print(printable(str(file)))
     return code
+
+
+def _followed(tracks: Tracks, take: Callable[[TrackedImage], None], target: str, *, live: bool) -> tuple[int, str]:
+    """Take each image; returns the exit code, and why there are no more."""
+    try:
+        for image in tracks:
+            take(image)
+    except CameraError as error:
+        return 1, f"{error}; all images before it are kept"
+    except OSError as error:
+        return 1, f"{target}: cannot be written: {error.strerror}: make room, or name another place"
+    except KeyboardInterrupt:
+        return (0, "") if live else (1, "ended by Ctrl-C; all images so far are kept")
+    return 0, ""
 
 
 def _is_middle(number: int, count: int) -> bool:
