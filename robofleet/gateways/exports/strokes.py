@@ -29,7 +29,8 @@ def line(image: Image, pixels: Array, colour: Colour, width: int, *, closed: boo
 
 def trail(image: Image, pixels: Array, colour: Colour, width: int, *, pale: float) -> None:
     """Draw a trail through pixels (n, 2), the newest last; the oldest is thin, and ``pale`` of it is white."""
-    edges = np.linspace(0, len(pixels) - 1, min(_TRAIL_PIECES, max(len(pixels), 2))).astype(int)
+    pieces = _TRAIL_PIECES if pale else width + 1  # of one colour each has another width
+    edges = np.linspace(0, len(pixels) - 1, min(pieces, max(len(pixels), 2))).astype(int)
     for piece, (start, end) in enumerate(pairwise(edges)):
         age = 1.0 - (piece + 1) / (len(edges) - 1)
         shade = mixed(colour, WHITE, pale * age)
