@@ -16,7 +16,8 @@ from robofleet.tracking.tags.prints import TagFinder
 from robofleet.tracking.tags.targets import Target
 
 _EVERY_NS = S // 2  # between images that are looked at
-_FEW = 5  # tags by which a calibrated place is compared with their side
+_ENOUGH = 80  # tags, each in another place, that tell where the camera is,
+_FEW = 5  # and by which a calibrated place is compared with their side
 _MISSED = 3  # images without a tag in which others are sought
 _SIDE_OFF = 0.02  # share of its side by which a tag may seem larger or smaller
 _SIDE_RATIO = (0.8, 1.25)  # beyond, the tracker takes it for none
@@ -66,7 +67,7 @@ class Look:
             self._take(image.image)
             if len(self._seen) and not before:
                 end_ns = image.taken_ns + round(lasting.seen_s * S)
-            if image.taken_ns >= end_ns or (self._whole and len(self._seen) >= _FEW):
+            if image.taken_ns >= end_ns or len(self._seen) >= (_FEW if self._whole else _ENOUGH):
                 break
 
     def camera(self, fov_deg: float | None) -> tuple[PlacedCamera, tuple[str, ...]]:
