@@ -3,8 +3,10 @@
 import os
 import struct
 from collections.abc import Callable, Sequence
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -239,6 +241,22 @@ def test_a_video_has_times_of_its_own_unless_a_rate_is_named(
 ) -> None:
     shots = Recording(video(tmp_path / name), rate_hz=rate_hz).shots()
     assert np.diff([shot.taken_ns for shot in shots]) == pytest.approx(7 * [period_ns], abs=MS)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
+def test_a_video_whose_rate_varies_keeps_its_times(tmp_path: Path, name: str) -> None:
+    times_ms = [0, 40, 80, 400, 440, 1200, 1250]
+    with av.open(str(tmp_path / name), "w") as container:
+        stream = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height = SIZE
+        stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+        for k, time_ms in enumerate(times_ms):
+            frame = av.VideoFrame.from_ndarray(gray(k), "gray")
+            frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    shots = list(Recording(tmp_path / name).shots())
+    assert [shot.taken_ns / MS for shot in shots] == pytest.approx(times_ms, abs=1.0)
 
 
 def test_a_recording_begins_with_the_runs_first_tick(recorded: Config) -> None:
