@@ -78,9 +78,8 @@ class Recording:
                 shots = (shot._replace(taken_ns=round(k * S / self._fixed_hz)) for k, shot in enumerate(shots))
             yield from shots
             return
-        shots = map(_file, (self.path / stamp.file for stamp in self._stamps))
-        if not self.path.is_dir():
-            shots = _shots(self.path)
+        named = (_file(self.path / stamp.file) for stamp in self._stamps)
+        shots = named if self.path.is_dir() else _shots(self.path)
         k = 0
         for shot, stamp in zip(shots, self._stamps, strict=False):
             yield shot._replace(taken_ns=stamp.exposure_ns)
