@@ -40,7 +40,7 @@ PLACEHOLDERS = {
     "/etc/robofleet/lab.yaml": "configs/lab.yaml",  # where tools/deploy installs it
 }  # fmt: skip
 WRITTEN = {  # by a measurement, or by the reader whom the text tells what to write
-    "survey.yaml", "photos", "configs/cameras/ceiling.yaml",
+    "survey.yaml", "photos", "configs/cameras/ceiling.yaml", "robots.mp4",
 }  # fmt: skip
 SHELL = {  # what a system has; a path of the project that it is given must be there
     "cd", "cp", "export", "git", "grep", "install", "ls", "mkdir", "mutmut", "rm", "sed", "source", "sudo", "systemctl",

@@ -12,7 +12,7 @@ from robofleet.config.tree import Config
 from robofleet.core.arrays import Image
 from robofleet.core.clock import WallClock
 from robofleet.core.plugins import PluginError, load
-from robofleet.tracking.cameras import files
+from robofleet.tracking.cameras import recorded
 from robofleet.tracking.sources import Camera, CameraContext, CameraError
 
 Named = tuple[str, Image]  # what to call an image, and its greys (H, W)
@@ -24,7 +24,7 @@ MIRRORED = (
 
 def images(path: Path) -> Iterator[Named]:
     try:
-        yield from files.images(path)
+        yield from recorded.images(path)
     except CameraError as error:
         raise CalibrationError(str(error)) from error
 

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TypeVar
 
 import yaml
-from pydantic import ValidationError
 
 from robofleet.config.calibrated import Provenance
-from robofleet.config.faults import plain_words
-from robofleet.config.files.yamlfile import Source, read_yaml
+from robofleet.config.files.part import load_part
+from robofleet.config.load import ConfigError
 from robofleet.core.clock import utc_now
 from robofleet.core.errors import BadInputError
 from robofleet.core.settings import Model
@@ -54,17 +53,9 @@ def provenance(
 def load(file: Path, kind: type[M]) -> M:
     """Read a calibration; CalibrationError with every fault of a file that cannot be read or is impossible."""
     try:
-        tree, wrong = read_yaml(file, Source(str(file)))
-        if wrong or tree is None:
-            raise CalibrationError(map(str, wrong))
-        return kind.model_validate(tree.plain())
-    except FileNotFoundError as error:
-        raise CalibrationError(f"{file}: {error.strerror}") from error
-    except ValidationError as invalid:
-        paths = (".".join(map(str, error["loc"])) for error in invalid.errors())
-        words = (plain_words(error, kind) for error in invalid.errors())
-        faults = (": ".join(filter(None, (str(file), *fault))) for fault in zip(paths, words, strict=True))
-        raise CalibrationError(faults) from invalid
+        return load_part(file, kind)
+    except ConfigError as error:
+        raise CalibrationError(error.faults) from error
 
 
 def save(file: Path, calibration: Model) -> Path | None:

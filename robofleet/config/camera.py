@@ -232,8 +232,10 @@ class FilesSettings(Model):
     path: Named
     """Video, or folder of images."""
     stamps: Text | None = None
-    """CSV file with the times of mid-exposure, as ``robofleet/tracking/cameras/stamps.py`` describes; null: the name of
-    each image is its time in ns."""
+    """CSV file with the times of mid-exposure, as ``robofleet/tracking/cameras/stamps.py`` describes; null: the video's
+    own; of a folder, the images' names in ns."""
+    rate_hz: Annotated[float, within(0.01, 1e4)] | None = None
+    """Images per second, in place of these times."""
 
 
 class BaslerSettings(Model):

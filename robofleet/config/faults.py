@@ -27,6 +27,7 @@ Complaint = tuple[str, str]  # dotted path, message
 
 _NEAR = 0.8  # of names
 _MOST_HINTS = 3
+_LONGEST = 200  # of a value that is shown
 _WORDS = {
     "missing": "is missing",
     "model_type": "must be a mapping",
@@ -77,7 +78,8 @@ def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
         hint = ": quote it"
     elif kind in ("less_than", "less_than_equal") and isinstance(given, int | float):
         hint = units.meant(given, context.get("le", context.get("lt")), _key(loc))
-    return f"{rule}, not {given!r}{hint}"
+    shown = repr(given)
+    return f"{rule}, not {shown if len(shown) <= _LONGEST else shown[:_LONGEST] + '...'}{hint}"
 
 
 def place_of(error: ErrorDetails) -> tuple[str | int, ...]:

@@ -67,7 +67,7 @@ class CameraPoses:
         config, camera = context.config, context.config.camera
         self._feed = feed = context.around(camera_feed(context, context.wake))
         self._ticks = context.ticks
-        self._free = camera.trigger == "free"
+        self._free, self._scheduled = camera.trigger == "free", isinstance(feed.device.camera, ScheduledCamera)
         period_s = 1 / camera.rate_hz if self._free else config.controller.tick_s
         self._watch = CameraWatch(
             (camera.width, camera.height), round(period_s * S), camera.noise_gray > 0, context.clock.now_ns()
@@ -87,8 +87,11 @@ class CameraPoses:
         taken = self._feed.take(now_ns)
         tick = self._ticks.newest
         if taken is None:
-            # One tick without its image may be the last one before the controller stopped.
-            self._watch.wait(now_ns, expected=self._free or tick not in (self._seen_tick, self._seen_tick + 1))
+            # One tick without its image may be the last one before the controller stopped. A camera that knows when
+            # its images come, and does not know the next one's time, waits for the run.
+            waits = self._scheduled and self._feed.next_ns() is None
+            expected = not waits if self._free else tick not in (self._seen_tick, self._seen_tick + 1)
+            self._watch.wait(now_ns, expected=expected)
             return None
         self._seen_tick = tick
         if isinstance(taken, Lost):

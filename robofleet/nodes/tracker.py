@@ -1,5 +1,7 @@
 """The tracker: it owns its camera, finds the tags and publishes one message an image."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from robofleet.bus.bus import Bus, Wake
@@ -9,12 +11,14 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
+from robofleet.core.sentences import listed
 from robofleet.nodes.pictures import Pictures
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.sources import Observation, PoseSource
 
 _IDLE_NS = 100 * MS
 _SILENT_NS = 150 * MS  # named before the tracker itself counts as silent
+_SAID_NS = 10 * S  # between lines about what is seen
 _FIRST_NS = 3 * S  # within which a source that was just opened gives its first poses
 
 
@@ -23,9 +27,10 @@ class Tracker:
 
     def __init__(
         self, config: Config, bus: Bus, clock: Clock, wake: Wake, rng: np.random.Generator, ticks: TickFollower,
-        source: PoseSource,
+        source: PoseSource, seen: "SeenLog | None" = None,
     ) -> None:  # fmt: skip
-        """Publish what ``source`` observes; ``ticks`` are those that both follow."""
+        """Publish what ``source`` observes; ``ticks`` are those that both follow. ``seen``: what is logged of it."""
+        self._seen = seen
         self._tick_ns = round(config.controller.tick_s * S)
         self._ticks, self._source = ticks, source
         triggered = config.camera.trigger == "tick" and not config.tracker.own_times
@@ -47,6 +52,8 @@ class Tracker:
         if observation is not None:
             self._send(observation, self._clock.now_ns() - now_ns)
             self._pictures.offer(observation.image, observation.exposure_ns, now_ns)
+            if self._seen is not None:
+                self._seen.look(observation, now_ns)
         self._tell(self._source.news())
         if observation is None:
             self._pictures.publish()
@@ -79,6 +86,30 @@ class Tracker:
             self._news_seq += 1
             news = TrackerNews(self._epoch, self._news_seq, self._clock.now_ns(), event, tag, value)
             self._publish_news(TRACKER_NEWS.encode(news))
+
+
+class SeenLog:
+    """Says which tags are seen, when that has changed: to who starts a tracker by itself, and in its log."""
+
+    def __init__(self, config: Config, say: Callable[[str], None]) -> None:
+        camera, source = config.camera, config.tracker.source
+        self._tags, self._say = [robot.tag for robot in config.seen], say
+        self._seen: set[int] | None = None
+        self._next_ns = 0
+        images = f"{camera.source}, {camera.width} x {camera.height} px" if source == "camera" else source
+        say(f"{camera.name}: poses from {images}; looks for tags {listed(self._tags)}")
+        if source == "camera" and camera.files is not None and camera.source == "files":
+            path = camera.files.path
+            say(f"{path}: begins with the controller's first tick; poses without a run: `robofleet track {path}`")
+
+    def look(self, observation: Observation, now_ns: int) -> None:
+        """Take what one image says."""
+        seen = {pose.tag for pose in observation.poses if not pose.coasted_ns}
+        if seen == self._seen or now_ns < self._next_ns:
+            return
+        self._seen, self._next_ns = seen, now_ns + _SAID_NS
+        missing = listed(tag for tag in self._tags if tag not in seen)
+        self._say(f"sees tags {listed(seen & {*self._tags}) or 'none'}" + (f"; not {missing}" if missing else ""))
 
 
 class WatchedPoses:

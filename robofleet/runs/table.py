@@ -208,7 +208,7 @@ def _tracker(edges: Edges) -> Node:
 
     from robofleet.bus.ticks import TickFollower  # noqa: PLC0415
     from robofleet.nodes.pose_sources import compiling, pose_source  # noqa: PLC0415
-    from robofleet.nodes.tracker import Tracker, WatchedPoses  # noqa: PLC0415
+    from robofleet.nodes.tracker import SeenLog, Tracker, WatchedPoses  # noqa: PLC0415
     from robofleet.simulation.faulty_poses import FaultyFeed, FaultyPoses  # noqa: PLC0415
     from robofleet.tracking.sources import PoseContext  # noqa: PLC0415
 
@@ -227,7 +227,8 @@ def _tracker(edges: Edges) -> Node:
             source = FaultyPoses(source, faults, config)
         if config.tracker.own_times:
             source = WatchedPoses(source, clock.now_ns())
-        return Tracker(config, bus, clock, wake, rng, ticks, source)
+        seen = SeenLog(config, say) if edges.real_time else None
+        return Tracker(config, bus, clock, wake, rng, ticks, source, seen)
 
 
 def _controller(edges: Edges) -> Node:

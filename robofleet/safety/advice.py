@@ -38,7 +38,7 @@ _ADVICE = {
     Event.CAMERA_FROZEN: "look at its cable; the tracker's log says more",
     Event.POSES_SILENT: "look at the motion capture's own program and its network; the tracker's log says more",
     Event.CAMERA_OUT: "look at that camera; its tracker's log says more",
-    Event.CAMERA_LOST: "plug it in again, or mend camera.source",
+    Event.CAMERA_LOST: "plug it in again, mend camera.source, or name a longer recording",
     Event.WIRED_STOP: "release it, then `robofleet run CONFIG --reset`",
     Event.ROBOT_FAULT: "look at the robot; its driver's log says more",
     Event.BUMPED: "free it, then `robofleet run CONFIG --reset`",

@@ -1,15 +1,20 @@
 """The tracker's step alone: when it looks, and how it says when that was."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from robofleet.bus.keys import CAMERA, POSES, TICK
-from robofleet.bus.messages import TickRecord
+from robofleet.bus.messages import TagPose, TickRecord
+from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S
+from robofleet.nodes.tracker import SeenLog
+from robofleet.tracking.sources import Observation
 from tests.nodes.tracker_stand import TICK_NS, TrackerStand
+from tests.shipped import PLATOON
 
 Make = Callable[..., Any]
 LEAD_NS = 18 * MS
@@ -80,3 +85,14 @@ def test_a_tick_that_came_late_is_not_mistaken_for_one_before_the_first(stand_of
 def test_sequence_numbers_are_without_a_gap(stand_of: Make) -> None:
     frames = stand_of("tracker.source=truth").run(S)
     assert [frame.seq for frame in frames] == list(range(1, len(frames) + 1))
+
+
+def test_a_tracker_says_what_it_looks_for_and_sees(tmp_path: Path) -> None:
+    lines: list[str] = []
+    files = f"camera.files={{path: '{tmp_path}'}}"
+    log = SeenLog(load_config(PLATOON, ["camera.source=files", "camera.trigger=free", files]), lines.append)
+    assert lines[0] == "overhead: poses from files, 1280 x 720 px; looks for tags 1 to 4"
+    assert lines[1].endswith(f"poses without a run: `robofleet track {tmp_path}`")
+    for now_s, tags in ((0, ()), (1, (1, 2, 3)), (10, (1, 2, 3)), (11, (1, 2, 3)), (25, (1, 2, 3, 4))):
+        log.look(Observation(1, tuple(TagPose(tag, 0, 0, 0.0, 0.0, 0.0) for tag in tags), 0), now_s * S)
+    assert lines[2:] == ["sees tags none; not 1 to 4", "sees tags 1 to 3; not 4", "sees tags 1 to 4"]

@@ -243,6 +243,9 @@ def test_a_recording_runs_through_the_tracker_and_the_process_outlives_it(
     assert refusals(tree) == []
     stand = Stand(bench_of(tree), renderer)
     stand.bench.run(stand.node, 10 * S)
+    assert stand.news == [], "it waits for the run"
+    stand.bench.say(TICK, TickRecord(1, 1, 1, -1, stand.bench.now_ns, *[0] * 11, (), ()))
+    stand.bench.run(stand.node, 10 * S)
     frames = stand.bench.heard(POSES, CAMERA)
     assert set(np.diff([frame.exposure_ns for frame in frames])) == {PERIOD_NS}
     assert len(frames) == 5

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robofleet.calibration.extrinsics.consensus import Agreement, agree, chance
-from robofleet.calibration.extrinsics.fiducials import Look, Marks, TagFinder, look
+from robofleet.calibration.extrinsics.fiducials import Look, Marks, look
 from robofleet.calibration.extrinsics.page import Found, write_page
 from robofleet.calibration.extrinsics.placing import PARAMETERS, Lens, Placement, on_plane, rotation_vector
 from robofleet.calibration.extrinsics.region import floor_points, predicted
@@ -22,6 +22,7 @@ from robofleet.config.calibrated import CameraModel, FloorTag, PoseSettings, See
 from robofleet.config.cameras import lens_fault
 from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
+from robofleet.tracking.tags.finder import TagFinder
 
 _USABLE_MM = 3.0  # predicted error on the floor; the paper's robots keep to about 5 mm
 _UNLIKELY = 1e-3  # chance of residuals, below which the marks contradict what was stated of the survey

@@ -1,33 +1,23 @@
 """Draws a run at any instant: robots, trails and references on the arena, or on a camera's image."""
 
 from collections.abc import Callable
-from functools import cache, cached_property
-from itertools import pairwise
+from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
-from matplotlib import font_manager
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
-from PIL import Image as Pictures
-from PIL import ImageDraw, ImageFont
 
 from robofleet.behaviours.interface import Line
 from robofleet.core.arrays import Array
 from robofleet.core.figures import FAINT, INK, QUIET
+from robofleet.gateways.exports.strokes import SHIFT, WHITE, Colour, Image, blend, label, line, mixed, rgb, text, trail
 from robofleet.reports.canvas import WIDTH, RunView
 from robofleet.reports.overview import floor
 
-Image = NDArray[np.uint8]
-Colour = tuple[int, int, int]
-
 _TRAIL_S, _TRAIL_SHOWN_S = 8.0, 2.0  # of the run, and of the film: the longer of the two
-_SHIFT = 4  # sub-pixel bits of OpenCV's drawing
-_TRAIL_PIECES = 16  # of a trail, each paler and thinner than the next one
 _HEADER = 0.05  # [widths]: title and time
-_WHITE: Colour = (255, 255, 255)
 _PALE: Colour = (235, 235, 235)
 
 
@@ -38,9 +28,9 @@ class Artist:
         self._view, self.width = view, width
         self._trail_s = max(_TRAIL_S, _TRAIL_SHOWN_S * speed)
         self._pace = "" if speed == 1 else f"  ×{speed:g}"
-        self._colours = [_rgb(colour) for colour in view.colours]
-        self._names = [_text(robot, round(width / 52), bold=True) for robot in view.run.robots]
-        self._heading = _text(title, round(width * 0.021), bold=True)
+        self._colours = [rgb(colour) for colour in view.colours]
+        self._names = [text(robot, round(width / 52), bold=True) for robot in view.run.robots]
+        self._heading = text(title, round(width * 0.021), bold=True)
         self._t, self._poses, self._points = view.run.clock_time_s, view.run.poses(), view.run.points()
         self._references = view.run.references
         self._lines = [
@@ -65,10 +55,10 @@ class Artist:
         canvas.draw()
         image = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
         image = image[: image.shape[0] // 2 * 2, : self.width].copy()
-        legend, y = _text("reference", round(self.width / 64)), image.shape[0] - round(self.width * 0.05 / 3.4)
+        legend, y = text("reference", round(self.width / 64)), image.shape[0] - round(self.width * 0.05 / 3.4)
         x = self.width - round(self.width * 0.1 / 3.4) - legend.shape[1]
-        _blend(image, legend, x, y - legend.shape[0] // 2, _rgb(INK))
-        _ring(image, np.array([x - self.width / 60, y]), _rgb(INK), self.width / 180)
+        blend(image, legend, x, y - legend.shape[0] // 2, rgb(INK))
+        _ring(image, np.array([x - self.width / 60, y]), rgb(INK), self.width / 180)
         return image
 
     def on_arena(self, points: Array) -> Array:
@@ -87,12 +77,13 @@ class Artist:
         image[self.header :] = background
         self._head(image, t)
         on = image[self.header :]
-        for line in () if solid else self._lines:
-            self._line(on, pixels(line), _PALE, max(1, round(self.width / 900)))
+        for points in () if solid else self._lines:
+            line(on, pixels(points), _PALE, max(1, round(self.width / 900)))
         k = min(max(int(np.searchsorted(self._t, t, "right")) - 1, 0), len(self._t) - 1)
         first = int(np.searchsorted(self._t, self._t[k] - self._trail_s))
         for row, colour in enumerate(self._colours):
-            self._trail(on, pixels(_finite(self._points[first : k + 1, row])), colour, solid=solid)
+            points = pixels(_finite(self._points[first : k + 1, row]))
+            trail(on, points, colour, round(self.width / 280), pale=0.85 if solid else 0.0)
         for row, colour in enumerate(self._colours):
             pose, reference = self._poses[k, row], self._references[k, row]
             if not np.isfinite(pose).all():
@@ -107,35 +98,19 @@ class Artist:
     def _head(self, image: Image, t: float) -> None:
         image[: self.header] = 255
         margin, (first_s, last_s) = round(0.02 * self.width), self._view.span
-        _blend(image, self._heading, margin, self.header // 2 - self._heading.shape[0] // 2, _rgb(INK))
-        clock = _text(f"{t:.1f} s{self._pace}", round(self.width * 0.021), fixed=True)
-        _blend(image, clock, self.width - margin - clock.shape[1], self.header // 2 - clock.shape[0] // 2, _rgb(INK))
+        blend(image, self._heading, margin, self.header // 2 - self._heading.shape[0] // 2, rgb(INK))
+        clock = text(f"{t:.1f} s{self._pace}", round(self.width * 0.021), fixed=True)
+        blend(image, clock, self.width - margin - clock.shape[1], self.header // 2 - clock.shape[0] // 2, rgb(INK))
         y = self.header - max(2, round(0.004 * self.width))
         share = min(max((t - first_s) / (last_s - first_s), 0.0), 1.0)
-        image[y : self.header, margin : self.width - margin] = _rgb(FAINT)
-        image[y : self.header, margin : margin + round(share * (self.width - 2 * margin))] = _rgb(QUIET)
-
-    def _trail(self, image: Image, pixels: Array, colour: Colour, *, solid: bool) -> None:
-        edges = np.linspace(0, len(pixels) - 1, min(_TRAIL_PIECES, max(len(pixels), 2))).astype(int)
-        for piece, (start, end) in enumerate(pairwise(edges)):
-            age = 1.0 - (piece + 1) / (len(edges) - 1)
-            shade = _mixed(colour, _WHITE, 0.85 * age) if solid else colour
-            self._line(image, pixels[start : end + 1], shade, max(1, round(self.width / 280 * (1.0 - 0.7 * age))))
-
-    def _line(self, image: Image, pixels: Array, colour: Colour, width: int) -> None:
-        line = np.round(pixels * (1 << _SHIFT)).astype(np.int32).reshape(-1, 1, 2)
-        cv2.polylines(image, [line], False, colour, width, cv2.LINE_AA, _SHIFT)
+        image[y : self.header, margin : self.width - margin] = rgb(FAINT)
+        image[y : self.header, margin : margin + round(share * (self.width - 2 * margin))] = rgb(QUIET)
 
     def _name(self, image: Image, pixels: Callable[[Array], Array], row: int, pose: Array, *, solid: bool) -> None:
         """Write a robot's name to its right, where no other robot of a platoon is."""
         aside = 2.0 * self._radii[row] * np.array([np.sin(pose[2]), -np.cos(pose[2])])
-        (x, y), name = pixels((pose[:2] - aside)[None])[0], self._names[row]
-        left, top = round(x - name.shape[1] / 2), round(y - name.shape[0] / 2)
-        if not solid:
-            edge = max(2, round(self.width / 400))
-            halo = cv2.dilate(np.pad(name, edge), np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
-            _blend(image, np.asarray(halo, np.uint8), left - edge, top - edge, _WHITE)
-        _blend(image, name, left, top, self._colours[row])
+        rim = 0 if solid else max(2, round(self.width / 400))
+        label(image, self._names[row], pixels((pose[:2] - aside)[None])[0], self._colours[row], rim)
 
 
 def _finite(points: Array) -> Array:
@@ -149,55 +124,21 @@ def _body(image: Image, pixels: Callable[[Array], Array], pose: Array, radius: f
 
     def outline(*corners: tuple[float, float]) -> NDArray[np.int32]:
         at = pixels(pose[:2] + radius * np.array([a * ahead + b * left for a, b in corners]))
-        return np.round(at * (1 << _SHIFT)).astype(np.int32)
+        return np.round(at * (1 << SHIFT)).astype(np.int32)
 
     for side in (-1.0, 1.0):
         wheel = outline(*((a, side * b) for a, b in ((-0.45, 0.82), (0.45, 0.82), (0.45, 1.12), (-0.45, 1.12))))
-        cv2.fillPoly(image, [wheel], _rgb(INK), cv2.LINE_AA, _SHIFT)
+        cv2.fillPoly(image, [wheel], rgb(INK), cv2.LINE_AA, SHIFT)
     angles = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
     disc = outline(*zip(np.cos(angles).tolist(), np.sin(angles).tolist(), strict=True))
-    cv2.fillPoly(image, [disc], colour, cv2.LINE_AA, _SHIFT)
-    cv2.polylines(image, [disc], True, _mixed(colour, (0, 0, 0), 0.35), 2, cv2.LINE_AA, _SHIFT)
+    cv2.fillPoly(image, [disc], colour, cv2.LINE_AA, SHIFT)
+    cv2.polylines(image, [disc], True, mixed(colour, (0, 0, 0), 0.35), 2, cv2.LINE_AA, SHIFT)
     arrow = outline((0.8, 0.0), (-0.55, 0.42), (-0.3, 0.0), (-0.55, -0.42))
-    cv2.fillPoly(image, [arrow], _WHITE, cv2.LINE_AA, _SHIFT)
+    cv2.fillPoly(image, [arrow], WHITE, cv2.LINE_AA, SHIFT)
 
 
 def _ring(image: Image, pixel: Array, colour: Colour, radius: float) -> None:
-    x, y = np.round(pixel * (1 << _SHIFT)).astype(int).tolist()
-    around = round(radius * (1 << _SHIFT))
-    cv2.circle(image, (x, y), around, _WHITE, -1, cv2.LINE_AA, _SHIFT)
-    cv2.circle(image, (x, y), around, colour, max(2, round(radius / 3)), cv2.LINE_AA, _SHIFT)
-
-
-@cache
-def _font(family: str, weight: str, height: int) -> ImageFont.FreeTypeFont:
-    return ImageFont.truetype(font_manager.findfont(font_manager.FontProperties(family=family, weight=weight)), height)
-
-
-def _text(words: str, height: int, *, bold: bool = False, fixed: bool = False) -> Image:
-    """Return how dark each pixel of a text is."""
-    font = _font("DejaVu Sans Mono" if fixed else "DejaVu Sans", "bold" if bold else "normal", height)
-    left, top, right, bottom = font.getbbox(words)
-    sheet = Pictures.new("L", (round(right - left) + 2, round(bottom - top) + 2))
-    ImageDraw.Draw(sheet).text((1 - left, 1 - top), words, 255, font)
-    return np.asarray(sheet)
-
-
-def _blend(image: Image, text: Image, x: int, y: int, colour: Colour) -> None:
-    """Write a text with its upper left corner at (x, y), as far as it is in the image."""
-    top, left = max(0, -y), max(0, -x)
-    bottom, right = min(text.shape[0], image.shape[0] - y), min(text.shape[1], image.shape[1] - x)
-    if top < bottom and left < right:
-        dark = text[top:bottom, left:right, None] / 255.0
-        region = image[y + top : y + bottom, x + left : x + right]
-        region[:] = np.round(region * (1.0 - dark) + np.array(colour) * dark).astype(np.uint8)
-
-
-def _rgb(colour: str) -> Colour:
-    red, green, blue = (round(255 * part) for part in to_rgb(colour))
-    return red, green, blue
-
-
-def _mixed(colour: Colour, other: Colour, share: float) -> Colour:
-    red, green, blue = (round((1 - share) * a + share * b) for a, b in zip(colour, other, strict=True))
-    return red, green, blue
+    x, y = np.round(pixel * (1 << SHIFT)).astype(int).tolist()
+    around = round(radius * (1 << SHIFT))
+    cv2.circle(image, (x, y), around, WHITE, -1, cv2.LINE_AA, SHIFT)
+    cv2.circle(image, (x, y), around, colour, max(2, round(radius / 3)), cv2.LINE_AA, SHIFT)

@@ -3,8 +3,10 @@
 import os
 import struct
 from collections.abc import Callable, Sequence
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -14,7 +16,8 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, SimulatedClock, WallClock
 from robofleet.testing import CameraContract
-from robofleet.tracking.cameras.files import FileCamera, images
+from robofleet.tracking.cameras.files import FileCamera
+from robofleet.tracking.cameras.recorded import Recording, images
 from robofleet.tracking.sources import CameraError, ScheduledCamera
 from tests.contexts import context
 from tests.shipped import PLATOON
@@ -78,7 +81,10 @@ def config(path: Path, stamps: Path | None = None, *overrides: str) -> Config:
 
 
 def camera_of(tree: Config, clock: SimulatedClock | WallClock, extra_delay_ns: int = 0) -> FileCamera:
-    return FileCamera(context(tree, clock, extra_delay_ns=extra_delay_ns))
+    """Return the camera of a run that has begun."""
+    around = context(tree, clock, extra_delay_ns=extra_delay_ns)
+    around.ticks.newest = 1
+    return FileCamera(around)
 
 
 def refused(read: Callable[[], object]) -> str:
@@ -219,12 +225,52 @@ class TestContract(CameraContract):
 def test_images_that_nobody_is_in_time_for_are_dropped(recorded: Config) -> None:
     clock = SimulatedClock()
     camera = camera_of(recorded, clock)
+    assert camera.ready_ns() is not None
     clock.advance_to(110 * MS)
     frame = camera.read()
     assert number(frame.image) == 3
     assert frame.exposure_ns == STAMPS_NS[3] - STAMPS_NS[0]
     clock.advance_to(camera.ready_ns())
     assert number(camera.read().image) == 4
+
+
+@pytest.mark.parametrize(("rate_hz", "period_ns"), [(None, S // 30), (10.0, S // 10)])
+@pytest.mark.parametrize("name", ["a.avi", "a.mp4", "a.mkv"])
+def test_a_video_has_times_of_its_own_unless_a_rate_is_named(
+    tmp_path: Path, name: str, rate_hz: float | None, period_ns: int
+) -> None:
+    shots = Recording(video(tmp_path / name), rate_hz=rate_hz).shots()
+    assert np.diff([shot.taken_ns for shot in shots]) == pytest.approx(7 * [period_ns], abs=MS)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
+def test_a_video_whose_rate_varies_keeps_its_times(tmp_path: Path, name: str) -> None:
+    times_ms = [0, 40, 80, 400, 440, 1200, 1250]
+    with av.open(str(tmp_path / name), "w") as container:
+        stream = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height = SIZE
+        stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+        for k, time_ms in enumerate(times_ms):
+            frame = av.VideoFrame.from_ndarray(gray(k), "gray")
+            frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    shots = list(Recording(tmp_path / name).shots())
+    assert [shot.taken_ns / MS for shot in shots] == pytest.approx(times_ms, abs=1.0)
+
+
+def test_a_recording_begins_with_the_runs_first_tick(recorded: Config) -> None:
+    clock = SimulatedClock()
+    around = context(recorded, clock)
+    camera = FileCamera(around)
+    clock.advance_to(20 * S)
+    assert camera.ready_ns() is None
+    around.ticks.newest = 1
+    ready_ns = camera.ready_ns()
+    assert ready_ns is not None
+    clock.advance_to(ready_ns)
+    frame = camera.read()
+    assert (number(frame.image), frame.exposure_ns) == (0, 20 * S)
 
 
 def test_a_video_that_breaks_off_ends_and_says_where(tmp_path: Path) -> None:
@@ -296,7 +342,6 @@ def test_stamps_may_come_from_a_spreadsheet(tmp_path: Path) -> None:
 
 def test_stamps_that_are_not_there(tmp_path: Path) -> None:
     path = video(tmp_path / "a.avi")
-    assert "name a CSV" in refused(lambda: camera_of(config(path), SimulatedClock()))
     missing = tmp_path / "none.csv"
     assert refused(lambda: camera_of(config(path, missing), SimulatedClock())).startswith(f"{missing}: No such file")
     ((where, _),) = FileCamera.refusals(load_config(PLATOON, ["camera.source=files", "camera.trigger=free"]))

@@ -4,11 +4,11 @@ import numpy as np
 import pyapriltags
 import pytest
 
-from robofleet.calibration.extrinsics.fiducials import TagFinder
 from robofleet.config.load import ConfigError, load_config
 from robofleet.core.settings import FAMILIES, FamilyName
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.tags.families import pattern
+from robofleet.tracking.tags.finder import TagFinder
 from robofleet.tracking.tags.targets import Target
 from robofleet.tracking.tags.tracker import TagTracker
 from tests.shipped import PLATOON

@@ -137,7 +137,9 @@ def main() -> None:
         half, psi = found.error[images // 2 :], np.degrees(found.error[..., 2])
         chi = np.nanmean(half[..., 2] ** 2 / found.variance[images // 2 :, :, 2])
         position = 1e3 * _rms(np.hypot(half[..., 0], half[..., 1]))
-        print(f"{title:<18}{_rms(psi[:10]):>10.4f}{_rms(psi[images // 2 :]):>8.4f}{chi:>10.2f}{position:>8.4f}  ", end="")
+        print(
+            f"{title:<18}{_rms(psi[:10]):>10.4f}{_rms(psi[images // 2 :]):>8.4f}{chi:>10.2f}{position:>8.4f}", end="  "
+        )
         prints = (TrackerEvent.PRINT_STRETCHED, TrackerEvent.TAG_BOWED)
         print(
             "; ".join(_shown(e, found.named) for e in prints if any(e is kind for kind, _ in found.named)), flush=True

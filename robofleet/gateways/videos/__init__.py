@@ -1,0 +1,1 @@
+"""Videos of others: poses without a fleet."""
