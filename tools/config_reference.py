@@ -43,6 +43,7 @@ Node = dict[str, Any]
 _FAULTS = "faults[]"
 _TWIN = "cameras[]."  # each part of it is described as a part of `camera`
 _BELOW = "see below"
+_OWN_PAGE = {"camera.simulated": "simulated_camera"}  # parts of a part that have a page of their own
 
 _UNITS = {
     "m": "m", "mm": "mm", "px": "px", "s": "s", "ms": "ms", "hz": "Hz", "rad": "rad", "deg": "°", "gray": "grey levels",
@@ -86,7 +87,7 @@ def reference() -> dict[str, str]:
     for name, paths in where.items():
         if paths == [_FAULTS]:
             continue
-        level = "#" if re.fullmatch(r"\w+(\[\])?", paths[0]) else "##"
+        level = "#" if re.fullmatch(r"\w+(\[\])?", paths[0]) or paths[0] in _OWN_PAGE else "##"
         shown = [path for path in paths if not path.startswith(_TWIN)] or paths
         title = ", ".join(f"`{path}`" for path in shown)
         sections.setdefault(_part(paths[0]), []).append(
@@ -99,12 +100,19 @@ def reference() -> dict[str, str]:
         line.replace(_BELOW, f"[its page]({page.get(part := line.split('`')[1], part)}.md)") if _BELOW in line else line
         for line in _section("## The parts", tree, tree["properties"]).splitlines()
     )
-    return {"README.md": "\n".join([_GUIDE, MARK, parts, ""])} | {
-        f"{part}.md": "\n".join([MARK, *texts]) for part, texts in sections.items()
-    }
+    pages = {f"{part}.md": "\n".join([MARK, *texts]) for part, texts in sections.items()}
+    for part, own in _OWN_PAGE.items():
+        parent, _, key = part.rpartition(".")
+        row = f"| `{key}` |  | "
+        pages[f"{_part(parent)}.md"] = pages[f"{_part(parent)}.md"].replace(row + _BELOW, f"{row}[its page]({own}.md)")
+    return {"README.md": "\n".join([_GUIDE, MARK, parts, ""])} | pages
 
 
 def _part(path: str) -> str:
+    """Return the name of the page on which a part stands."""
+    for part, page in _OWN_PAGE.items():
+        if path == part or path.startswith((f"{part}.", f"{part}[")):
+            return page
     return path.partition(".")[0].removesuffix("[]")
 
 
