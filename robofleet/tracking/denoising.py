@@ -83,17 +83,17 @@ class TemporalDenoising:
             return
         calm, first, second, third = self._samples
         self._samples.pop(0)
-        one, two = (second - first).astype(np.float32), (third - second).astype(np.float32)
+        earlier, later = (second - first).astype(np.float32), (third - second).astype(np.float32)
         flat = np.abs(calm) < _FLAT
-        noise = 1.4826 * float(np.median(np.abs(one[flat]))) if flat.any() else 0.0
+        noise = 1.4826 * float(np.median(np.abs(earlier[flat]))) if flat.any() else 0.0
         if noise < _LEAST_NOISE:
             return
-        still = flat & (np.maximum(np.abs(one), np.abs(two)) < _OUTLIER * noise)
-        one, two = one[still], two[still]
+        still = flat & (np.maximum(np.abs(earlier), np.abs(later)) < _OUTLIER * noise)
+        earlier, later = earlier[still], later[still]
         keep = 1.0 - 1.0 / min(self._looks + 1, _REMEMBERED)
         # Without what rounding adds: a variance of 1/12 in each of the four pixels of a difference.
-        self._squares = keep * self._squares + 0.5 * float(one @ one + two @ two) - len(one) / 3.0
-        self._products = keep * self._products + float(one @ two) + len(one) / 6.0
+        self._squares = keep * self._squares + 0.5 * float(earlier @ earlier + later @ later) - len(earlier) / 3.0
+        self._products = keep * self._products + float(earlier @ later) + len(earlier) / 6.0
         self._looks += 1
         share = 1.0 + 2.0 * self._products / self._squares
         known = self._looks >= _LOOKS and share > _LEAST_SHARE

@@ -193,9 +193,9 @@ def _step(
 def _shown(edge: _Edge, values: Array, own: Array) -> tuple[Array, Array]:
     """Return what is left of an edge's greys (M,), and how its greys change (M, 7) with the three common values and
     with its black, white, place and turn [px]."""
-    black, white, place, turn = own
+    black, white, shift, turn = own
     sigma = max(values[0] + values[1] * edge.share, _NARROWEST_PX)
-    at = (edge.across - place - turn * edge.along)[:, None] + edge.shifts
+    at = (edge.across - shift - turn * edge.along)[:, None] + edge.shifts
     weights = 0.25 * np.outer(_WEIGHTS, _WEIGHTS).ravel()
     z = at / sigma
     density = np.exp(-0.5 * z * z) / math.sqrt(math.tau)
