@@ -36,6 +36,7 @@ class TrackerEvent(IntEnum):
     CAMERA_LIGHT_GOOD = 24  # neither any more: grey level of white paper
     CAMERA_DENOISES = 25  # over time, so that what moves lags, and it is corrected: share of the image before
     CAMERA_BREATHES = 26  # its focal length changes, and is corrected: share of it, from an image to the next
+    CAMERA_BLUR = 27  # it changed: now, a standard deviation in the image's middle [px]
     CAMERA_DISAGREES = 30  # with the others, that see the same robots elsewhere: how far [m]; its poses are not used
     CAMERA_AGREES = 31  # with the others again: how far they are apart now [m]
     POSES_SILENT = 32  # nothing from a source that is no camera: seconds
@@ -87,6 +88,7 @@ _SENTENCES = {
     "noise; switch its temporal noise reduction off",
     TrackerEvent.CAMERA_BREATHES: "camera's focal length changes by {value:.2%} from one image to the next: corrected; "
     "switch its autofocus off",
+    TrackerEvent.CAMERA_BLUR: "camera's blur changed to {value:.2f} px: was its lens touched? If so, calibrate it again",
     TrackerEvent.CAMERA_DISAGREES: "camera sees robots {value:.4f} m from where others do, was it knocked? "
     "Its poses are not used until it agrees again; calibrate its place",
     TrackerEvent.CAMERA_AGREES: "camera agrees with the others again, to {value:.4f} m",

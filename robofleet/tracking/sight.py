@@ -13,6 +13,7 @@ from robofleet.tracking.denoising import TemporalDenoising
 from robofleet.tracking.drift import DriftMonitor
 from robofleet.tracking.events import NO_TAG, News, TrackerEvent
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
+from robofleet.tracking.tags.imaging import BlurMonitor, Imaging
 from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.targets import floor_tags_in_view, floor_targets, robot_targets
 from robofleet.tracking.tags.tracker import Sightings, TagSighting, TagTracker
@@ -32,7 +33,9 @@ class FleetSight:
         self._heights = {target.tag: target.height for target in targets}
         self._light = TagLight(targets)
         self._measured: list[TagSighting] = []  # in the newest image
-        self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s)
+        imaging = Imaging.of(model.imaging)
+        self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s, imaging)
+        self._blur = BlurMonitor(imaging, None if model.imaging is None else model.imaging.blur_px)
         self._targets, self._line_time = targets, model.line_time_s
         self._denoising = TemporalDenoising()
         self._offsets = {robot.tag: robot.tag_offset for robot in config.seen}
@@ -43,6 +46,9 @@ class FleetSight:
 
     def see(self, image: NDArray[np.uint8], exposure_ns: int) -> Sightings:
         """Return the poses of robots' centres in an image (H, W). ``exposure_ns``: mid-exposure of its middle row."""
+        blur_px = self._blur.changed()  # by the image before
+        if blur_px is not None:
+            self._news.say(TrackerEvent.CAMERA_BLUR, NO_TAG, blur_px, exposure_ns)
         undone, before = self._denoising.undone(image, exposure_ns), self._measured
         if undone is None:
             return self._seen(image, exposure_ns)

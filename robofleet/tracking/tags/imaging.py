@@ -5,10 +5,12 @@ and the lens, near enough a Gaussian. It grows with the squared distance from th
 that lie still, teach it by recursive least squares.
 """
 
+import math
 from typing import NamedTuple, Self
 
 import numpy as np
 
+from robofleet.config.calibrated import ImagingSettings
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
 
@@ -18,10 +20,13 @@ _SIGMA = np.array([1.0, 0.3])  # of the blur in the middle, and of its growth to
 _FORGET = 0.998  # of what was known, from tag to tag
 _LEAST_PX = 0.03  # standard deviation of what one tag says: print and lens are not exact
 KNOWN, _SETTLED = 1.0 / 0.04**2, 1.0 / 0.01**2  # information from which a blur is known, and very well [1/px^2]
-_TONE_EXPECTED = 1.0 / 0.1**2  # information
+_TONE_SIGMA = 0.1  # of the response of a camera of which nothing is known [contrasts]
+_CALIBRATED_SIGMA, _CALIBRATED_TONE_SIGMA = np.array([0.1, 0.1]), 0.02  # of what a calibration says
+_PIXEL = 1.0 / 12.0  # variance of its square [px^2]
 _TONE_DOUBT = 4.0  # variance of what is learnt over that of white noise
 _MOST_TONE = 0.24
 _DOUBT_GAIN = 0.02
+_CHANGED, _CHANGED_PX, _CHANGED_IMAGES = 0.25, 0.15, 30  # of a blur that is told, for so many images
 _LEAST_VARIANCE = 0.1  # [grey levels^2]
 _FALL, _RISE = 0.2, 0.01  # gains of the least variance
 _STEP_PX = 1.0  # at most, by one tag
@@ -38,15 +43,23 @@ class Imaging(NamedTuple):
     quiet: Array  # (1,) variance that a fit leaves of a tag in even light, as ``quiet_variance`` has it [grey levels^2]
 
     @classmethod
-    def unknown(cls) -> Self:
-        return cls(
-            np.array([_EXPECTED_PX, 0.0]),
-            np.diag(1.0 / _SIGMA**2),
-            np.zeros(1),
-            np.full(1, _TONE_EXPECTED),
-            np.ones(2),
-            np.zeros(1),
-        )
+    def of(cls, settings: ImagingSettings | None) -> Self:
+        """Return what a calibration says of a camera; what it does not say is learnt."""
+        blur, sigma, tone, tone_sigma = np.array([_EXPECTED_PX, 0.0]), _SIGMA, 0.0, _TONE_SIGMA
+        if settings is not None and settings.blur_px is not None:
+            middle = _width(settings.blur_px)
+            corner = middle if settings.blur_edge_px is None else _width(settings.blur_edge_px)
+            blur, sigma = np.array([middle, corner - middle]), _CALIBRATED_SIGMA
+        if settings is not None and settings.tone is not None:
+            tone, tone_sigma = settings.tone, _CALIBRATED_TONE_SIGMA
+        tone = min(max(tone, -_MOST_TONE), _MOST_TONE)
+        known = np.full(1, tone_sigma**-2)
+        return cls(blur, np.diag(sigma**-2), np.full(1, tone), known, np.ones(2), np.zeros(1))
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of the lens's point spread in the image's middle [px]."""
+        return math.sqrt(max(self.blur[0] ** 2 / 4.0 - _PIXEL, 0.0))
 
     @property
     def settled(self) -> bool:
@@ -76,9 +89,36 @@ class Imaging(NamedTuple):
         curve = total[n + 1, : n + 1] - total[n + 1, :n] @ inverse @ total[:n, : n + 1]
         size = total[n + 1, n + 1] - total[n + 1, :n] @ inverse @ total[:n, n + 1]
         known = contrast**2 * size / (_TONE_DOUBT * variance)
-        self.tone_known[0] = _FORGET * self.tone_known[0] + (1.0 - _FORGET) * _TONE_EXPECTED + known
+        self.tone_known[0] = _FORGET * self.tone_known[0] + (1.0 - _FORGET) / _TONE_SIGMA**2 + known
         self.tone[0] += known / self.tone_known[0] * curve[n] / (size * contrast)
         self.tone[0] = min(max(self.tone[0], -_MOST_TONE), _MOST_TONE)
+
+
+class BlurMonitor:
+    """Says when a camera's blur is another than before: its lens was touched, or something lies on it."""
+
+    def __init__(self, imaging: Imaging, calibrated_px: float | None) -> None:
+        self._imaging, self._known_px, self._images = imaging, calibrated_px, 0
+
+    def changed(self) -> float | None:
+        """Return the blur [px], a standard deviation, if it changed for some images; called once an image."""
+        if not self._imaging.settled:
+            return None
+        now_px = self._imaging.sigma_px
+        if self._known_px is None:
+            self._known_px = now_px
+        self._images = (
+            self._images + 1 if abs(now_px - self._known_px) > max(_CHANGED * self._known_px, _CHANGED_PX) else 0
+        )
+        if self._images < _CHANGED_IMAGES:
+            return None
+        self._known_px, self._images = now_px, 0
+        return now_px
+
+
+def _width(sigma_px: float) -> float:
+    """Return the B-spline's width of a lens's standard deviation and a pixel [px]."""
+    return min(max(2.0 * math.sqrt(sigma_px**2 + _PIXEL), NARROWEST), WIDEST)
 
 
 @image_kernel

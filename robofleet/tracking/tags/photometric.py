@@ -112,7 +112,7 @@ class PhotometricFit:
         self._wholes = np.array([target.whole for target in targets])
         self.heights = np.array([target.height for target in targets])
         self._prints = np.stack([neighbourhoods(pattern(target.tag, self.family)) for target in targets])
-        self.imaging = imaging or Imaging.unknown()
+        self.imaging = imaging or Imaging.of(None)
         self._noise = np.zeros(len(targets))
         self.shapes = Shapes.unknown(len(targets))
         self._to_quadratic = quadratic()

@@ -25,6 +25,7 @@ from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.offset import UNKNOWN, Covariance
 from robofleet.tracking.tags.deep import DeepSearch
 from robofleet.tracking.tags.detection import Findings, Region, Sweep, TagDetector, tiles, wrapped
+from robofleet.tracking.tags.imaging import Imaging
 from robofleet.tracking.tags.motion import measure, predict
 from robofleet.tracking.tags.photometric import NOBODY, Fit, Found, PhotometricFit, side_px
 from robofleet.tracking.tags.prints import PrintMonitor
@@ -70,13 +71,15 @@ class TagTracker:
     """Acquires tags, follows them, predicts those that are hidden."""
 
     def __init__(
-        self, geometry: CameraGeometry, image_size: tuple[int, int], targets: Sequence[Target], line_time: float = 0.0
-    ) -> None:
-        """Take the image's (width, height) and a rolling shutter's time from row to row [s]."""
+        self, geometry: CameraGeometry, image_size: tuple[int, int], targets: Sequence[Target], line_time: float = 0.0,
+        imaging: Imaging | None = None,
+    ) -> None:  # fmt: skip
+        """Take the image's (width, height), a rolling shutter's time from row to row [s], and what is known of the
+        camera's imaging."""
         n = len(targets)
         self._targets, self._size = tuple(targets), image_size
         self._alike = FAMILIES[targets[0].family].alike  # a tag where it is expected may be partly hidden
-        self._fit = PhotometricFit(geometry, targets, line_time)
+        self._fit = PhotometricFit(geometry, targets, line_time, imaging)
         self._detector = TagDetector(self._fit, targets)
         self._deep = DeepSearch(self._fit, targets)
         self._sides = np.array([target.side for target in targets])
