@@ -88,7 +88,8 @@ _SENTENCES = {
     "noise; switch its temporal noise reduction off",
     TrackerEvent.CAMERA_BREATHES: "camera's focal length changes by {value:.2%} from one image to the next: corrected; "
     "switch its autofocus off",
-    TrackerEvent.CAMERA_BLUR: "camera's blur changed to {value:.2f} px: was its lens touched? If so, calibrate it again",
+    TrackerEvent.CAMERA_BLUR: "camera's blur changed to {value:.2f} px: was its lens touched? If so, "
+    "calibrate it again",
     TrackerEvent.CAMERA_DISAGREES: "camera sees robots {value:.4f} m from where others do, was it knocked? "
     "Its poses are not used until it agrees again; calibrate its place",
     TrackerEvent.CAMERA_AGREES: "camera agrees with the others again, to {value:.4f} m",
