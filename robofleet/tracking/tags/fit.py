@@ -43,7 +43,8 @@ _COVERED = 0.3  # share of a cell's pixels that show something else: then none o
 _PARTLY = 0.98  # share of a tag's pixels that count: with fewer, something covers it
 _EVERYTHING = 1e9  # no cut [grey levels]
 _LEAST_NOISE = 0.5  # [grey levels]
-_BLUR_STEP_PX, _BLUR_CONVERGED_PX = 0.6, 0.05  # of a blur that is not known, from pass to pass
+_BLUR_STEP_PX = 0.6  # at most, from pass to pass
+_BLUR_CONVERGED_PX, _BLUR_KNOWN_PX = 0.05, 0.3  # what a blur may be off, before and after the camera's is known
 _LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
 _GAIN = 0.2  # of what is learnt about a tag's noise
 # What a fit knows of a tag's look, by index: brightness, its slopes forward and left, contrast [grey levels],
@@ -104,12 +105,12 @@ def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop o
 ):  # fmt: skip
     """Return centre, heading, likeness and row of one tag."""
     centre, psi, blur, noise, row = guess, guess_psi, own_blur, noises[i], 0.0
-    share, settled = 0.0, own_blur > 0.0 or blur_known[0, 0] > KNOWN
+    share, near = 0.0, _BLUR_KNOWN_PX if own_blur > 0.0 or blur_known[0, 0] > KNOWN else _BLUR_CONVERGED_PX
     level, solution = room.level, room.solution
     level[:], covariance[:], look[:], cover[:] = 0.0, 0.0, 0.0, False
     known, cut = noise > 0.0, _EVERYTHING
     misfit = _KNOWN_MISFIT if known else _MISFIT
-    variance = alike = left = before = side_px = 0.0
+    variance = alike = left = before = side_px = wider = 0.0
     tally, by_cells = np.zeros((0, 2), np.int64), False  # by cells: pixels, and those that count
     mapped, slope = False, (0.0, 0.0)
     for step in range(_PASSES):
@@ -139,12 +140,13 @@ def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop o
             cut = max(_KNOWN_CUT * noise, misfit * level[3]) if known else _EVERYTHING
             continue
         variance = squares / (left - PARAMETERS)
-        if not settled:
-            blur = _wider(blur, solution[7] / level[3], length)
+        wider = solution[7] / level[3]
+        if abs(wider) > near:
+            blur = _wider(blur, wider, length)
         if not by_cells:  # a tag is known by all of it that may be seen
             alike = likeness(room.sums)
         steady, before = left > _PARTLY * seen or abs(left - before) < 0.01 * left, left
-        done = length < _CONVERGED_PX and steady and (settled or abs(solution[7]) < _BLUR_CONVERGED_PX * level[3])
+        done = length < _CONVERGED_PX and steady and abs(wider) <= near
         if step == 1 and known and left < _LEARNT_FROM * seen:
             known, misfit, cut = False, _MISFIT, _EVERYTHING  # a bad guess, or partly covered: see what it is
         elif not known:  # cut more and more off, until that is no more than of a normal distribution
@@ -164,7 +166,7 @@ def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop o
         noise = max(math.sqrt(variance), _LEAST_NOISE)
         noises[i] = noise if noises[i] == 0.0 else noises[i] + _GAIN * (noise - noises[i])
         learn_quiet(quiet, level[0], noise * noise)
-        wider = blur - blur_at(camera_blur, share) + (solution[7] / level[3] if settled else 0.0)
+        wider += blur - blur_at(camera_blur, share)
         learn_blur(camera_blur, blur_known, share, wider, variance / (room.factor[7, 7] * level[3]) ** 2)
     look[: CONTRAST + 1], look[BLUR], look[COUNTED] = level, blur, left / room.sums[0]
     look[NOISY] = variance / quiet_variance(quiet, level[0])

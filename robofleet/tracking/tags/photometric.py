@@ -147,7 +147,7 @@ class PhotometricFit:
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
             blur_px, camera.blur, camera.known, camera.tone, camera.doubt, camera.quiet, self._noise,
-            self.shapes.values, self.shapes.spreads, looks, covers, *fit,
+            self.shapes.applied, self.shapes.spreads, looks, covers, *fit,
         )  # fmt: skip
         covered = covers.any(1) | hidden.any()  # with the covered cells left out the others may look as they should
         structured = np.where(covered, looks[:, NOISY] > _NOISY_COVERED, looks[:, NOISY] > _NOISY)
@@ -173,7 +173,7 @@ class PhotometricFit:
 
     def _fit_structured(self, image: NDArray[np.uint8], tag: _Fitted, hidden: NDArray[np.bool_]) -> _Refit:
         """Fit a tag once more that shadows, or covers, change by parts: see ``structure.py``."""
-        i, side, tilt = tag.target, self._wholes[tag.target], self.shapes.values[tag.target, TILT:]
+        i, side, tilt = tag.target, self._wholes[tag.target], self.shapes.applied[tag.target, TILT:]
         for _ in range(_STRUCTURED_PASSES):
             closeup = self._closeup(image, tag, _STRUCTURED_CUT * tag.look[CONTRAST], hidden)
             values, covariance = solve(closeup.blocks[:, : PARAMETERS + 1, : PARAMETERS + 1])
@@ -215,7 +215,7 @@ class PhotometricFit:
         counted = add_up_tag(
             image, self.geometry.flat, self._line_time, self._wholes[i], self.heights[i], self._prints[i],
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, tag.centre, tag.psi, tag.velocity,
-            tag.omega, self.shapes.values[i], look[BLUR], self.imaging.tone[0], look[: CONTRAST + 1], cut, products,
+            tag.omega, self.shapes.applied[i], look[BLUR], self.imaging.tone[0], look[: CONTRAST + 1], cut, products,
             blocks, slope,
         )  # fmt: skip
         return _Closeup(products, blocks, slope, counted)

@@ -195,7 +195,7 @@ def _cell(forward, left, cells):  # type: ignore[no-untyped-def]
 @image_kernel
 def _compare(flat, many, by_shift, by_blur, per, level, tone, cut):  # type: ignore[no-untyped-def]
     """Write 0 to 7: what the grey is linear in, 8: what of it is left; 9, 14: pattern and grey of what counts."""
-    zero, one, four = np.float32(0.0), np.float32(1.0), np.float32(4.0)
+    zero, unit, four = np.float32(0.0), np.float32(1.0), np.float32(4.0)
     by_shift, by_blur, per, cut = np.float32(by_shift), np.float32(by_blur), np.float32(per), np.float32(cut)
     bright, ahead = np.float32(level[0]), np.float32(level[1])
     aside, contrast = np.float32(level[2]), np.float32(level[3])
@@ -224,10 +224,10 @@ def _compare(flat, many, by_shift, by_blur, per, level, tone, cut):  # type: ign
         by_s = by_s + past_u * up_s + past_d * low_s
         by_t = steep_d * low - steep_u * up
         by_w = by_w + past_u * up_w + past_d * low_w + t * steep_u * up + (per - t) * steep_d * low
-        curve = four * look * (one + look)  # of the response: none in black and white
-        steeper = tone * four * (one + look + look) - one
+        curve = four * look * (unit + look)  # of the response: none in black and white
+        steeper = tone * four * (unit + look + look) - unit
         look = look - tone * curve
-        shade = one + share * look
+        shade = unit + share * look
         a_lit, b_lit = a * shade, b * shade
         rest = grey - (bright + ahead * a_lit + aside * b_lit + contrast * look)
         weight = counts if abs(rest) <= cut else zero

@@ -30,6 +30,7 @@ _KNOWN_FROM = 10  # images
 _DOUBT = 2.0  # variance of what is learnt over that of white noise: lens and pattern are not exact
 _FORGET = 0.99  # of what was known, from image to image
 _LITTLE = 1e-3  # of what is expected, which any image says
+_FLAT = 5.0**2  # squared distance of bows from none, below which a tag is taken for flat
 _DENIED = 6.0**2  # squared distance of what an image says from what is known
 
 
@@ -37,6 +38,7 @@ class Shapes(NamedTuple):
     """What is known of the shapes of N tags."""
 
     values: Array  # (N, 8)
+    applied: Array  # (N, 8) the same, of a tag that may be flat without bows: they would only add noise to its position
     known: Array  # (N, 8, 8) information from images, the inverse of a covariance
     spreads: Array  # (N, 8, 8) covariances
     counts: NDArray[np.int64]  # (N,) images from which they were learnt
@@ -45,7 +47,7 @@ class Shapes(NamedTuple):
     def unknown(cls, tags: int) -> Self:
         n = _NUMBERS
         spreads = np.tile(np.diag(_SIGMA**2), (tags, 1, 1))
-        return cls(np.zeros((tags, n)), np.zeros((tags, n, n)), spreads, np.zeros(tags, np.int64))
+        return cls(np.zeros((tags, n)), np.zeros((tags, n)), np.zeros((tags, n, n)), spreads, np.zeros(tags, np.int64))
 
     def forget(self, tag: int) -> None:
         """Learn a tag's shape anew."""
@@ -59,8 +61,13 @@ class Shapes(NamedTuple):
         If the image denies what is known, the tag was moved on its robot, or is another: it is learnt anew.
         """
         scale = 1.0 / (_DOUBT * variance)
-        denied = _learn(equations, slope[0], slope[1], scale, self.values[tag], self.known[tag], self.spreads[tag])
+        values, spread = self.values[tag], self.spreads[tag]
+        denied = _learn(equations, slope[0], slope[1], scale, values, self.applied[tag], self.known[tag], spread)
         self.counts[tag] = 1 if denied else self.counts[tag] + 1
+        self.applied[tag] = values
+        bows = values[BOW:]
+        if bows @ np.linalg.solve(spread[BOW:, BOW:], bows) < _FLAT:
+            self.applied[tag, BOW:] = 0.0
 
 
 def shape_cut(count: int) -> float:
@@ -77,8 +84,9 @@ def explained(products: Array) -> Array:
 
 
 @image_kernel
-def _learn(equations, ahead, aside, scale, values, known, spread):  # type: ignore[no-untyped-def]
-    """Learn from the ``equations`` of an image, times ``scale``; return whether it denies what was known."""
+def _learn(equations, ahead, aside, scale, values, applied, known, spread):  # type: ignore[no-untyped-def]
+    """Learn from the ``equations`` of an image, where a tag was seen with the shape ``applied``, times ``scale``; return
+    whether it denies what was known."""
     n = _NUMBERS
     turn = np.zeros((SHAPED, n))  # the six coefficients, by the eight numbers: a tilt stretches and shears
     for i in range(SHAPED):
@@ -93,6 +101,9 @@ def _learn(equations, ahead, aside, scale, values, known, spread):  # type: igno
             for j in range(SHAPED if part != 0.0 else 0):
                 for b in range(n):
                     image[a, b] += part * equations[1 + i, 1 + j] * turn[j, b]
+    for a in range(n):
+        for b in range(n):
+            pull[a] += image[a, b] * (values[b] - applied[b])
     known *= _FORGET
     known += image
     denied = _squared(pull, image, _LITTLE, alone) - _squared(pull, known, 1.0, spread) > _DENIED
