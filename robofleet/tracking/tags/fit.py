@@ -125,6 +125,9 @@ def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop o
                 blur = blur_at(camera_blur, share)
         inside = _look(image, corners, cells, hidden, tally, side_px, blur, tone, cut, step == 0, room)
         left, seen = room.products[0, 0], room.sums[0]
+        if inside and step == 1 and known and left < _LEARNT_FROM * seen:
+            known, misfit, cut = False, _MISFIT, _EVERYTHING  # a bad guess, or partly covered: see what it is
+            continue
         if not inside or left < 3 * PARAMETERS:
             return guess, guess_psi, 0.0, row
         squares = _solve(room.products, room.factor, solution)
@@ -142,14 +145,12 @@ def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop o
         variance = squares / (left - PARAMETERS)
         wider = solution[7] / level[3]
         if abs(wider) > near:
-            blur = _wider(blur, wider, length)
+            blur, near = _wider(blur, wider, length), _BLUR_CONVERGED_PX
         if not by_cells:  # a tag is known by all of it that may be seen
             alike = likeness(room.sums)
         steady, before = left > _PARTLY * seen or abs(left - before) < 0.01 * left, left
         done = length < _CONVERGED_PX and steady and abs(wider) <= near
-        if step == 1 and known and left < _LEARNT_FROM * seen:
-            known, misfit, cut = False, _MISFIT, _EVERYTHING  # a bad guess, or partly covered: see what it is
-        elif not known:  # cut more and more off, until that is no more than of a normal distribution
+        if not known:  # cut more and more off, until that is no more than of a normal distribution
             noise = math.sqrt(variance) / (_TRUNCATED if cut < _EVERYTHING else 1.0)
             known = _CUT * noise > 0.9 * cut or cut < 1.1 * misfit * level[3]
             cut = max((_KNOWN_CUT if known else _CUT) * noise, misfit * level[3])

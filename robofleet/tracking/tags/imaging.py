@@ -18,6 +18,7 @@ NARROWEST, WIDEST = 0.6, 5.0  # blur [px]
 _EXPECTED_PX = 1.6  # of a camera of which nothing is known: a Gaussian of 0.75 px, and a pixel
 _SIGMA = np.array([1.0, 0.3])  # of the blur in the middle, and of its growth to the corner [px]
 _FORGET = 0.998  # of what was known, from tag to tag
+_FORGET_OFF, _OFF_PX = 0.9, 0.5  # the same of a tag that is blurred quite otherwise: the lens may have been touched
 _LEAST_PX = 0.03  # standard deviation of what one tag says: print and lens are not exact
 KNOWN, _SETTLED = 1.0 / 0.04**2, 1.0 / 0.01**2  # information from which a blur is known, and very well [1/px^2]
 _TONE_SIGMA = 0.1  # of the response of a camera of which nothing is known [contrasts]
@@ -141,10 +142,11 @@ def learn_blur(blur, known, share, wider, variance):  # type: ignore[no-untyped-
     """Take from one tag, at a share of the way to the corners, that the blur is wider by so much [px]."""
     weight = 1.0 / (variance + _LEAST_PX * _LEAST_PX)
     wider = min(max(wider, -_STEP_PX), _STEP_PX)
+    forget = _FORGET if abs(wider) < _OFF_PX else _FORGET_OFF
     for i in range(2):
         for j in range(2):
-            known[i, j] *= _FORGET
-        known[i, i] += (1.0 - _FORGET) / (_SIGMA[i] * _SIGMA[i])
+            known[i, j] *= forget
+        known[i, i] += (1.0 - forget) / (_SIGMA[i] * _SIGMA[i])
     known[0, 0] += weight
     known[0, 1] += weight * share
     known[1, 1] += weight * share * share

@@ -36,7 +36,7 @@ _COUNTED, _NOISY, _NOISY_COVERED = 0.993, 1.6, 2.0
 _STRUCTURED_FROM = 0.6  # least likeness of what is fitted once more for that
 _STRUCTURED_PASSES, _STRUCTURED_CUT = 2, 0.5  # [contrasts] beyond which a pixel shows something else there
 _FAR = 0.1  # further the second fit may not be [sides, rad]
-_SHADED = 2.5  # variance over that in even light, beyond which a tag teaches nothing
+_SHADED = 0.6  # share of the residuals that no shape explains, from which they are a shadow's
 _NONE = np.zeros((0, 0), np.bool_)
 NOBODY = -1  # as a target
 
@@ -201,7 +201,8 @@ class PhotometricFit:
         equations = explained(closeup.products / np.outer(rest, rest))
         pixels = closeup.products[0, 0] - PARAMETERS
         unexplained = equations[0, 0] - equations[0, 1:] @ np.linalg.solve(equations[1:, 1:], equations[1:, 0])
-        if unexplained * contrast**2 > _SHADED * pixels * self.imaging.variance(tag.look[0]):
+        even = _NOISY * pixels * self.imaging.variance(tag.look[0]) / contrast**2
+        if unexplained > max(even, _SHADED * equations[0, 0]):
             return
         self.imaging.learn(closeup.blocks, contrast)
         variance = max(equations[0, 0] / pixels, (self._noise[tag.target] / contrast) ** 2)
