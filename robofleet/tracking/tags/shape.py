@@ -85,7 +85,7 @@ def explained(products: Array) -> Array:
 
 @image_kernel
 def _learn(equations, ahead, aside, scale, values, applied, known, spread):  # type: ignore[no-untyped-def]
-    """Learn from the ``equations`` of an image, where a tag was seen with the shape ``applied``, times ``scale``; return
+    """Learn from the ``equations`` of an image, in which a tag has the shape ``applied``, times ``scale``; return
     whether it denies what was known."""
     n = _NUMBERS
     turn = np.zeros((SHAPED, n))  # the six coefficients, by the eight numbers: a tilt stretches and shears
