@@ -3,7 +3,7 @@
 A tag's neighbourhood on its plane maps to pixels by a quadratic, fitted in nine nodes that go through the whole camera
 model: lens, tilt, height, and under a rolling shutter the way that the tag covers from row to row. ``fit.py``
 compares each pixel with the pattern. The correlation with the pattern says whether it is this tag: another id of the
-family reaches 0.65.
+family reaches 0.65. Where a shadow or a cover changes it by parts, ``structure.py`` solves it once more.
 
 Points of the plane are complex numbers, x + iy; in the tag's own frame, forward + i left, and a side is that of
 the whole print.

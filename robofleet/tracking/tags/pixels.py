@@ -3,11 +3,13 @@
 Each pixel in a tag's square is compared, at its own centre, with what the print shows there: its pattern, as blurred as
 the image. Nothing is interpolated, so the error does not depend on how the edges lie to the rows of pixels.
 
-An edge is blurred by a quadratic B-spline, which is three equal boxes in a row: pixel, defocus and motion are boxes, or
-nearly so. Its one number is the box's width; its variance is a quarter of the width squared.
+An edge is blurred by a quadratic B-spline, which is three equal boxes in a row: near enough a lens's Gaussian and a
+pixel's square. Its one number is the box's width; its variance is a quarter of the width squared. A pixel sees its own
+cell and the eight around it: that is exact as long as the blur reaches no further than a cell. The camera's response
+then lifts what lies between black and white.
 
-The grey of a pixel is linear in eight numbers: brightness, its slopes forward and left, contrast, and contrast times
-offset forward, offset left, turn, and wider blur.
+The grey of a pixel is linear in eight numbers: brightness, its slopes forward and left (of light, which white shows
+more of than black), contrast, and contrast times offset forward, offset left, turn, and wider blur.
 """
 
 import math
