@@ -48,8 +48,10 @@ _BLUR_CONVERGED_PX, _BLUR_KNOWN_PX = 0.05, 0.3  # what a blur may be off, before
 _LEARNT_FROM = 0.9  # least likeness, and share of pixels that were not cut off
 _GAIN = 0.2  # of what is learnt about a tag's noise
 # What a fit knows of a tag's look, by index: brightness, its slopes forward and left, contrast [grey levels],
-# blur [px], share of the pixels that count, variance over that of tags in even light.
-CONTRAST, BLUR, COUNTED, NOISY, LOOK = 3, 4, 5, 6, 7
+# blur [px], 1 where shadows or covers change it by parts.
+CONTRAST, BLUR, STRUCTURED, LOOK = 3, 4, 5, 6
+# That is so if fewer pixels count, or the variance is so much more than in even light; of tags that are as alike.
+_COUNTED, _NOISY, _NOISY_COVERED, _STRUCTURED_FROM = 0.993, 1.6, 2.0, 0.6
 
 
 class _Room(NamedTuple):
@@ -169,8 +171,11 @@ def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop o
         learn_quiet(quiet, level[0], noise * noise)
         wider += blur - blur_at(camera_blur, share)
         learn_blur(camera_blur, blur_known, share, wider, variance / (room.factor[7, 7] * level[3]) ** 2)
-    look[: CONTRAST + 1], look[BLUR], look[COUNTED] = level, blur, left / room.sums[0]
-    look[NOISY] = variance / quiet_variance(quiet, level[0])
+    look[: CONTRAST + 1], look[BLUR] = level, blur
+    if alike > _STRUCTURED_FROM:
+        covered = len(hidden) > 0  # without the covered cells the others may look as they should
+        noisy = variance > (_NOISY_COVERED if covered else _NOISY) * quiet_variance(quiet, level[0])
+        look[STRUCTURED] = 1.0 if noisy or (not covered and left < _COUNTED * room.sums[0]) else 0.0
     _covary(room.factor, variance / (level[3] * level[3]), doubt, side, psi, covariance)
     covariance[5] += turn_variance(slope, spread)
     return centre, psi, alike, row

@@ -21,7 +21,7 @@ from robofleet.core.settings import FAMILIES
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.offset import Covariance
 from robofleet.tracking.tags.families import pattern
-from robofleet.tracking.tags.fit import BLUR, CONTRAST, COUNTED, LOOK, NOISY, add_up_tag, fit_tags
+from robofleet.tracking.tags.fit import BLUR, CONTRAST, LOOK, STRUCTURED, add_up_tag, fit_tags
 from robofleet.tracking.tags.imaging import Imaging
 from robofleet.tracking.tags.mapping import on_level, quadratic
 from robofleet.tracking.tags.pixels import BLOCKED, BLOCKS, PARAMETERS, SHAPED, neighbourhoods
@@ -31,11 +31,9 @@ from robofleet.tracking.tags.targets import Target
 
 _WIDE_PX = 2.2  # blur of a tag that is out of focus, or moves
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
-# The light has a structure if fewer pixels count, or the variance is so much more than in even light.
-_COUNTED, _NOISY, _NOISY_COVERED = 0.993, 1.6, 2.0
-_STRUCTURED_FROM = 0.6  # least likeness of what is fitted once more for that
 _STRUCTURED_PASSES, _STRUCTURED_CUT = 2, 0.5  # [contrasts] beyond which a pixel shows something else there
 _FAR = 0.1  # further the second fit may not be [sides, rad]
+_EVEN = 1.6  # variance over that of tags in even light, of a tag that shows its own shape only
 _SHADED = 0.6  # share of the residuals that no shape explains, from which they are a shadow's
 _NONE = np.zeros((0, 0), np.bool_)
 NOBODY = -1  # as a target
@@ -149,9 +147,9 @@ class PhotometricFit:
             blur_px, camera.blur, camera.known, camera.tone, camera.doubt, camera.quiet, self._noise,
             self.shapes.applied, self.shapes.spreads, looks, covers, *fit,
         )  # fmt: skip
-        covered = covers.any(1) | hidden.any()  # with the covered cells left out the others may look as they should
-        structured = np.where(covered, looks[:, NOISY] > _NOISY_COVERED, looks[:, NOISY] > _NOISY)
-        structured = (structured | (~covered & (looks[:, COUNTED] < _COUNTED))) & (fit.alike > _STRUCTURED_FROM)
+        structured = looks[:, STRUCTURED] > 0.0
+        if not (studied != NOBODY or structured.any()):
+            return fit
         for row in np.flatnonzero(structured | (index == studied)).tolist():
             tag = _Fitted(
                 int(index[row]), complex(fit.centre[row]), float(fit.psi[row]), complex(velocity[row]),
@@ -201,7 +199,7 @@ class PhotometricFit:
         equations = explained(closeup.products / np.outer(rest, rest))
         pixels = closeup.products[0, 0] - PARAMETERS
         unexplained = equations[0, 0] - equations[0, 1:] @ np.linalg.solve(equations[1:, 1:], equations[1:, 0])
-        even = _NOISY * pixels * self.imaging.variance(tag.look[0]) / contrast**2
+        even = _EVEN * pixels * self.imaging.variance(tag.look[0]) / contrast**2
         if unexplained > max(even, _SHADED * equations[0, 0]):
             return
         self.imaging.learn(closeup.blocks, contrast)
