@@ -169,7 +169,15 @@ class CameraContext:
 
     @classmethod
     def without_run(cls, config: Config, clock: Clock) -> "CameraContext":
-        """Return what a camera is made from where no run is: nobody ticks, and its bus is its own."""
+        """Return what a camera is made from where no run is: nobody ticks, and its bus is its own.
+
+        Args:
+            config: The configuration, whose ``camera`` is opened.
+            clock: The clock of its images.
+
+        Returns:
+            The context.
+        """
         bus = MemoryBus(config.arena.name, clock, 0)
         ticks = TickFollower(bus, round(config.controller.tick_s * S), lambda _: None)
         return CameraContext(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
+from robofleet.tracking.tags import shape
 from robofleet.tracking.tags.imaging import (
     KNOWN,
     NARROWEST,
@@ -313,4 +314,10 @@ def add_up_tag(  # type: ignore[no-untyped-def]
     return first[0, 0] / sums[0]
 
 
-KERNELS: tuple[Any, ...] = (fit_tags, add_up_tag)  # that are called from Python
+KERNELS: tuple[Any, ...] = (
+    fit_tags,
+    add_up_tag,
+    on_level,
+    quiet_variance,
+    *shape.KERNELS,
+)  # that are called from Python

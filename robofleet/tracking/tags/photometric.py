@@ -114,9 +114,17 @@ class PhotometricFit:
         self._noise = np.zeros(len(targets))
         self.shapes = Shapes.unknown(len(targets))
         self._to_quadratic = quadratic()
-        nothing = np.zeros((4, 4), np.uint8)
-        self.fit(nothing, np.arange(1), np.zeros(1, np.complex128), np.zeros(1))  # compiles, or loads
-        self._closeup(nothing, _Fitted(0, 0j, 0.0, 0j, 0.0, np.ones(LOOK)), 1.0, _NONE)
+        self._compile()
+
+    def _compile(self) -> None:
+        """Compile, or load, all kernels that are called from Python."""
+        nothing, shapes = np.zeros((4, 4), np.uint8), Shapes.unknown(1)
+        self.fit(nothing, np.arange(1), np.zeros(1, np.complex128), np.zeros(1))
+        closeup = self._closeup(nothing, _Fitted(0, 0j, 0.0, 0j, 0.0, np.ones(LOOK)), 1.0, _NONE)
+        on_level(0.0, 0.0, shapes.applied[0, TILT:], closeup.slope)
+        turn_variance(closeup.slope, shapes.spreads[0])
+        shapes.learn(0, explained(closeup.products), closeup.slope, 1.0)
+        self.imaging.variance(0.0)
 
     def fit(
         self,
@@ -177,7 +185,7 @@ class PhotometricFit:
             values, covariance = solve(closeup.blocks[:, : PARAMETERS + 1, : PARAMETERS + 1])
             look = tag.look.copy()
             look[: CONTRAST + 1] += values[: CONTRAST + 1]
-            forward, left, turn = -values[4:7] / max(look[CONTRAST], 1.0)
+            forward, left, turn = (-values[4:7] / max(look[CONTRAST], 1.0)).tolist()
             if not (math.hypot(forward, left) < _FAR and abs(turn) < _FAR):
                 return _Refit(tag.centre, tag.psi, np.zeros(6), math.inf)
             ahead = side * complex(math.cos(tag.psi), math.sin(tag.psi))
@@ -199,7 +207,7 @@ class PhotometricFit:
         equations = explained(closeup.products / np.outer(rest, rest))
         pixels = closeup.products[0, 0] - PARAMETERS
         unexplained = equations[0, 0] - equations[0, 1:] @ np.linalg.solve(equations[1:, 1:], equations[1:, 0])
-        even = _EVEN * pixels * self.imaging.variance(tag.look[0]) / contrast**2
+        even = _EVEN * pixels * self.imaging.variance(float(tag.look[0])) / contrast**2
         if unexplained > max(even, _SHADED * equations[0, 0]):
             return
         self.imaging.learn(closeup.blocks, contrast)

@@ -9,7 +9,7 @@ The size is also that of a tag that is nearer to the camera: see ``prints.py``.
 """
 
 import math
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,3 +160,6 @@ def turn_variance(slope, spread):  # type: ignore[no-untyped-def]
     ahead, aside = -0.5 * slope[0], 0.5 * slope[1]
     aa, ab, bb = spread[TILT, TILT], spread[TILT, TILT + 1], spread[TILT + 1, TILT + 1]
     return aa * aside * aside + 2.0 * ab * aside * ahead + bb * ahead * ahead
+
+
+KERNELS: tuple[Any, ...] = (_learn, _sweep, turn_variance)  # that are called from Python
