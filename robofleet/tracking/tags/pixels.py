@@ -149,8 +149,6 @@ def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
     """Write 16: forward, 17: left [sides]; 3, 4: how much of the blur lies beyond the cell's left and right edge, 5, 6:
     how steep it is there, 7, 8, 10, 11: the same up and down; 12, 13: how far from the left and the upper edge [blurs];
     9: the cell's number."""
-    half, zero, three = np.float32(0.5), np.float32(0.0), np.float32(3.0)
-    sixth, outer = np.float32(1.0 / 6.0), np.float32(1.5)
     a0, ax, ay = np.float32(shape[0, 0]), np.float32(shape[0, 1]), np.float32(shape[0, 2])
     axx, axy, ayy = np.float32(shape[0, 3]), np.float32(shape[0, 4]), np.float32(shape[0, 5])
     b0, bx, by = np.float32(shape[1, 0]), np.float32(shape[1, 1]), np.float32(shape[1, 2])
@@ -166,18 +164,18 @@ def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
         s, t = (right - i) * per, (down - j) * per
         flat[16 * CHUNK + k], flat[17 * CHUNK + k], flat[12 * CHUNK + k], flat[13 * CHUNK + k] = a, b, s, t
         flat[9 * CHUNK + k] = j * wide + i
-        p, q = max(outer - s, zero), max(half - s, zero)
-        flat[3 * CHUNK + k] = sixth * (p * p * p - three * q * q * q)
-        flat[5 * CHUNK + k] = half * (p * p - three * q * q)
-        p, q = max(outer - per + s, zero), max(half - per + s, zero)
-        flat[4 * CHUNK + k] = sixth * (p * p * p - three * q * q * q)
-        flat[6 * CHUNK + k] = half * (p * p - three * q * q)
-        p, q = max(outer - t, zero), max(half - t, zero)
-        flat[7 * CHUNK + k] = sixth * (p * p * p - three * q * q * q)
-        flat[10 * CHUNK + k] = half * (p * p - three * q * q)
-        p, q = max(outer - per + t, zero), max(half - per + t, zero)
-        flat[8 * CHUNK + k] = sixth * (p * p * p - three * q * q * q)
-        flat[11 * CHUNK + k] = half * (p * p - three * q * q)
+        flat[3 * CHUNK + k], flat[5 * CHUNK + k] = _beyond(s)
+        flat[4 * CHUNK + k], flat[6 * CHUNK + k] = _beyond(per - s)
+        flat[7 * CHUNK + k], flat[10 * CHUNK + k] = _beyond(t)
+        flat[8 * CHUNK + k], flat[11 * CHUNK + k] = _beyond(per - t)
+
+
+@image_kernel
+def _beyond(distance):  # type: ignore[no-untyped-def]
+    """Return how much of the blur lies beyond an edge at a distance of 0 or more [blurs], and its density there."""
+    zero, half, three = np.float32(0.0), np.float32(0.5), np.float32(3.0)
+    p, q = max(np.float32(1.5) - distance, zero), max(half - distance, zero)
+    return np.float32(1.0 / 6.0) * (p * p * p - three * q * q * q), half * (p * p - three * q * q)
 
 
 @image_kernel
