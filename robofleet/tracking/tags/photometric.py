@@ -165,7 +165,9 @@ class PhotometricFit:
             )  # fmt: skip
             if structured[row]:
                 ways = [self._fit_structured(image, tag, cover) for cover in (hidden, covers[row])]
-                fit.centre[row], fit.psi[row], fit.covariance[row] = min(ways, key=lambda way: way.uncertainty)[:3]
+                way = min(ways, key=lambda way: way.uncertainty)
+                if way.uncertainty < math.inf:
+                    fit.centre[row], fit.psi[row], fit.covariance[row] = way[:3]
             if tag.target == studied and fit.alike[row] > STUDIED_FROM and camera.settled:
                 self._study(image, tag)
         return fit
@@ -186,7 +188,7 @@ class PhotometricFit:
             look = tag.look.copy()
             look[: CONTRAST + 1] += values[: CONTRAST + 1]
             forward, left, turn = (-values[4:7] / max(look[CONTRAST], 1.0)).tolist()
-            if not (math.hypot(forward, left) < _FAR and abs(turn) < _FAR):
+            if not (math.hypot(forward, left) < _FAR and abs(turn) < _FAR and np.isfinite(covariance).all()):
                 return _Refit(tag.centre, tag.psi, np.zeros(6), math.inf)
             ahead = side * complex(math.cos(tag.psi), math.sin(tag.psi))
             centre = tag.centre + ahead * on_level(forward, left, tilt, closeup.slope)
@@ -206,7 +208,7 @@ class PhotometricFit:
         rest = np.where(np.arange(len(closeup.products)) == PARAMETERS, contrast, 1.0)  # in contrasts
         equations = explained(closeup.products / np.outer(rest, rest))
         pixels = closeup.products[0, 0] - PARAMETERS
-        unexplained = equations[0, 0] - equations[0, 1:] @ np.linalg.solve(equations[1:, 1:], equations[1:, 0])
+        unexplained = equations[0, 0] - equations[0, 1:] @ np.linalg.lstsq(equations[1:, 1:], equations[1:, 0])[0]
         even = _EVEN * pixels * self.imaging.variance(float(tag.look[0])) / contrast**2
         if unexplained > max(even, _SHADED * equations[0, 0]):
             return

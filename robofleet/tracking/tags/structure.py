@@ -25,13 +25,15 @@ def solve(blocks: Array) -> tuple[Array, Array]:
     coefficient is 1, the fourth the contrast's.
 
     Return the P values, and their covariance (P, P) by how much the blocks differ: so it holds whatever the noise's
-    correlation is.
+    correlation is; infinite where too few blocks are seen.
     """
     blocks = blocks[blocks[:, 0, 0] >= _FEWEST]
+    if len(blocks) <= blocks.shape[1]:
+        return np.zeros(blocks.shape[1] - 1), np.full((blocks.shape[1] - 1,) * 2, np.inf)
     n, pixels, weight = blocks.shape[1] - 1, blocks[:, 0, 0], np.ones(len(blocks))
     to_light, spread = blocks[:, :, _LIGHT], _EVEN  # variance of a block's light over a pixel's
     values, inverse, score = np.zeros(n), np.zeros((n, n)), np.zeros((len(blocks), n))
-    for _ in range(_ROUNDS if len(blocks) > n else 0):
+    for _ in range(_ROUNDS):
         gain = np.linalg.inv(np.eye(len(_LIGHT)) / spread + to_light[:, _LIGHT])
         own = blocks - to_light @ gain @ to_light.transpose(0, 2, 1)  # what the light of the block does not explain
         total = (weight[:, None, None] * own).sum(0)
