@@ -9,7 +9,7 @@ from robofleet.config.calibrated import TagOffset
 from robofleet.tracking.offset import centre_covariance, centre_from_tag
 from tools.measure.tracking.certainty import Scene, biases, certainty
 
-LENS = 0.35  # sigma [px]: the blur that the fit expects of a camera before it has learnt any
+LENS = 0.7  # sigma [px]
 
 
 @pytest.mark.slow
