@@ -51,11 +51,11 @@ def test_a_run_starts_from_the_calibrated_imaging() -> None:
 
 def test_a_lens_that_is_touched_is_named() -> None:
     imaging = Imaging.of(CALIBRATED)
-    monitor, told = BlurMonitor(imaging, CALIBRATED.blur_px), []
+    monitor, changes = BlurMonitor(imaging, CALIBRATED.blur_px), []
     for width in (*[imaging.blur[0]] * 40, *[4.0] * 200):
         for _ in range(4):
             learn_blur(imaging.blur, imaging.known, 0.2, width - imaging.blur[0], 1e-4)
-        told.append(monitor.changed())
-    assert told[:40] == [None] * 40
-    assert [sigma for sigma in told if sigma is not None][-1] == pytest.approx(2.0, abs=0.1)
-    assert told[-1] is None
+        changes.append(monitor.changed())
+    assert changes[:40] == [None] * 40
+    assert [sigma for sigma in changes if sigma is not None][-1] == pytest.approx(2.0, abs=0.1)
+    assert changes[-1] is None
