@@ -79,7 +79,8 @@ def fit_tags(  # type: ignore[no-untyped-def]
     own_blur, camera_blur, blur_known, tone, doubt, quiet, noises, shapes, spreads, looks, covers, fit_centre,
     fit_psi, fit_alike, fit_row, fit_covariance,
 ):  # fmt: skip
-    """Fill a ``Fit`` of M tags. A tag that is not whole in the image is not alike at all.
+    """Fill a ``Fit`` of M tags; return how many are structured. A tag that is not whole in the image is not alike at
+    all.
 
     hidden (C * C,) cells do not count; none where it is empty. own_blur: of these tags [px]; 0: the camera's.
     camera_blur, blur_known, tone, doubt, quiet: the fields of ``Imaging``. noises (N,): of the targets [grey levels; 0:
@@ -92,6 +93,7 @@ def fit_tags(  # type: ignore[no-untyped-def]
         np.empty((0, n + 1 + SHAPED)), np.empty((0, BLOCKED, BLOCKED)), np.empty((n, n)), np.empty(n), np.empty(4),
         np.empty((6, 9)), np.empty((2, 6)), np.empty((2, 6)), np.empty(6),
     )  # fmt: skip
+    structured = 0
     for m in range(len(index)):
         i = index[m]
         fit_centre[m], fit_psi[m], fit_alike[m], fit_row[m] = _fit(
@@ -99,6 +101,8 @@ def fit_tags(  # type: ignore[no-untyped-def]
             velocity[m], omega[m], own_blur, camera_blur, blur_known, tone[0], doubt, quiet, noises, shapes[i],
             spreads[i], i, room, looks[m], covers[m], fit_covariance[m],
         )  # fmt: skip
+        structured += looks[m, STRUCTURED] > 0.0
+    return structured
 
 
 @image_kernel

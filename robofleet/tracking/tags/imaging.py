@@ -13,6 +13,8 @@ import numpy as np
 from robofleet.config.calibrated import ImagingSettings
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
+from robofleet.tracking.tags.equations import sweep
+from robofleet.tracking.tags.pixels import POSE
 
 NARROWEST, WIDEST = 0.6, 5.0  # blur [px]
 _EXPECTED_PX = 1.6  # of a camera of which nothing is known: a Gaussian of 0.75 px, and a pixel
@@ -75,23 +77,19 @@ class Imaging(NamedTuple):
         """Learn response and noise from the products (B, P + 2, P + 2) of a tag's blocks: of P coefficients, what is
         left of the grey, and the response's coefficient."""
         n = blocks.shape[1] - 2
-        blocks = blocks[blocks[:, 0, 0] > 0.0]
-        total = blocks.sum(0)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(total)[:n], 1e-9))
-        inverse = np.linalg.inv(total[:n, :n] * np.outer(scale, scale) + 1e-9 * np.eye(n)) * np.outer(scale, scale)
-        values = inverse @ total[:n, n]
-        step = np.append(-values, 1.0)
-        variance = step @ total[: n + 1, : n + 1] @ step / (total[0, 0] - n)
-        score = blocks[:, :n, : n + 1] @ step
-        robust = inverse @ (score.T @ score) @ inverse * len(blocks) / (len(blocks) - 5.0)
-        white = variance * np.diag(inverse)
-        ratio = np.array([(robust[4, 4] + robust[5, 5]) / (white[4] + white[5]), robust[6, 6] / white[6]])
+        swept, seen = blocks.sum(0), float(np.count_nonzero(blocks[:, 0, 0]))
+        pixels = swept[0, 0]
+        sweep(swept, n)
+        variance = swept[n, n] / (pixels - n)
+        score = blocks[:, :n, : n + 1] @ np.append(-swept[n, :n], 1.0)
+        robust = ((score @ swept[:n, POSE]) ** 2).sum(0) * seen / (seen - 5.0)
+        white = -variance * np.diag(swept)[POSE]
+        ratio = np.array([(robust[0] + robust[1]) / (white[0] + white[1]), robust[2] / white[2]])
         self.doubt[:] += _DOUBT_GAIN * (np.clip(ratio, 0.2, 5.0) - self.doubt)
-        curve = total[n + 1, : n + 1] - total[n + 1, :n] @ inverse @ total[:n, : n + 1]
-        size = total[n + 1, n + 1] - total[n + 1, :n] @ inverse @ total[:n, n + 1]
+        curve, size = swept[n + 1, n:]
         known = contrast**2 * size / (_TONE_DOUBT * variance)
         self.tone_known[0] = _FORGET * self.tone_known[0] + (1.0 - _FORGET) / _TONE_SIGMA**2 + known
-        self.tone[0] += known / self.tone_known[0] * curve[n] / (size * contrast)
+        self.tone[0] += known / self.tone_known[0] * curve / (size * contrast)
         self.tone[0] = min(max(self.tone[0], -_MOST_TONE), _MOST_TONE)
 
 

@@ -48,11 +48,10 @@ def measure(
         velocity[i], omega[i] = 0.0, 0.0
         if moving[i]:
             t = max((instant_ns - measured_ns[i]) * 1e-9, 1e-6)
-            turn = new_psi[m] - psi[i]
-            turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+            turn = _wrapped(new_psi[m] - psi[i])
             velocity[i] = (new_centre[m] - centre[i]) / _turned(psi[i]) / (t * _chord(turn))
             omega[i] = turn / t
-        centre[i], psi[i], row[i], measured_ns[i] = new_centre[m], new_psi[m], new_row[m], instant_ns
+        centre[i], psi[i], row[i], measured_ns[i] = new_centre[m], _wrapped(new_psi[m]), new_row[m], instant_ns
 
 
 @kernel
@@ -60,6 +59,11 @@ def _after_ns(row: float, line_ns: Array) -> int:
     """Return how long after the middle row a row is exposed."""
     after_ns: int = round((row - line_ns[0]) * line_ns[1])
     return after_ns
+
+
+@kernel
+def _wrapped(angle: float) -> float:
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @kernel

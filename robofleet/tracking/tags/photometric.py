@@ -24,8 +24,17 @@ from robofleet.tracking.tags.families import pattern
 from robofleet.tracking.tags.fit import BLUR, CONTRAST, LOOK, STRUCTURED, add_up_tag, fit_tags
 from robofleet.tracking.tags.imaging import Imaging
 from robofleet.tracking.tags.mapping import on_level, quadratic
-from robofleet.tracking.tags.pixels import BLOCKED, BLOCKS, PARAMETERS, SHAPED, neighbourhoods
-from robofleet.tracking.tags.shape import STUDIED, STUDIED_FROM, TILT, Shapes, explained, shape_cut, turn_variance
+from robofleet.tracking.tags.pixels import BLOCKED, BLOCKS, PARAMETERS, POSE, SHAPED, neighbourhoods
+from robofleet.tracking.tags.shape import (
+    STUDIED,
+    STUDIED_FROM,
+    TILT,
+    Shapes,
+    explained,
+    shape_cut,
+    turn_variance,
+    unexplained,
+)
 from robofleet.tracking.tags.structure import solve
 from robofleet.tracking.tags.targets import Target
 
@@ -123,7 +132,9 @@ class PhotometricFit:
         closeup = self._closeup(nothing, _Fitted(0, 0j, 0.0, 0j, 0.0, np.ones(LOOK)), 1.0, _NONE)
         on_level(0.0, 0.0, shapes.applied[0, TILT:], closeup.slope)
         turn_variance(closeup.slope, shapes.spreads[0])
-        shapes.learn(0, explained(closeup.products), closeup.slope, 1.0)
+        equations = explained(closeup.products, 1.0)
+        unexplained(equations)
+        shapes.learn(0, equations, closeup.slope, 1.0)
         self.imaging.variance(0.0)
 
     def fit(
@@ -149,15 +160,15 @@ class PhotometricFit:
             velocity, omega = np.zeros(m, np.complex128), np.zeros(m)
         fit = Fit(np.empty(m, np.complex128), np.empty(m), np.empty(m), np.empty(m), np.empty((m, 6)))
         looks, covers = np.empty((m, LOOK)), np.empty((m, FAMILIES[self.family].cells ** 2), np.bool_)
-        fit_tags(
+        shaded = fit_tags(
             image, self.geometry.flat, self._line_time, self._wholes, self.heights, self._prints,
             FAMILIES[self.family].cells, hidden.ravel(), self._to_quadratic, index, centre, psi, velocity, omega,
             blur_px, camera.blur, camera.known, camera.tone, camera.doubt, camera.quiet, self._noise,
             self.shapes.applied, self.shapes.spreads, looks, covers, *fit,
         )  # fmt: skip
-        structured = looks[:, STRUCTURED] > 0.0
-        if not (studied != NOBODY or structured.any()):
+        if studied == NOBODY and not shaded:
             return fit
+        structured = looks[:, STRUCTURED] > 0.0
         for row in np.flatnonzero(structured | (index == studied)).tolist():
             tag = _Fitted(
                 int(index[row]), complex(fit.centre[row]), float(fit.psi[row]), complex(velocity[row]),
@@ -187,7 +198,7 @@ class PhotometricFit:
             values, covariance = solve(closeup.blocks[:, : PARAMETERS + 1, : PARAMETERS + 1])
             look = tag.look.copy()
             look[: CONTRAST + 1] += values[: CONTRAST + 1]
-            forward, left, turn = (-values[4:7] / max(look[CONTRAST], 1.0)).tolist()
+            forward, left, turn = (-values[POSE] / max(look[CONTRAST], 1.0)).tolist()
             if not (math.hypot(forward, left) < _FAR and abs(turn) < _FAR and np.isfinite(covariance).all()):
                 return _Refit(tag.centre, tag.psi, np.zeros(6), math.inf)
             ahead = side * complex(math.cos(tag.psi), math.sin(tag.psi))
@@ -195,7 +206,7 @@ class PhotometricFit:
             tag = tag._replace(centre=centre, psi=tag.psi + turn, look=look)
         c, s = math.cos(tag.psi), math.sin(tag.psi)
         to_world = np.array([[side * c, -side * s, 0.0], [side * s, side * c, 0.0], [0.0, 0.0, 1.0]])
-        spread = to_world @ covariance[4:7, 4:7] @ to_world.T / tag.look[CONTRAST] ** 2
+        spread = to_world @ covariance[POSE, POSE] @ to_world.T / tag.look[CONTRAST] ** 2
         spread[2, 2] += turn_variance(closeup.slope, self.shapes.spreads[i])
         return _Refit(tag.centre, tag.psi, spread[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], spread[0, 0] + spread[1, 1])
 
@@ -205,12 +216,9 @@ class PhotometricFit:
         closeup = self._closeup(image, tag, shape_cut(shapes.counts[tag.target]) * contrast, _NONE)
         if closeup.counted < STUDIED:
             return
-        rest = np.where(np.arange(len(closeup.products)) == PARAMETERS, contrast, 1.0)  # in contrasts
-        equations = explained(closeup.products / np.outer(rest, rest))
-        pixels = closeup.products[0, 0] - PARAMETERS
-        unexplained = equations[0, 0] - equations[0, 1:] @ np.linalg.lstsq(equations[1:, 1:], equations[1:, 0])[0]
+        pixels, equations = closeup.products[0, 0] - PARAMETERS, explained(closeup.products, contrast)
         even = _EVEN * pixels * self.imaging.variance(float(tag.look[0])) / contrast**2
-        if unexplained > max(even, _SHADED * equations[0, 0]):
+        if unexplained(equations) > max(even, _SHADED * equations[0, 0]):
             return
         self.imaging.learn(closeup.blocks, contrast)
         variance = max(equations[0, 0] / pixels, (self._noise[tag.target] / contrast) ** 2)

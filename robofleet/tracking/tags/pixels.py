@@ -5,8 +5,8 @@ the image. Nothing is interpolated, so the error does not depend on how the edge
 
 An edge is blurred by a quadratic B-spline, which is three equal boxes in a row: near enough a lens's Gaussian and a
 pixel's square. Its one number is the box's width; its variance is a quarter of the width squared. A pixel sees its own
-cell and the eight around it: that is exact as long as the blur reaches no further than a cell. The camera's response
-then lifts what lies between black and white.
+cell and the eight around it: that is exact as long as the blur reaches no further than a cell. Where the blur reaches
+half a cell at most, four cells are enough. The camera's response then lifts what lies between black and white.
 
 The grey of a pixel is linear in eight numbers: brightness, its slopes forward and left (of light, which white shows
 more of than black), contrast, and contrast times offset forward, offset left, turn, and wider blur.
@@ -21,11 +21,13 @@ from robofleet.core.kernels import image_kernel
 
 REACH = 0.56  # half the fitted square [sides]: half of the white cell beyond the black rim
 PARAMETERS = 8
+POSE = slice(4, 7)  # which of them are forward, left and turn
 BLOCKS = 5  # along a tag's square: each block may have a light of its own
 BLOCKED = PARAMETERS + 2  # coefficients of which products are added up by blocks
 SHAPED = 6  # more coefficients, of a tag's own shape
 SLOTS, CHUNK = 18, 512  # numbers of a pixel; pixels that are computed at once
 MOST_ROWS = 150  # of pixels along a side that are looked at
+_NARROW = 2.75  # blurs in a cell from which less than a thousandth reaches a pixel from beyond the nearest corner
 _FLAT = 1e-7  # a slope that is less is taken for this [sides/px]
 _LANES = 16  # of the processor, at most: chunks are filled up to a multiple of it
 
@@ -107,14 +109,19 @@ def _add_up(  # type: ignore[no-untyped-def]
         flat[k], flat[CHUNK + k], flat[14 * CHUNK + k] = flat[0], flat[CHUNK], flat[14 * CHUNK]
     for k in range(many):
         flat[15 * CHUNK + k] = np.float32(1.0) if k < full else np.float32(0.0)
-    _place(flat, many, shape, cells, side_px / (cells * blur))
+    per = np.float32(side_px / (cells * blur))  # blurs in a cell
+    _place(flat, many, shape, cells, per)
     if len(hidden):
         for k in range(full):
             if hidden[_cell(flat[16 * CHUNK + k], flat[17 * CHUNK + k], cells)]:
                 flat[15 * CHUNK + k] = np.float32(0.0)
     for k in range(many):
         flat[9 * CHUNK + k] = corners[np.uint32(flat[9 * CHUNK + k])]
-    _compare(flat, many, side_px / blur, 1.0 / blur, side_px / (cells * blur), level, tone, cut)
+    if per > _NARROW:
+        _blend_narrow(flat, many, per)
+    else:
+        _blend(flat, many, per)
+    _compare(flat, many, side_px / blur, 1.0 / blur, level, tone, cut)
     for k in range(full if len(tally) else 0):
         cell = _cell(flat[16 * CHUNK + k], flat[17 * CHUNK + k], cells)
         tally[cell, 0] += 1
@@ -146,9 +153,8 @@ def _read(flat, many, first, stride, y, line):  # type: ignore[no-untyped-def]
 
 @image_kernel
 def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
-    """Write 16: forward, 17: left [sides]; 3, 4: how much of the blur lies beyond the cell's left and right edge, 5, 6:
-    how steep it is there, 7, 8, 10, 11: the same up and down; 12, 13: how far from the left and the upper edge [blurs];
-    9: the cell's number."""
+    """Write 16: forward, 17: left [sides]; 12, 13: how far from its cell's left and upper edge [blurs]; 9: the cell's
+    number."""
     a0, ax, ay = np.float32(shape[0, 0]), np.float32(shape[0, 1]), np.float32(shape[0, 2])
     axx, axy, ayy = np.float32(shape[0, 3]), np.float32(shape[0, 4]), np.float32(shape[0, 5])
     b0, bx, by = np.float32(shape[1, 0]), np.float32(shape[1, 1]), np.float32(shape[1, 2])
@@ -161,13 +167,60 @@ def _place(flat, many, shape, cells, per):  # type: ignore[no-untyped-def]
         b = b0 + x * (bx + x * bxx + y * bxy) + y * (by + y * byy)
         right, down = middle + across * a, middle - across * b
         i, j = np.float32(_within(right, last)), np.float32(_within(down, last))
-        s, t = (right - i) * per, (down - j) * per
-        flat[16 * CHUNK + k], flat[17 * CHUNK + k], flat[12 * CHUNK + k], flat[13 * CHUNK + k] = a, b, s, t
-        flat[9 * CHUNK + k] = j * wide + i
-        flat[3 * CHUNK + k], flat[5 * CHUNK + k] = _beyond(s)
-        flat[4 * CHUNK + k], flat[6 * CHUNK + k] = _beyond(per - s)
-        flat[7 * CHUNK + k], flat[10 * CHUNK + k] = _beyond(t)
-        flat[8 * CHUNK + k], flat[11 * CHUNK + k] = _beyond(per - t)
+        flat[16 * CHUNK + k], flat[17 * CHUNK + k] = a, b
+        flat[12 * CHUNK + k], flat[13 * CHUNK + k], flat[9 * CHUNK + k] = (
+            (right - i) * per,
+            (down - j) * per,
+            j * wide + i,
+        )
+
+
+@image_kernel
+def _blend(flat, many, per):  # type: ignore[no-untyped-def]
+    """Write 3: the share of black that a pixel sees, 4, 5: how it grows to the right and down, 6: with the blur
+    [1/blur]; of its cell and the eight around."""
+    for k in range(many):
+        s, t, code = flat[12 * CHUNK + k], flat[13 * CHUNK + k], np.int32(flat[9 * CHUNK + k])
+        past_l, steep_l = _beyond(s)
+        past_r, steep_r = _beyond(per - s)
+        past_u, steep_u = _beyond(t)
+        past_d, steep_d = _beyond(per - t)
+        wide_l, wide_r = s * steep_l, (per - s) * steep_r
+        n = np.float32(code >> 1 & 1)
+        l, r = np.float32(code & 1) - n, np.float32(code >> 2 & 1) - n
+        up, up_s, up_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
+        n = np.float32(code >> 4 & 1)
+        l, r = np.float32(code >> 3 & 1) - n, np.float32(code >> 5 & 1) - n
+        here, by_s, by_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
+        n = np.float32(code >> 7 & 1)
+        l, r = np.float32(code >> 6 & 1) - n, np.float32(code >> 8 & 1) - n
+        low, low_s, low_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
+        up, up_s, up_w, low, low_s, low_w = up - here, up_s - by_s, up_w - by_w, low - here, low_s - by_s, low_w - by_w
+        flat[3 * CHUNK + k] = here + past_u * up + past_d * low
+        flat[4 * CHUNK + k] = by_s + past_u * up_s + past_d * low_s
+        flat[5 * CHUNK + k] = steep_d * low - steep_u * up
+        flat[6 * CHUNK + k] = by_w + past_u * up_w + past_d * low_w + t * steep_u * up + (per - t) * steep_d * low
+
+
+@image_kernel
+def _blend_narrow(flat, many, per):  # type: ignore[no-untyped-def]
+    """As ``_blend``, of the four cells around the nearest corner."""
+    half, zero, unit = np.float32(0.5) * per, np.float32(0.0), np.float32(1.0)
+    for k in range(many):
+        s, t, code = flat[12 * CHUNK + k], flat[13 * CHUNK + k], np.int32(flat[9 * CHUNK + k])
+        code = code >> 1 if s > half else code
+        code = code >> 3 if t > half else code
+        s = s - per if s > half else s
+        t = t - per if t > half else t
+        share_s, steep_s = _beyond(abs(s))
+        share_t, steep_t = _beyond(abs(t))
+        past_s, past_t = share_s if s < zero else unit - share_s, share_t if t < zero else unit - share_t
+        here, low = np.float32(code & 1), np.float32(code >> 3 & 1)
+        right, low_right = np.float32(code >> 1 & 1) - here, np.float32(code >> 4 & 1) - low
+        here, low, turn = here + past_s * right, low + past_s * low_right, low_right - right
+        by_s, by_t = (right + past_t * turn) * steep_s, (low - here) * steep_t
+        flat[3 * CHUNK + k], flat[4 * CHUNK + k], flat[5 * CHUNK + k] = here + past_t * (low - here), by_s, by_t
+        flat[6 * CHUNK + k] = -(s * by_s + t * by_t)
 
 
 @image_kernel
@@ -193,37 +246,18 @@ def _cell(forward, left, cells):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _compare(flat, many, by_shift, by_blur, per, level, tone, cut):  # type: ignore[no-untyped-def]
+def _compare(flat, many, by_shift, by_blur, level, tone, cut):  # type: ignore[no-untyped-def]
     """Write 0 to 7: what the grey is linear in, 8: what of it is left; 9, 14: pattern and grey of what counts."""
     zero, unit, four = np.float32(0.0), np.float32(1.0), np.float32(4.0)
-    by_shift, by_blur, per, cut = np.float32(by_shift), np.float32(by_blur), np.float32(per), np.float32(cut)
+    by_shift, by_blur, cut = np.float32(by_shift), np.float32(by_blur), np.float32(cut)
     bright, ahead = np.float32(level[0]), np.float32(level[1])
     aside, contrast = np.float32(level[2]), np.float32(level[3])
     share = np.float32(min(max(level[3] / max(level[0] + 128.0, 1.0), 0.0), 1.0))
     tone = np.float32(tone)
     for k in range(many):
-        past_l, past_r = flat[3 * CHUNK + k], flat[4 * CHUNK + k]
-        steep_l, steep_r = flat[5 * CHUNK + k], flat[6 * CHUNK + k]
-        past_u, past_d = flat[7 * CHUNK + k], flat[8 * CHUNK + k]
-        steep_u, steep_d = flat[10 * CHUNK + k], flat[11 * CHUNK + k]
-        s, t = flat[12 * CHUNK + k], flat[13 * CHUNK + k]
+        look, by_s, by_t, by_w = -flat[3 * CHUNK + k], flat[4 * CHUNK + k], flat[5 * CHUNK + k], flat[6 * CHUNK + k]
         a, b = flat[16 * CHUNK + k], flat[17 * CHUNK + k]
-        grey, counts, code = flat[14 * CHUNK + k], flat[15 * CHUNK + k], np.int32(flat[9 * CHUNK + k])
-        wide_l, wide_r = s * steep_l, (per - s) * steep_r
-        n = np.float32(code >> 1 & 1)
-        l, r = np.float32(code & 1) - n, np.float32(code >> 2 & 1) - n
-        up, up_s, up_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
-        n = np.float32(code >> 4 & 1)
-        l, r = np.float32(code >> 3 & 1) - n, np.float32(code >> 5 & 1) - n
-        here, by_s, by_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
-        n = np.float32(code >> 7 & 1)
-        l, r = np.float32(code >> 6 & 1) - n, np.float32(code >> 8 & 1) - n
-        low, low_s, low_w = n + past_l * l + past_r * r, steep_r * r - steep_l * l, wide_l * l + wide_r * r
-        up, up_s, up_w, low, low_s, low_w = up - here, up_s - by_s, up_w - by_w, low - here, low_s - by_s, low_w - by_w
-        look = -(here + past_u * up + past_d * low)
-        by_s = by_s + past_u * up_s + past_d * low_s
-        by_t = steep_d * low - steep_u * up
-        by_w = by_w + past_u * up_w + past_d * low_w + t * steep_u * up + (per - t) * steep_d * low
+        grey, counts = flat[14 * CHUNK + k], flat[15 * CHUNK + k]
         curve = four * look * (unit + look)  # of the response: none in black and white
         steeper = tone * four * (unit + look + look) - unit
         look = look - tone * curve

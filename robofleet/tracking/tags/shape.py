@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
+from robofleet.tracking.tags.equations import sweep
 from robofleet.tracking.tags.pixels import PARAMETERS, SHAPED
 
 # A shape's numbers, as ``mapping.map_pixels`` has them; two of the tilt, then the bows and the twist.
@@ -64,10 +65,6 @@ class Shapes(NamedTuple):
         values, spread = self.values[tag], self.spreads[tag]
         denied = _learn(equations, slope[0], slope[1], scale, values, self.applied[tag], self.known[tag], spread)
         self.counts[tag] = 1 if denied else self.counts[tag] + 1
-        self.applied[tag] = values
-        bows = values[BOW:]
-        if bows @ np.linalg.solve(spread[BOW:, BOW:], bows) < _FLAT:
-            self.applied[tag, BOW:] = 0.0
 
 
 def shape_cut(count: int) -> float:
@@ -75,18 +72,28 @@ def shape_cut(count: int) -> float:
     return _CUT if count < _KNOWN_FROM else _KNOWN_CUT
 
 
-def explained(products: Array) -> Array:
+def explained(products: Array, contrast: float) -> Array:
     """Return of the products (P + 1 + S, P + 1 + S) of P coefficients, what is left of the grey, and S coefficients
-    more, what the first P do not explain of the others, (1 + S, 1 + S)."""
+    more, what the first P do not explain of the others, (1 + S, 1 + S), in contrasts."""
     left = products.copy()
-    _sweep(left, PARAMETERS)
-    return left[PARAMETERS:, PARAMETERS:]
+    sweep(left, PARAMETERS)
+    equations = left[PARAMETERS:, PARAMETERS:]
+    equations[0] /= contrast
+    equations[:, 0] /= contrast
+    return equations
+
+
+def unexplained(equations: Array) -> float:
+    """Return the squares that no shape explains either [contrasts^2]."""
+    left = equations[::-1, ::-1].copy()
+    sweep(left, SHAPED)
+    return float(left[SHAPED, SHAPED])
 
 
 @image_kernel
 def _learn(equations, ahead, aside, scale, values, applied, known, spread):  # type: ignore[no-untyped-def]
-    """Learn from the ``equations`` of an image, in which a tag has the shape ``applied``, times ``scale``; return
-    whether it denies what was known."""
+    """Learn from the ``equations`` of an image, in which a tag has the shape ``applied``, times ``scale``; and apply
+    what is known now. Return whether the image denies what was known before."""
     n = _NUMBERS
     turn = np.zeros((SHAPED, n))  # the six coefficients, by the eight numbers: a tilt stretches and shears
     for i in range(SHAPED):
@@ -117,6 +124,12 @@ def _learn(equations, ahead, aside, scale, values, applied, known, spread):  # t
         for b in range(n):
             step += spread[a, b] * pull[b]
         values[a] = min(max(values[a] - step, -_MOST[a]), _MOST[a])
+    applied[:] = values
+    bows = np.zeros((n - BOW + 1, n - BOW + 1))
+    bows[:-1, :-1], bows[-1, :-1], bows[:-1, -1] = spread[BOW:, BOW:], values[BOW:], values[BOW:]
+    sweep(bows, n - BOW)
+    if -bows[-1, -1] < _FLAT:
+        applied[BOW:] = 0.0
     return denied
 
 
@@ -127,30 +140,13 @@ def _squared(vector, known, share, spread):  # type: ignore[no-untyped-def]
     spread[:] = known
     for a in range(_NUMBERS):
         spread[a, a] += share * _EXPECTED[a]
-    _sweep(spread, _NUMBERS)
+    sweep(spread, _NUMBERS)
     square = 0.0
     for a in range(_NUMBERS):
         for b in range(_NUMBERS):
             spread[a, b] = -spread[a, b]
             square += spread[a, b] * vector[a] * vector[b]
     return square
-
-
-@image_kernel
-def _sweep(matrix, many):  # type: ignore[no-untyped-def]
-    """Solve for the first variables of a symmetric matrix: the upper left block becomes minus its inverse, and the
-    lower right one what these variables do not explain of the others."""
-    for k in range(many):
-        pivot = 1.0 / max(matrix[k, k], 1e-9)
-        for i in range(len(matrix)):
-            share = pivot * matrix[i, k]
-            for j in range(len(matrix) if i != k else 0):
-                if j != k:
-                    matrix[i, j] -= share * matrix[k, j]
-        for i in range(len(matrix)):
-            matrix[i, k] *= pivot
-            matrix[k, i] = matrix[i, k]
-        matrix[k, k] = -pivot
 
 
 @image_kernel
@@ -162,4 +158,4 @@ def turn_variance(slope, spread):  # type: ignore[no-untyped-def]
     return aa * aside * aside + 2.0 * ab * aside * ahead + bb * ahead * ahead
 
 
-KERNELS: tuple[Any, ...] = (_learn, _sweep, turn_variance)  # that are called from Python
+KERNELS: tuple[Any, ...] = (_learn, sweep, turn_variance)  # that are called from Python

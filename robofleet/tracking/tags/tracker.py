@@ -13,6 +13,7 @@ id, it is believed: the tag was carried there, or is new.
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -389,10 +390,7 @@ class TagTracker:
 
     def _sightings(self, index: list[int], exposure_ns: int) -> list[TagSighting]:
         """Return what was measured in this image."""
-        centre, psi = self._centre[index].tolist(), self._psi[index].tolist()
-        after_ns = (self._measured_ns[index] - exposure_ns).tolist()
+        centre, after_ns = self._centre[index], self._measured_ns[index] - exposure_ns
         spread = map(tuple, self._covariance[index].tolist())
-        return [
-            TagSighting(self._targets[i].tag, z.real, z.imag, wrapped(angle), after, 0, six)
-            for i, z, angle, after, six in zip(index, centre, psi, after_ns, spread, strict=True)
-        ]
+        columns = (values.tolist() for values in (centre.real, centre.imag, self._psi[index], after_ns))
+        return list(map(TagSighting, (self._targets[i].tag for i in index), *columns, repeat(0), spread))
