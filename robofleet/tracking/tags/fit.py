@@ -162,7 +162,7 @@ def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop o
             known = _CUT * noise > 0.9 * cut or cut < 1.1 * misfit * level[3]
             cut = max((_KNOWN_CUT if known else _CUT) * noise, misfit * level[3])
         elif len(tally):
-            cover[:] = _covered(tally, hidden, cells)
+            _find_covered(tally, hidden, cells, cover)
             hidden, tally = cover, np.zeros((0, 2), np.int64)
             if noises[i] > 0.0:
                 cut = max(_KNOWN_CUT * noise, _KNOWN_MISFIT * level[3])
@@ -176,7 +176,9 @@ def _fit(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915 - one loop o
         learn_quiet(quiet, level[0], noise * noise)
         wider += blur - blur_at(camera_blur, share)
         learn_blur(camera_blur, blur_known, share, wider, variance / (room.factor[7, 7] * level[3]) ** 2)
-    look[: CONTRAST + 1], look[BLUR] = level, blur
+    for k in range(CONTRAST + 1):
+        look[k] = level[k]
+    look[BLUR] = blur
     if alike > _STRUCTURED_FROM:
         covered = len(hidden) > 0  # without the covered cells the others may look as they should
         noisy = variance > (_NOISY_COVERED if covered else _NOISY) * quiet_variance(quiet, level[0])
@@ -216,12 +218,10 @@ def _step(side_px, contrast, solution):  # type: ignore[no-untyped-def]
 
 
 @image_kernel
-def _covered(tally, hidden, cells):  # type: ignore[no-untyped-def]
-    """Return the cells (C * C,) that are hidden, or show something else."""
-    covered = np.zeros(cells * cells, np.bool_)
+def _find_covered(tally, hidden, cells, cover):  # type: ignore[no-untyped-def]
+    """Mark the cells (C * C,) that are hidden, or show something else."""
     for cell in range(cells * cells):
-        covered[cell] = tally[cell, 1] < (1.0 - _COVERED) * tally[cell, 0] or (len(hidden) > 0 and hidden[cell])
-    return covered
+        cover[cell] = tally[cell, 1] < (1.0 - _COVERED) * tally[cell, 0] or (len(hidden) > 0 and hidden[cell])
 
 
 @image_kernel
@@ -300,8 +300,8 @@ def add_up_tag(  # type: ignore[no-untyped-def]
     slope[0], slope[1] = sight_slope(camera, side, height, centre, shape, window)
     inside = side_px > 0.0 and accumulate(
         image, shape, window, corners, cells, hidden, np.zeros((0, 2), np.int64), side_px, blur, tone, level, cut,
-        1 + int(side_px / MOST_ROWS), np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), first, sums, slope,
-        shaped, blocks,
+        1 + int(side_px / MOST_ROWS), np.empty((2, CHUNK)), np.empty(SLOTS * CHUNK, np.float32), first, sums,
+        (slope[0], slope[1]), shaped, blocks,
     )  # fmt: skip
     if not inside:
         return 0.0

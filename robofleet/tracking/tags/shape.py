@@ -111,11 +111,10 @@ def _learn(equations, ahead, aside, scale, values, applied, known, spread):  # t
     for a in range(n):
         for b in range(n):
             pull[a] += image[a, b] * (values[b] - applied[b])
-    known *= _FORGET
-    known += image
+            known[a, b] = _FORGET * known[a, b] + image[a, b]
     denied = _squared(pull, image, _LITTLE, alone) - _squared(pull, known, 1.0, spread) > _DENIED
     if denied:
-        known[:] = image
+        _copy(image, known)
         _squared(pull, known, 1.0, spread)
     for a in range(n):
         pull[a] += (1.0 - _FORGET) * _EXPECTED[a] * values[a]
@@ -124,20 +123,30 @@ def _learn(equations, ahead, aside, scale, values, applied, known, spread):  # t
         for b in range(n):
             step += spread[a, b] * pull[b]
         values[a] = min(max(values[a] - step, -_MOST[a]), _MOST[a])
-    applied[:] = values
-    bows = np.zeros((n - BOW + 1, n - BOW + 1))
-    bows[:-1, :-1], bows[-1, :-1], bows[:-1, -1] = spread[BOW:, BOW:], values[BOW:], values[BOW:]
-    sweep(bows, n - BOW)
-    if -bows[-1, -1] < _FLAT:
-        applied[BOW:] = 0.0
+    _apply(values, spread, applied)
     return denied
+
+
+@image_kernel
+def _apply(values, spread, applied):  # type: ignore[no-untyped-def]
+    """Apply what is known; the bows only of a tag that is certainly not flat."""
+    n = _NUMBERS - BOW
+    bows = np.zeros((n + 1, n + 1))
+    for a in range(n):
+        for b in range(n):
+            bows[a, b] = spread[BOW + a, BOW + b]
+        bows[a, n] = bows[n, a] = values[BOW + a]
+    sweep(bows, n)
+    flat = -bows[n, n] < _FLAT
+    for a in range(_NUMBERS):
+        applied[a] = 0.0 if flat and a >= BOW else values[a]
 
 
 @image_kernel
 def _squared(vector, known, share, spread):  # type: ignore[no-untyped-def]
     """Return a vector's square by the covariance of what is known, and of a share of what is expected; ``spread``
     (8, 8) becomes that covariance."""
-    spread[:] = known
+    _copy(known, spread)
     for a in range(_NUMBERS):
         spread[a, a] += share * _EXPECTED[a]
     sweep(spread, _NUMBERS)
@@ -147,6 +156,14 @@ def _squared(vector, known, share, spread):  # type: ignore[no-untyped-def]
             spread[a, b] = -spread[a, b]
             square += spread[a, b] * vector[a] * vector[b]
     return square
+
+
+@image_kernel
+def _copy(matrix, other):  # type: ignore[no-untyped-def]
+    """Make the other matrix equal: an assignment of all elements takes ten seconds to compile."""
+    for a in range(len(matrix)):
+        for b in range(len(matrix)):
+            other[a, b] = matrix[a, b]
 
 
 @image_kernel
