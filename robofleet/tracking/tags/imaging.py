@@ -18,9 +18,10 @@ NARROWEST, WIDEST = 0.6, 5.0  # blur [px]
 _EXPECTED_PX = 1.6  # of a camera of which nothing is known: a Gaussian of 0.75 px, and a pixel
 _SIGMA = np.array([1.0, 0.3])  # of the blur in the middle, and of its growth to the corner [px]
 _FORGET = 0.998  # of what was known, from tag to tag
-_FORGET_OFF, _OFF_PX = 0.9, 0.5  # the same of a tag that is blurred quite otherwise: the lens may have been touched
+_FORGET_OFF, _OFF_PX = 0.7, 0.25  # the same of a tag that is blurred quite otherwise: the lens may have been touched
 _LEAST_PX = 0.03  # standard deviation of what one tag says: print and lens are not exact
 KNOWN, _SETTLED = 1.0 / 0.04**2, 1.0 / 0.01**2  # information from which a blur is known, and very well [1/px^2]
+_SHOWN_PX = 0.15  # of a tag's blur beyond the camera's, from which it is another
 _TONE_SIGMA = 0.1  # of the response of a camera of which nothing is known [contrasts]
 _CALIBRATED_SIGMA, _CALIBRATED_TONE_SIGMA = np.array([0.1, 0.1]), 0.02  # of what a calibration says
 _PIXEL = 1.0 / 12.0  # variance of its square [px^2]
@@ -66,6 +67,11 @@ class Imaging(NamedTuple):
     def settled(self) -> bool:
         """Whether the blur is known well enough for what else a tag shows."""
         return bool(self.known[0, 0] > _SETTLED)
+
+    def shown(self, blur_px: float) -> bool:
+        """Return whether a tag of this blur is as the camera images tags somewhere: not out of focus, nor moving."""
+        middle, growth = self.blur
+        return min(0.0, growth) - _SHOWN_PX < blur_px - middle < max(0.0, growth) + _SHOWN_PX
 
     def variance(self, brightness: float) -> float:
         """Return the variance that a fit leaves of a tag of this brightness in even light [grey levels^2]."""

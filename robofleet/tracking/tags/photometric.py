@@ -30,6 +30,7 @@ from robofleet.tracking.tags.structure import solve
 from robofleet.tracking.tags.targets import Target
 
 _WIDE_PX = 2.2  # blur of a tag that is out of focus, or moves
+_WIDEST_EXACT = 0.9  # blur, in cells: beyond, a pixel sees more than the nine cells that the fit knows
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 _STRUCTURED_PASSES, _STRUCTURED_CUT = 2, 0.5  # [contrasts] beyond which a pixel shows something else there
 _FAR = 0.1  # further the second fit may not be [sides, rad]
@@ -168,7 +169,7 @@ class PhotometricFit:
                 way = min(ways, key=lambda way: way.uncertainty)
                 if way.uncertainty < math.inf:
                     fit.centre[row], fit.psi[row], fit.covariance[row] = way[:3]
-            if tag.target == studied and fit.alike[row] > STUDIED_FROM and camera.settled:
+            if tag.target == studied and fit.alike[row] > STUDIED_FROM and self._exact(tag):
                 self._study(image, tag)
         return fit
 
@@ -198,6 +199,13 @@ class PhotometricFit:
         spread = to_world @ covariance[4:7, 4:7] @ to_world.T / tag.look[CONTRAST] ** 2
         spread[2, 2] += turn_variance(closeup.slope, self.shapes.spreads[i])
         return _Refit(tag.centre, tag.psi, spread[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], spread[0, 0] + spread[1, 1])
+
+    def _exact(self, tag: _Fitted) -> bool:
+        """Return whether the blur is known of a tag that was fitted, and narrow enough for the fit to be exact."""
+        camera, blur = self.imaging, float(tag.look[BLUR])
+        cell = float(self.geometry.K[0, 0]) * self._wholes[tag.target] / FAMILIES[self.family].cells
+        cell_px = cell / (float(self.geometry.position[2]) - self.heights[tag.target])
+        return camera.settled and camera.shown(blur) and blur < _WIDEST_EXACT * cell_px
 
     def _study(self, image: NDArray[np.uint8], tag: _Fitted) -> None:
         """Learn a target's shape and the camera's imaging from a tag that was just fitted, if no shadow is on it."""
