@@ -159,6 +159,8 @@ class PhotometricFit:
         structured = looks[:, STRUCTURED] > 0.0
         if not (studied != NOBODY or structured.any()):
             return fit
+        if hidden.size:
+            covers |= hidden.ravel()
         for row in np.flatnonzero(structured | (index == studied)).tolist():
             tag = _Fitted(
                 int(index[row]), complex(fit.centre[row]), float(fit.psi[row]), complex(velocity[row]),

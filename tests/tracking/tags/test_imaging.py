@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 
 from robofleet.config.calibrated import ImagingSettings
+from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.imaging import BlurMonitor, Imaging, learn_blur
+from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.structure import solve
+from robofleet.tracking.tags.targets import Target
+from tests.tracking.raycamera import RayCamera
+from tests.tracking.raycast import Print, RayCaster
 
 CALIBRATED = ImagingSettings(blur_px=0.9, blur_edge_px=1.2, tone=0.14)
+ONE, BELOW, LEVEL = np.zeros(1, np.int64), np.zeros(1, np.complex128), np.array([0.4])
 
 
 def products(shade: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -40,6 +46,48 @@ def test_the_light_of_a_block_moves_no_pose_and_the_covariance_says_how_sure_tha
         squared.append(off @ np.linalg.solve(covariance[4:7, 4:7], off) / 3.0)
     assert ours < 0.05 * plain
     assert 0.6 < np.median(squared) / 0.789 < 1.6  # of a chi-square of three degrees
+
+
+def test_too_few_blocks_say_nothing() -> None:
+    blocks, _ = products(np.zeros(25), 3)
+    assert np.isinf(np.diag(solve(blocks[:9])[1])).all()
+    blocks[:, 0, 0] = 5.0  # pixels
+    assert np.isinf(np.diag(solve(blocks)[1])).all()
+
+
+def above(height_m: float) -> CameraGeometry:
+    """Return a camera so far above a tag of 70 mm, which is 36 px wide in the middle of its image."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = height_m
+    focal = 36.0 / 0.07 * height_m
+    return CameraGeometry(np.array([[focal, 0.0, 60.0], [0.0, focal, 60.0], [0.0, 0.0, 1.0]]), np.zeros(5), T)
+
+
+def images(noise: float, count: int) -> list[np.ndarray]:
+    """Return images of a tag straight below a camera, of so much noise [grey levels]."""
+    rng, geometry = np.random.default_rng(4), above(2.0)
+    eye = RayCamera((120, 120), geometry.K, geometry.distortion, geometry.T_world_camera)
+    light = RayCaster(eye, np.full((120, 120), 0.5), rng).image([Print(7, 0.07, 0.0, (0.0, 0.0, LEVEL[0]))], 0.7, 0.0)
+    return [np.rint(light + rng.normal(0.0, noise, light.shape)).clip(0, 255).astype(np.uint8) for _ in range(count)]
+
+
+def test_a_tag_of_which_too_few_blocks_are_seen_keeps_the_covariance_of_its_noise() -> None:
+    fit, hidden = PhotometricFit(above(2.0), [Target(7, 0.07, 0.0, 0.3)]), np.ones((8, 8), np.bool_)
+    hidden[6:, :4] = False
+    for image in images(2.0, 4):
+        before = fit.fit(image, ONE, BELOW, LEVEL, hidden=hidden)
+        fit.fit(image, ONE, BELOW, LEVEL)
+    after = fit.fit(*images(12.0, 1), ONE, BELOW, LEVEL, hidden=hidden)
+    assert (after.covariance[0, [0, 2, 5]] > 20.0 * before.covariance[0, [0, 2, 5]]).all()
+    assert abs(after.centre[0]) < 5.0 * np.sqrt(after.covariance[0, [0, 2]].sum())
+
+
+def test_a_tag_that_is_seen_without_any_slope_is_learnt() -> None:
+    fit = PhotometricFit(above(1e17), [Target(7, 0.07, 0.0, 0.3)])  # from so far that no point above it moves
+    for image in images(2.0, 14):
+        assert abs(fit.fit(image, ONE, BELOW, LEVEL, studied=0).centre[0]) < 1e-4
+    assert fit.shapes.counts[0] > 0
+    assert np.abs(fit.shapes.values[0, :3]).max() < 0.002
 
 
 def test_a_run_starts_from_the_calibrated_imaging() -> None:
