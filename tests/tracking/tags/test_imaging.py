@@ -75,7 +75,7 @@ def test_a_tag_of_which_too_few_blocks_are_seen_keeps_the_covariance_of_its_nois
     for image in images(camera, 2.0, 4):
         before = fit.fit(image, ONE, CENTRE, PSI, hidden=hidden)
         fit.fit(image, ONE, CENTRE, PSI)
-    after = fit.fit(*images(camera, 12.0, 1), ONE, CENTRE, PSI, hidden=hidden)
+    after = fit.fit(images(camera, 12.0, 1)[0], ONE, CENTRE, PSI, hidden=hidden)
     assert (after.covariance[0, [0, 2, 5]] > 20.0 * before.covariance[0, [0, 2, 5]]).all()
     assert abs(after.centre[0]) < 5.0 * np.sqrt(after.covariance[0, [0, 2]].sum())
 
