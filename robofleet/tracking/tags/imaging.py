@@ -13,6 +13,7 @@ import numpy as np
 from robofleet.config.calibrated import ImagingSettings
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
+from robofleet.tracking.tags.pixels import BLOCKS
 
 NARROWEST, WIDEST = 0.6, 5.0  # blur [px]
 _EXPECTED_PX = 1.6  # of a camera of which nothing is known: a Gaussian of 0.75 px, and a pixel
@@ -28,6 +29,10 @@ _PIXEL = 1.0 / 12.0  # variance of its square [px^2]
 _TONE_DOUBT = 4.0  # variance of what is learnt over that of white noise
 _MOST_TONE = 0.24
 _DOUBT_GAIN = 0.02
+# Noise is correlated across the edges of blocks too. Bartlett's weights of two blocks (25, 25): a half for a neighbour
+# in a row or a column, a quarter for one across.
+_BESIDE = np.kron(*[np.maximum(1.0 - 0.5 * np.abs(np.subtract.outer(np.arange(BLOCKS), np.arange(BLOCKS))), 0.0)] * 2)
+_UNEXPLAINED = 0.77  # share of white noise's variance that the fit leaves in these products, for any tag
 _CHANGED, _CHANGED_PX, _CHANGED_IMAGES = 0.25, 0.15, 30  # of a blur that is told, for so many images
 _LEAST_VARIANCE = 0.1  # [grey levels^2]
 _FALL, _RISE = 0.2, 0.01  # gains of the least variance
@@ -81,7 +86,6 @@ class Imaging(NamedTuple):
         """Learn response and noise from the products (B, P + 2, P + 2) of a tag's blocks: of P coefficients, what is
         left of the grey, and the response's coefficient."""
         n = blocks.shape[1] - 2
-        blocks = blocks[blocks[:, 0, 0] > 0.0]
         total = blocks.sum(0)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(total)[:n], 1e-9))
         inverse = np.linalg.inv(total[:n, :n] * np.outer(scale, scale) + 1e-9 * np.eye(n)) * np.outer(scale, scale)
@@ -89,7 +93,7 @@ class Imaging(NamedTuple):
         step = np.append(-values, 1.0)
         variance = step @ total[: n + 1, : n + 1] @ step / (total[0, 0] - n)
         score = blocks[:, :n, : n + 1] @ step
-        robust = inverse @ (score.T @ score) @ inverse * len(blocks) / (len(blocks) - 5.0)
+        robust = inverse @ (score.T @ _BESIDE @ score) @ inverse / _UNEXPLAINED
         white = variance * np.diag(inverse)
         ratio = np.array([(robust[4, 4] + robust[5, 5]) / (white[4] + white[5]), robust[6, 6] / white[6]])
         self.doubt[:] += _DOUBT_GAIN * (np.clip(ratio, 0.2, 5.0) - self.doubt)
