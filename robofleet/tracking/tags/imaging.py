@@ -75,8 +75,8 @@ class Imaging(NamedTuple):
 
     def shown(self, blur_px: float) -> bool:
         """Return whether a tag of this blur is as the camera images tags somewhere: not out of focus, nor moving."""
-        middle, growth = self.blur
-        return min(0.0, growth) - _SHOWN_PX < blur_px - middle < max(0.0, growth) + _SHOWN_PX
+        middle, growth = self.blur.tolist()
+        return bool(min(0.0, growth) - _SHOWN_PX < blur_px - middle < max(0.0, growth) + _SHOWN_PX)
 
     def variance(self, brightness: float) -> float:
         """Return the variance that a fit leaves of a tag of this brightness in even light [grey levels^2]."""
