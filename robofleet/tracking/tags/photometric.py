@@ -25,7 +25,17 @@ from robofleet.tracking.tags.fit import BLUR, CONTRAST, LOOK, STRUCTURED, add_up
 from robofleet.tracking.tags.imaging import Imaging
 from robofleet.tracking.tags.mapping import on_level, quadratic
 from robofleet.tracking.tags.pixels import BLOCKED, BLOCKS, PARAMETERS, SHAPED, neighbourhoods
-from robofleet.tracking.tags.shape import STUDIED, STUDIED_FROM, TILT, Shapes, explained, shape_cut, turn_variance
+from robofleet.tracking.tags.shape import (
+    ROUNDED,
+    SIZE,
+    STUDIED,
+    STUDIED_FROM,
+    TILT,
+    Shapes,
+    explained,
+    shape_cut,
+    turn_variance,
+)
 from robofleet.tracking.tags.structure import solve
 from robofleet.tracking.tags.targets import Target
 
@@ -205,9 +215,12 @@ class PhotometricFit:
     def _exact(self, tag: _Fitted) -> bool:
         """Return whether the blur is known of a tag that was fitted, and narrow enough for the fit to be exact."""
         camera, blur = self.imaging, float(tag.look[BLUR])
-        cell = float(self.geometry.K[0, 0]) * self._wholes[tag.target] / FAMILIES[self.family].cells
-        cell_px = cell / (float(self.geometry.position[2]) - self.heights[tag.target])
-        return camera.settled and camera.shown(blur) and blur < _WIDEST_EXACT * cell_px
+        exact = blur * FAMILIES[self.family].cells < _WIDEST_EXACT * self._side_px(tag.target)
+        return camera.settled and camera.shown(blur) and exact
+
+    def _side_px(self, i: int) -> float:
+        """Return the side of a target's print straight below the camera [px]."""
+        return float(self.geometry.K[0, 0] * self._wholes[i] / (self.geometry.position[2] - self.heights[i]))
 
     def _study(self, image: NDArray[np.uint8], tag: _Fitted) -> None:
         """Learn a target's shape and the camera's imaging from a tag that was just fitted, if no shadow is on it."""
@@ -224,6 +237,8 @@ class PhotometricFit:
             return
         self.imaging.learn(closeup.blocks, contrast)
         variance = max(equations[0, 0] / pixels, (self._noise[tag.target] / contrast) ** 2)
+        rounding = ROUNDED * (tag.look[BLUR] / self._side_px(tag.target)) ** 2
+        equations[0, 1:] -= rounding * equations[1 + SIZE, 1:]
         shapes.learn(tag.target, equations, closeup.slope, variance)
 
     def _closeup(self, image: NDArray[np.uint8], tag: _Fitted, cut: float, hidden: NDArray[np.bool_]) -> _Closeup:
