@@ -36,8 +36,8 @@ class FleetSight:
         imaging = Imaging.of(model.imaging)
         self._tracker = TagTracker(geometry, (model.width, model.height), targets, model.line_time_s, imaging)
         self._blur = BlurMonitor(imaging, None if model.imaging is None else model.imaging.blur_px)
-        self._targets, self._line_time = targets, model.line_time_s
         self._denoising = TemporalDenoising()
+        self._judges = [PhotometricFit(geometry, targets, model.line_time_s) for _ in range(2)]
         self._offsets = {robot.tag: robot.tag_offset for robot in config.seen}
         self._drift = DriftMonitor(geometry, lying) if lying else None
         self._camera = geometry  # of the newest image
@@ -63,7 +63,7 @@ class FleetSight:
     def _judge(self, image: NDArray[np.uint8], undone: NDArray[np.uint8], before: Sequence[TagSighting]) -> None:
         """Compare how much tags that moved look like themselves with the image before in theirs, and without it."""
         earlier = {seen.tag: (seen.x, seen.y) for seen in before}
-        rows = {target.tag: row for row, target in enumerate(self._targets)}
+        rows = {tag: row for row, tag in enumerate(self._heights)}
         both = [seen for seen in self._measured if seen.tag in earlier]
         here = np.array([(seen.x, seen.y, self._heights[seen.tag]) for seen in both]).reshape(-1, 3)
         then = np.array([(*earlier[seen.tag], self._heights[seen.tag]) for seen in both]).reshape(-1, 3)
@@ -73,11 +73,10 @@ class FleetSight:
         if moving:
             index = np.array([rows[seen.tag] for seen in moving])
             guess = np.array([complex(seen.x, seen.y) for seen in moving]), np.array([seen.psi for seen in moving])
-            fits = [
-                PhotometricFit(geometry, self._targets, self._line_time).fit(picture, index, *guess).alike
-                for picture in (image, undone)
-            ]
-            self._denoising.judge(*fits)
+            for fit in self._judges:
+                fit.geometry = geometry
+            shown, without = self._judges
+            self._denoising.judge(shown.fit(image, index, *guess).alike, without.fit(undone, index, *guess).alike)
 
     def _seen(self, image: NDArray[np.uint8], exposure_ns: int) -> Sightings:
         drift = self._drift

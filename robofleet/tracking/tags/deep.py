@@ -259,12 +259,14 @@ class DeepSearch(TagSearch):
         found: list[tuple[float, int, int, int]] = []
         for turns in range(4):
             turned, theirs = np.rot90(bits, -turns, axes=(1, 2)), self._white[which]
-            may = np.flatnonzero(self._differ(turned, theirs).min(1, initial=np.inf) <= _ROUGHLY + self._hidden)
-            wrong = self._wrong(turned[may], theirs)
-            found += [
-                (float(wrong[i, k]), int(square[may[i]]), int(which[k]), turns)
-                for i, k in np.argwhere(wrong <= _ROUGHLY)
-            ]
+            near = self._differ(turned, theirs) <= _ROUGHLY + self._hidden
+            for i in np.flatnonzero(near.any(1)):
+                may = np.flatnonzero(near[i])
+                wrong = self._wrong(turned[i, None], theirs[may])[0]
+                found += [
+                    (float(wrong[k]), int(square[i]), int(which[may[k]]), turns)
+                    for k in np.flatnonzero(wrong <= _ROUGHLY)
+                ]
         rows = np.array(sorted(found), np.int64).reshape(-1, 4)
         return rows[:, 1], rows[:, 2], rows[:, 3].astype(np.float64)
 

@@ -14,21 +14,26 @@ from robofleet.config.calibrated import ImagingSettings
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import image_kernel
 from robofleet.tracking.tags.equations import sweep
-from robofleet.tracking.tags.pixels import POSE
+from robofleet.tracking.tags.pixels import BLOCKS, POSE
 
 NARROWEST, WIDEST = 0.6, 5.0  # blur [px]
 _EXPECTED_PX = 1.6  # of a camera of which nothing is known: a Gaussian of 0.75 px, and a pixel
 _SIGMA = np.array([1.0, 0.3])  # of the blur in the middle, and of its growth to the corner [px]
 _FORGET = 0.998  # of what was known, from tag to tag
-_FORGET_OFF, _OFF_PX = 0.9, 0.5  # the same of a tag that is blurred quite otherwise: the lens may have been touched
+_FORGET_OFF, _OFF_PX = 0.7, 0.25  # the same of a tag that is blurred quite otherwise: the lens may have been touched
 _LEAST_PX = 0.03  # standard deviation of what one tag says: print and lens are not exact
 KNOWN, _SETTLED = 1.0 / 0.04**2, 1.0 / 0.01**2  # information from which a blur is known, and very well [1/px^2]
+_SHOWN_PX = 0.15  # of a tag's blur beyond the camera's, from which it is another
 _TONE_SIGMA = 0.1  # of the response of a camera of which nothing is known [contrasts]
 _CALIBRATED_SIGMA, _CALIBRATED_TONE_SIGMA = np.array([0.1, 0.1]), 0.02  # of what a calibration says
 _PIXEL = 1.0 / 12.0  # variance of its square [px^2]
 _TONE_DOUBT = 4.0  # variance of what is learnt over that of white noise
 _MOST_TONE = 0.24
 _DOUBT_GAIN = 0.02
+# Noise is correlated across the edges of blocks too. Bartlett's weights of two blocks (25, 25): a half for a neighbour
+# in a row or a column, a quarter for one across.
+_BESIDE = np.kron(*[np.maximum(1.0 - 0.5 * np.abs(np.subtract.outer(np.arange(BLOCKS), np.arange(BLOCKS))), 0.0)] * 2)
+_UNEXPLAINED = 0.77  # share of white noise's variance that the fit leaves in these products, for any tag
 _CHANGED, _CHANGED_PX, _CHANGED_IMAGES = 0.25, 0.15, 30  # of a blur that is told, for so many images
 _LEAST_VARIANCE = 0.1  # [grey levels^2]
 _FALL, _RISE = 0.2, 0.01  # gains of the least variance
@@ -69,6 +74,11 @@ class Imaging(NamedTuple):
         """Whether the blur is known well enough for what else a tag shows."""
         return bool(self.known[0, 0] > _SETTLED)
 
+    def shown(self, blur_px: float) -> bool:
+        """Return whether a tag of this blur is as the camera images tags somewhere: not out of focus, nor moving."""
+        middle, growth = self.blur.tolist()
+        return bool(min(0.0, growth) - _SHOWN_PX < blur_px - middle < max(0.0, growth) + _SHOWN_PX)
+
     def variance(self, brightness: float) -> float:
         """Return the variance that a fit leaves of a tag of this brightness in even light [grey levels^2]."""
         return float(quiet_variance(self.quiet, brightness))
@@ -77,12 +87,12 @@ class Imaging(NamedTuple):
         """Learn response and noise from the products (B, P + 2, P + 2) of a tag's blocks: of P coefficients, what is
         left of the grey, and the response's coefficient."""
         n = blocks.shape[1] - 2
-        swept, seen = blocks.sum(0), float(np.count_nonzero(blocks[:, 0, 0]))
+        swept = blocks.sum(0)
         pixels = swept[0, 0]
         sweep(swept, n)
         variance = swept[n, n] / (pixels - n)
-        score = blocks[:, :n, : n + 1] @ np.append(-swept[n, :n], 1.0)
-        robust = ((score @ swept[:n, POSE]) ** 2).sum(0) * seen / (seen - 5.0)
+        influence = blocks[:, :n, : n + 1] @ np.append(-swept[n, :n], 1.0) @ swept[:n, POSE]
+        robust = (influence * (_BESIDE @ influence)).sum(0) / _UNEXPLAINED
         white = -variance * np.diag(swept)[POSE]
         ratio = np.array([(robust[0] + robust[1]) / (white[0] + white[1]), robust[2] / white[2]])
         self.doubt[:] += _DOUBT_GAIN * (np.clip(ratio, 0.2, 5.0) - self.doubt)

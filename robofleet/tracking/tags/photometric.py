@@ -26,6 +26,8 @@ from robofleet.tracking.tags.imaging import Imaging
 from robofleet.tracking.tags.mapping import on_level, quadratic
 from robofleet.tracking.tags.pixels import BLOCKED, BLOCKS, PARAMETERS, POSE, SHAPED, neighbourhoods
 from robofleet.tracking.tags.shape import (
+    ROUNDED,
+    SIZE,
     STUDIED,
     STUDIED_FROM,
     TILT,
@@ -39,6 +41,7 @@ from robofleet.tracking.tags.structure import solve
 from robofleet.tracking.tags.targets import Target
 
 _WIDE_PX = 2.2  # blur of a tag that is out of focus, or moves
+_WIDEST_EXACT = 0.9  # blur, in cells: beyond, a pixel sees more than the nine cells that the fit knows
 ALIKE = 0.9  # least correlation of a print with its pattern: a tag has 0.99, one with 4 cells wrong 0.88
 _STRUCTURED_PASSES, _STRUCTURED_CUT = 2, 0.5  # [contrasts] beyond which a pixel shows something else there
 _FAR = 0.1  # further the second fit may not be [sides, rad]
@@ -169,6 +172,8 @@ class PhotometricFit:
         if studied == NOBODY and not shaded:
             return fit
         structured = looks[:, STRUCTURED] > 0.0
+        if hidden.size:
+            covers |= hidden.ravel()
         for row in np.flatnonzero(structured | (index == studied)).tolist():
             tag = _Fitted(
                 int(index[row]), complex(fit.centre[row]), float(fit.psi[row]), complex(velocity[row]),
@@ -179,7 +184,7 @@ class PhotometricFit:
                 way = min(ways, key=lambda way: way.uncertainty)
                 if way.uncertainty < math.inf:
                     fit.centre[row], fit.psi[row], fit.covariance[row] = way[:3]
-            if tag.target == studied and fit.alike[row] > STUDIED_FROM and camera.settled:
+            if tag.target == studied and fit.alike[row] > STUDIED_FROM and self._exact(tag):
                 self._study(image, tag)
         return fit
 
@@ -210,6 +215,16 @@ class PhotometricFit:
         spread[2, 2] += turn_variance(closeup.slope, self.shapes.spreads[i])
         return _Refit(tag.centre, tag.psi, spread[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], spread[0, 0] + spread[1, 1])
 
+    def _exact(self, tag: _Fitted) -> bool:
+        """Return whether the blur is known of a tag that was fitted, and narrow enough for the fit to be exact."""
+        camera, blur = self.imaging, float(tag.look[BLUR])
+        exact = blur * FAMILIES[self.family].cells < _WIDEST_EXACT * self._side_px(tag.target)
+        return camera.settled and camera.shown(blur) and exact
+
+    def _side_px(self, i: int) -> float:
+        """Return the side of a target's print straight below the camera [px]."""
+        return float(self.geometry.K[0, 0] * self._wholes[i] / (self.geometry.position[2] - self.heights[i]))
+
     def _study(self, image: NDArray[np.uint8], tag: _Fitted) -> None:
         """Learn a target's shape and the camera's imaging from a tag that was just fitted, if no shadow is on it."""
         contrast, shapes = tag.look[CONTRAST], self.shapes
@@ -222,6 +237,8 @@ class PhotometricFit:
             return
         self.imaging.learn(closeup.blocks, contrast)
         variance = max(equations[0, 0] / pixels, (self._noise[tag.target] / contrast) ** 2)
+        rounding = ROUNDED * (tag.look[BLUR] / self._side_px(tag.target)) ** 2
+        equations[0, 1:] -= rounding * equations[1 + SIZE, 1:]
         shapes.learn(tag.target, equations, closeup.slope, variance)
 
     def _closeup(self, image: NDArray[np.uint8], tag: _Fitted, cut: float, hidden: NDArray[np.bool_]) -> _Closeup:

@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 
 from robofleet.config.calibrated import ImagingSettings
+from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.imaging import BlurMonitor, Imaging, learn_blur
+from robofleet.tracking.tags.photometric import PhotometricFit
 from robofleet.tracking.tags.structure import solve
+from robofleet.tracking.tags.targets import Target
+from tests.tracking.raycamera import RayCamera
+from tests.tracking.raycast import Print, RayCaster
 
 CALIBRATED = ImagingSettings(blur_px=0.9, blur_edge_px=1.2, tone=0.14)
+ONE, CENTRE, PSI = np.zeros(1, np.int64), np.zeros(1, np.complex128), np.array([0.4])
 
 
 def products(shade: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -40,6 +46,38 @@ def test_the_light_of_a_block_moves_no_pose_and_the_covariance_says_how_sure_tha
         squared.append(off @ np.linalg.solve(covariance[4:7, 4:7], off) / 3.0)
     assert ours < 0.05 * plain
     assert 0.6 < np.median(squared) / 0.789 < 1.6  # of a chi-square of three degrees
+
+
+def test_too_few_blocks_say_nothing() -> None:
+    blocks, _ = products(np.zeros(25), 3)
+    assert np.isinf(np.diag(solve(blocks[:9])[1])).all()
+    blocks[:, 0, 0] = 5.0  # pixels
+    assert np.isinf(np.diag(solve(blocks)[1])).all()
+
+
+def images(camera: RayCamera, noise: float, count: int) -> list[np.ndarray]:
+    """Return images of a tag straight below a camera, of so much noise [grey levels]."""
+    rng = np.random.default_rng(4)
+    caster = RayCaster(camera, np.full(camera.size, 0.5), rng)
+    light = caster.image([Print(7, 0.07, 0.0, (0.0, 0.0, PSI[0]))], 0.7, 0.0)
+    return [np.rint(light + rng.normal(0.0, noise, light.shape)).clip(0, 255).astype(np.uint8) for _ in range(count)]
+
+
+def test_a_tag_of_which_too_few_blocks_are_seen_keeps_the_covariance_of_its_noise() -> None:
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 3] = 2.0
+    camera = RayCamera(
+        (120, 120), np.array([[1000.0, 0.0, 60.0], [0.0, 1000.0, 60.0], [0.0, 0.0, 1.0]]), np.zeros(5), T
+    )
+    fit = PhotometricFit(CameraGeometry(camera.K, camera.distortion, T), [Target(7, 0.07, 0.0, 0.3)])
+    hidden = np.ones((8, 8), np.bool_)
+    hidden[6:, :4] = False
+    for image in images(camera, 2.0, 4):
+        before = fit.fit(image, ONE, CENTRE, PSI, hidden=hidden)
+        fit.fit(image, ONE, CENTRE, PSI)
+    after = fit.fit(images(camera, 12.0, 1)[0], ONE, CENTRE, PSI, hidden=hidden)
+    assert (after.covariance[0, [0, 2, 5]] > 20.0 * before.covariance[0, [0, 2, 5]]).all()
+    assert abs(after.centre[0]) < 5.0 * np.sqrt(after.covariance[0, [0, 2]].sum())
 
 
 def test_a_run_starts_from_the_calibrated_imaging() -> None:
