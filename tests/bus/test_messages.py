@@ -101,6 +101,7 @@ def flat(message: Any) -> list[float]:
     ]
 
 
+@pytest.mark.slow_after_first
 @settings(EXACT, max_examples=40)
 @given(st.data())
 def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
@@ -189,6 +190,7 @@ def test_a_wrong_length_or_version_is_refused(layout: AnyLayout, any_of: Message
         assert layout.decode(bytes([version]) + payload[1:]) is None
 
 
+@pytest.mark.slow_after_first
 @settings(EXACT, max_examples=80)
 @given(st.binary(max_size=400), st.booleans())
 def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bool) -> None:
@@ -200,6 +202,7 @@ def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bo
         layout.arrays(payload)
 
 
+@pytest.mark.slow_after_first
 @settings(EXACT, max_examples=40)
 @given(st.data())
 def test_damaged_bytes_never_raise_and_a_view_is_what_is_decoded(
@@ -222,6 +225,7 @@ def layout_head(layout: ListLayout[Any]) -> int:
     return len(layout.head_dtype.names or ()) - 2  # without version and count
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", LISTS)
 @EXACT
 @given(data=st.data())

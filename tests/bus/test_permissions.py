@@ -97,7 +97,7 @@ class Net(NamedTuple):
         return ZenohBus(ARENA, self.endpoint, role, CLOCK, credentials=own, session=session)
 
 
-@pytest.fixture(scope="module", params=["tls", "quic"])
+@pytest.fixture(scope="module", params=["tls", pytest.param("quic", marks=pytest.mark.slow)])
 def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
     authority = Authority.create(ARENA, tmp_path_factory.mktemp("keys"))
     authority.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])

@@ -41,6 +41,7 @@ def flat(value: Any, name: str = "") -> dict[str, Any]:
     return {name: value}
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("file", RECORDINGS, ids=lambda file: file.stem)
 def test_the_figures_of_a_run_in_parts_are_those_of_the_whole(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

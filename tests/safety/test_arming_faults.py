@@ -23,7 +23,7 @@ def named(lab: Lab) -> Happening:
     return happening
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("exchange", ["tags", "bodies"])
 def test_every_pair_of_exchanged_robots_is_named(exchange: str) -> None:
     """Ten robots need five rounds: most pairs share one, and many begin in one."""
@@ -102,6 +102,7 @@ def test_who_goes_with_another_one_is_named(first: int, second: int) -> None:
     assert {happening.robot, int(happening.detail)} & {first} or happening.robot == first
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 2), min_size=2, max_size=12),
     st.integers(0, 9),

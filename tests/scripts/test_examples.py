@@ -96,6 +96,7 @@ def test_coverage_goes_down_the_locational_cost() -> None:
     assert np.diff(costs).max() < 1e-3 * costs[0]  # noise of the poses
 
 
+@pytest.mark.slow
 def test_the_flow_tracks_within_the_papers_error_and_its_sensitivity_is_the_derivative() -> None:
     ran = started("newton_raphson_flow")
     figures = kept(ran)
@@ -111,6 +112,7 @@ def test_the_flow_tracks_within_the_papers_error_and_its_sensitivity_is_the_deri
         assert derivative == pytest.approx(by_differences, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_robots_reach_their_goals_between_obstacles() -> None:
     ran = started("obstacles")
     figures = kept(ran)

@@ -158,6 +158,7 @@ def test_other_lenses_and_prints_are_those_of_the_oracle(look: Look) -> None:
     assert np.abs(shift_px(inner)).max() < 0.003
 
 
+@pytest.mark.slow
 def test_prints_are_in_their_places_to_five_micrometres(renderer: SceneRenderer) -> None:
     rng = np.random.default_rng(3)
     poses = rng.uniform((-1.2, -0.7, -math.pi), (1.2, 0.7, math.pi), (8, 3))

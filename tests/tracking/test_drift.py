@@ -393,6 +393,7 @@ def shaken(deg: float, k: int, axes: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Cam
     return moved(*(deg * math.sin(math.tau * 7.0 * k / SECOND + 0.4) * np.array(axes)))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("axes", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)], ids=["x", "z", "all"])
 @pytest.mark.parametrize("deg", [0.02, 0.05])
 def test_every_image_of_a_camera_that_vibrates_has_its_own_correction(deg: float, axes: tuple[float, ...]) -> None:

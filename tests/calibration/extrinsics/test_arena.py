@@ -60,6 +60,7 @@ def rms_mm(squares: list[tuple[float, float]]) -> float:
     return actual
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("stated", [SURVEY_M, None])
 def test_error_on_the_arena_is_small_and_as_predicted(stated: float | None) -> None:
     squares = []

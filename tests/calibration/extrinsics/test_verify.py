@@ -137,6 +137,7 @@ def test_a_camera_in_its_place_is_ok(n: int, fresh: bool) -> None:
         assert verdict.sentences[0].startswith(f"OK: {n} marks are seen")
 
 
+@pytest.mark.slow
 def test_expected_errors_are_the_usual_ones() -> None:
     for fresh in (False, True):
         ratios = []

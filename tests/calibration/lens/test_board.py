@@ -27,6 +27,7 @@ def test_corners_are_found_to_a_twentieth_of_a_pixel(true_camera: TrueCamera) ->
     assert np.abs(np.median(off, axis=0)).max() < 0.01  # half a pixel's convention would show here
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("named", "words"),
     [

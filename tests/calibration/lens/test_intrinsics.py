@@ -81,6 +81,7 @@ def test_fifteen_centred_untilted_views_are_refused(true_camera: TrueCamera) -> 
     assert result.arena_mm > 3.0
 
 
+@pytest.mark.slow
 def test_each_lack_is_named(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(4)
     views = seen(true_camera, true_camera.good_poses(24, rng), 0.05, rng)
@@ -222,6 +223,7 @@ def test_a_lean_names_the_edge_that_is_away(lean: Lean, true_camera: TrueCamera)
         assert (np.corrcoef(along, depth)[0, 1] < 0) == farther_first
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("coefficients", [4, 8, 14])
 def test_richer_models_fit_no_worse(coefficients: int, true_camera: TrueCamera) -> None:
     views = good_views(true_camera, 24, 0.05, 12)

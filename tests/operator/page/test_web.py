@@ -239,6 +239,7 @@ def fresh_seqs(page: OpenPage, within_ns: int) -> list[int]:
     return [frame["seq"] for frame in page.heard(within_ns) if frame["type"] == "tick"]
 
 
+@pytest.mark.slow
 def test_a_page_that_sleeps_delays_nobody_and_is_owed_no_more_than_the_newest_tick(stand: WebStand) -> None:
     with stand.page() as asleep, stand.page() as page:
         began_ns, took_ns = CLOCK.now_ns(), []
@@ -269,6 +270,7 @@ def test_a_change_of_phase_comes_also_to_a_page_that_draws_nothing(stand: WebSta
     assert phases[-1:] == ["estop"]
 
 
+@pytest.mark.slow
 def test_a_picture_comes_only_to_who_asked_with_the_tags_where_they_were_seen(tmp_path: Path) -> None:
     with web_stand(tmp_path) as stand, stand.page() as page, stand.page() as other:
         assert page.next("hello")["cameras"] == [{"name": "overhead", "width": 1280, "height": 720}]

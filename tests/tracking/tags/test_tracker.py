@@ -129,6 +129,7 @@ def beside_where_two_tiles_meet() -> list[Pose]:
     return [(x, y, 0.3), (x - 0.3, y, 1.0), STANDING[2]]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     "acts",
     [
@@ -289,6 +290,7 @@ def test_a_stamp_from_the_future_is_survived(renderer: SceneRenderer) -> None:
     assert measured(watched.at(renderer, STANDING, 2 * SWEEP)[-1]).keys() == set(IDS)
 
 
+@pytest.mark.slow
 def test_a_print_that_is_taken_for_a_hidden_robot_is_given_up_when_the_robot_is_back() -> None:
     twins, watched = scene((1, 1, 2)), Watched()
     robot, poster = STANDING[0], (-0.5, 0.2, 0.0)  # so near that the robot could have driven there
