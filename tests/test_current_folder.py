@@ -90,6 +90,7 @@ def test_the_trap_catches_who_imports_from_there(trap: Trap) -> None:
         trap.run(sys.executable, "-c", "import yaml")
 
 
+@pytest.mark.slow
 def test_nothing_of_it_is_imported_by_the_workers_of_a_storm_or_a_sweep(trap: Trap, tmp_path: Path) -> None:
     (tmp_path / "work.py").write_text(WORK)
     assert trap.run(sys.executable, str(tmp_path / "work.py")) == "[1, 2]\n"

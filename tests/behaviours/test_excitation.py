@@ -133,6 +133,7 @@ def test_a_robot_that_is_lost_stands_still() -> None:
     assert not np.array(floor.commands).any()
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_drive_and_a_restart_begins_anew() -> None:
     def wheels(floor: Floor) -> np.ndarray:
         floor.run(45.0)

@@ -46,6 +46,7 @@ def test_round_trip(layout: AnyLayout, any_of: Messages, data: st.DataObject) ->
         assert np.frombuffer(payload, layout.dtype)[0].item() == (VERSION, *message)
 
 
+@pytest.mark.slow_after_first
 @EXACT
 @given(st.data())
 def test_not_a_number_in_any_float_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:

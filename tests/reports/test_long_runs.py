@@ -139,6 +139,7 @@ def test_a_report_reads_its_file_once(part: int, tmp_path: Path, monkeypatch: py
     assert opened == [file]
 
 
+@pytest.mark.slow
 def test_a_run_in_lockstep_keeps_no_more_in_memory_than_a_live_view_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

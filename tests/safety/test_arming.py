@@ -26,6 +26,7 @@ WIRINGS = {
 }
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("prepare", HEALTHY.values(), ids=HEALTHY)
 def test_a_healthy_fleet_is_proved(prepare: Callable[[Lab], None]) -> None:
     lab = Lab(3)

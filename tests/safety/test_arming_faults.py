@@ -126,6 +126,7 @@ def test_two_without_room_for_both_are_never_away_at_once(places: list[tuple[flo
     assert lab.state.stage is Stage.DONE
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("wirings", [*permutations([*WIRINGS, "straight"], 2)])
 @pytest.mark.parametrize("exchanged", [None, (0, 2), (1, 2), (0, 3)])
 def test_bodies_do_not_touch_whatever_is_exchanged_and_wired_wrongly(

@@ -184,6 +184,7 @@ def test_keys_come_one_by_one_without_enter_until_q_and_the_terminal_is_given_ba
     assert termios.tcgetattr(0) == before
 
 
+@pytest.mark.slow
 def test_a_policy_that_knows_how_reaches_the_goals_and_equal_seeds_give_equal_episodes() -> None:
     rollout = loaded("rollout")
     env, rng = rollout.Reach(), np.random.default_rng(0)

@@ -114,6 +114,7 @@ def test_what_a_robot_says_of_itself_stops_the_run(kind: str, event: Event) -> N
     assert drive.phases[1].robot == 2
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("kind", ["pose_dropout", "duplicate_tag"])
 def test_a_tag_is_missing_while_the_others_are_there(kind: str) -> None:
     drive = Drive(f"{{kind: {kind}, robot: r2, {WHEN}}}")
@@ -150,6 +151,7 @@ def test_swapped_tags_are_where_the_other_robot_is() -> None:
     assert math.dist(where[0][robots[1].tag], where[1][robots[1].tag]) < 0.05
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("kind", "event"), [("camera_frozen", TrackerEvent.CAMERA_FROZEN), ("camera_stalled", TrackerEvent.CAMERA_STALLED)]
 )

@@ -226,6 +226,7 @@ def test_rows_of_a_rolling_shutter_see_a_robot_where_it_is_then() -> None:
             assert np.abs(seen - (now[i].astype(float) - empty[i])).max() > 2.0
 
 
+@pytest.mark.slow
 def test_a_tag_off_its_robots_middle_turns_with_the_robot_and_the_body_stays() -> None:
     forward, left, turn = 0.01, -0.005, 0.2
     offset = scene(offsets=np.array([[forward, left, turn]]))

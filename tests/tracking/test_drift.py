@@ -118,6 +118,7 @@ KNOCKS = {
 }
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("places", [CORNERS, CORNERS + EDGES], ids=["4 tags", "8 tags"])
 @pytest.mark.parametrize("true", KNOCKS.values(), ids=KNOCKS.keys())
 def test_a_knock_is_told_within_three_images_and_corrected(
@@ -437,6 +438,7 @@ def test_a_knock_of_a_camera_that_vibrates() -> None:
     assert TrackerEvent.CAMERA_CORRECTED in lab.events()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds_at_rest", [0, 1])
 @pytest.mark.parametrize("share", [0.001, 0.0025, 0.005])
 def test_a_lens_that_breathes_is_followed(share: float, seconds_at_rest: int) -> None:
@@ -458,6 +460,7 @@ def test_a_lens_that_breathes_is_followed(share: float, seconds_at_rest: int) ->
     assert still is not lab.used
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_an_images_camera_is_true() -> None:
     lab, squares = Lab(CORNERS), []
     points = np.array([(-1.0, 0.5, ROBOTS_M), (0.3, -0.4, ROBOTS_M), (1.2, 0.2, ROBOTS_M)])

@@ -187,6 +187,7 @@ def test_camera_is_placed_and_verified(lab: Lab, floor: Image) -> None:
     assert first in [kept.read_bytes() for kept in (lab.folder / "earlier").iterdir()]
 
 
+@pytest.mark.slow
 def test_a_camera_is_named_as_a_configuration_names_it(lab: Lab, floor: Image, monkeypatch: pytest.MonkeyPatch) -> None:
     lab.show(floor, surveyed(FLOOR, np.random.default_rng(4)))
     file = lab.folder / "configs" / "cameras" / "overhead.yaml"

@@ -125,6 +125,7 @@ def test_marks_that_are_new_or_surveyed_again_do_not_count() -> None:
     assert verdict.sentences[1].startswith("tag 3, tag 5: not compared")
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("fresh", [False, True])
 @pytest.mark.parametrize("n", [4, 8])
 def test_a_camera_in_its_place_is_ok(n: int, fresh: bool) -> None:

@@ -110,6 +110,7 @@ def test_a_good_reprojection_does_not_outweigh_an_uncertain_arena(true_camera: T
     assert any("mm rms over the arena: at most 0.5 mm" in fault for fault in result.faults())
 
 
+@pytest.mark.slow
 def test_views_that_do_not_fit_are_named_and_left_out(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(6)
     views = seen(true_camera, true_camera.good_poses(24, rng), 0.08, rng)

@@ -274,6 +274,7 @@ def test_without_pypylon_it_says_what_to_install(lab: Lab, monkeypatch: pytest.M
 # Its clock
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.floats(0, 20e-3), min_size=80, max_size=200),
     st.integers(-(10**17), 10**17),

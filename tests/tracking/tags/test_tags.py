@@ -167,6 +167,7 @@ def test_a_tile_is_searched_again_around_what_changes_and_now_and_then(
         assert k == 0 or searched[0].right - searched[0].left < 0.3 * tile.right
 
 
+@pytest.mark.slow
 def test_prints_at_the_edge_of_a_fisheye_that_looks_aslant_are_refused() -> None:
     T = np.eye(4)
     T[:3, :3], T[2, 3] = cv2.Rodrigues(np.array([0.75 * math.pi, 0.0, 0.0]))[0], 2.5

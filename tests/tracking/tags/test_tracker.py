@@ -269,6 +269,7 @@ def test_a_corrected_camera_is_used_from_the_next_image_on(renderer: SceneRender
     assert all(measured(seen)[tag].x - STANDING[i][0] == pytest.approx(0.004, abs=2e-4) for i, tag in enumerate(IDS))
 
 
+@pytest.mark.slow
 def test_a_print_that_was_a_second_one_is_not_taken_for_the_robot_that_is_hidden() -> None:
     twins, watched = scene((1, 1, 2)), Watched()
     poster = (-0.45, 0.2, 0.0)  # so near that the robot could have driven there
