@@ -121,6 +121,7 @@ def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, dat
     assert layout.encode(decoded) == payload
 
 
+@pytest.mark.slow_after_first
 @EXACT
 @given(st.data())
 def test_an_instant_that_no_clock_shows_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
@@ -178,6 +179,7 @@ def test_what_counts_has_64_bits_and_goes_on_where_32_end() -> None:
                 assert kind in ("<u8", "<i8"), f"{name}.{field}"
 
 
+@pytest.mark.slow_after_first
 @EXACT
 @given(st.data())
 def test_a_wrong_length_or_version_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:

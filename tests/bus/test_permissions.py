@@ -199,6 +199,7 @@ def _living(session: zenoh.Session) -> set[str]:
     }
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", [*UNITS, *ROLES])
 def test_everybody_says_hears_asks_and_answers_what_the_table_says_and_nothing_else(net: Net, name: str) -> None:
     who = net.who[name]
@@ -211,6 +212,7 @@ def test_everybody_says_hears_asks_and_answers_what_the_table_says_and_nothing_e
         bus.close()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", [*UNITS, *ROLES])
 def test_everybody_sees_who_lives_and_nobody_claims_the_place_of_another(net: Net, name: str) -> None:
     who = net.who[name]

@@ -122,7 +122,7 @@ def test_a_fleet_beside_it_is_not_started(platoon_of: Make, pose: tuple[float, f
     assert s["cause"].startswith(cause)
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", [(1.57, 0.0), (1.0, 0.0)])
 @pytest.mark.parametrize("fault", ["", "{kind: low_battery, robot: p1}", "{kind: killed, process: driver-p1, at_s: 1}"])
 def test_what_concerns_only_itself_stops_nobody(platoon_of: Make, pose: tuple[float, float], fault: str) -> None:

@@ -84,6 +84,7 @@ def test_a_hold_on_the_way_goes_on_with_the_way() -> None:
     run.close()
 
 
+@pytest.mark.slow
 def test_an_operator_parks_a_run_that_is_held() -> None:
     run = Lockstep(configured(*PARKS))
     run.request(b"start")

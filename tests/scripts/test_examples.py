@@ -142,6 +142,7 @@ def test_without_casadi_a_line_says_what_to_install(
     assert (ended.value.code, capsys.readouterr().err.count("\n")) == (2, 1)
 
 
+@pytest.mark.slow
 def test_keys_drive_the_chosen_robot() -> None:
     teleop = loaded("teleop")
     with Watched(teleop.CONFIG, lockstep=True) as fleet:

@@ -116,6 +116,7 @@ def test_robots_go_to_poses_and_who_is_not_named_stands() -> None:
         assert driven.poses[1, :2] == pytest.approx((-0.9, 0.0), abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_barrier_keeps_robots_apart_that_a_script_drives_at_each_other() -> None:
     with fleet() as driven:
         driven.go_to({"r1": (-0.5, 0.0, 0), "r3": (0.5, 0.0, 180)})
@@ -270,6 +271,7 @@ def test_who_is_not_open_and_what_is_no_run_is_refused_in_a_line(tmp_path: Path)
     assert refused.value.__suppress_context__, "no other exception is shown with it"
 
 
+@pytest.mark.slow
 def test_a_closed_fleet_has_what_stays_and_refuses_what_has_passed(tmp_path: Path) -> None:
     closed, folder = drives(1), tmp_path / "run"
     for use in (

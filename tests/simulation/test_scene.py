@@ -119,6 +119,7 @@ def test_a_focus_that_hunts_changes_the_focal_length_as_a_sine() -> None:
     assert ratios == pytest.approx([1.0, math.exp(0.005), math.exp(-0.005)])
 
 
+@pytest.mark.slow
 def test_the_noise_is_as_strong_in_the_dark() -> None:
     renderer = drawn(load("camera.simulated.light=0.15", "camera.noise_gray=2"))
     nobody = np.full((4, 3), np.nan)

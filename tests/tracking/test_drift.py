@@ -179,7 +179,7 @@ WARMING: dict[str, Callable[[float], CameraGeometry]] = {
 }
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("true", WARMING.values(), ids=WARMING.keys())
 def test_slow_drift_is_followed(true: Callable[[float], CameraGeometry]) -> None:
     lab, errors, minute = Lab(CORNERS), [], 60 * SECOND
@@ -361,6 +361,7 @@ def test_predictions_and_strangers_are_no_sightings() -> None:
     assert DriftMonitor(CALIBRATED, []).update(far) == (CALIBRATED, ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("places", "sigma", "images"),
     [

@@ -192,7 +192,7 @@ def test_cable_is_as_wide_as_said_and_lies_above() -> None:
     assert patch.light[0].sum() == pytest.approx(60.0 * over.sum(), rel=1e-4)
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(("level", "noise"), [(1.0, 2.0), (1.0, 5.0), (0.15, 2.0)])
 def test_light_and_noise_are_as_stated(level: float, noise: float) -> None:
     source, prints = caster(flat()), [Print(0, 0.08, 0.0, (0.25, 0.0, 0.0))]

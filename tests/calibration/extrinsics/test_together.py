@@ -95,6 +95,7 @@ def test_four_marks_of_a_camera_do_not_tell_how_well_they_were_surveyed() -> Non
     agree_together([left, right], SURVEY_M)
 
 
+@pytest.mark.slow
 def test_at_the_seam_they_agree_better_than_cameras_that_were_placed_alone() -> None:
     together, alone = [], []
     for seed in range(10):

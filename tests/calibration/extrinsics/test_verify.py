@@ -87,7 +87,7 @@ def test_false_alarms_are_rare() -> None:
     assert sum(not Lab(seed).judged().good for seed in range(100)) <= 1
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("again", "shares"),
     [

@@ -172,6 +172,7 @@ def test_held_out_error_is_the_corners_noise(true_camera: TrueCamera) -> None:
     assert poor_px > 1.3 * rich_px
 
 
+@pytest.mark.slow
 def test_the_view_that_is_asked_for_helps_most(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(9)
     views = seen(true_camera, true_camera.good_poses(14, rng), 0.3, rng)

@@ -85,6 +85,7 @@ def _first_row(page: Seen) -> str:
     return found[0] if found else ""
 
 
+@pytest.mark.slow
 def test_in_peace_a_reset_is_offered_only_when_a_robot_is_latched_and_that_robot_comes_first(page: Seen) -> None:
     page.fleet.phase, page.fleet.latched = Phase.IDLE, {"r3"}
     page.becomes(lambda: "reset" in page.enabled())

@@ -179,6 +179,7 @@ def test_a_robot_whose_behaviour_failed_stands_in_words(stand: WebStand) -> None
     assert row(hello, tick, "r1")["halted"] == "the behaviour of its group failed, and all its robots stand"
 
 
+@pytest.mark.slow
 def test_a_silent_controller_is_not_shown_as_if_it_were_there(stand: WebStand) -> None:
     stand.say_state(Phase.RUNNING)
     stand.say_tick(30)
@@ -201,6 +202,7 @@ def test_the_page_is_told_every_200_ms_that_the_link_is_there(stand: WebStand) -
     assert np.median(np.diff(heard_ns)) < 300 * MS  # a busy machine delays some of them
 
 
+@pytest.mark.slow
 def test_events_come_to_all_pages_and_the_last_100_to_who_comes_later(stand: WebStand) -> None:
     with stand.page() as page:
         stand.say_state(Phase.ARMED, Event.START_REQUESTED)

@@ -125,6 +125,7 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
     return invoke
 
 
+@pytest.mark.slow
 def test_what_the_command_cannot_serve_is_refused_in_a_line(
     command: Callable[..., tuple[int, str]], platoon_of: Callable[..., Config], tmp_path: Path
 ) -> None:

@@ -248,6 +248,7 @@ def test_a_robot_that_leaves_the_image_is_not_seen_elsewhere(renderer: SceneRend
     assert 1 not in {pose.tag for pose in sightings.poses}
 
 
+@pytest.mark.slow
 def test_tags_of_different_heights_are_placed_at_their_own() -> None:
     low, high = 0.0, 0.08
     targets = [Target(1, SIDE_M, low, 0.0), Target(2, SIDE_M, high, MAX_SPEED)]
