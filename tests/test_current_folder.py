@@ -29,6 +29,11 @@ def packages() -> set[str]:
     return _files({*packages_distributions()} - {"robofleet"})
 
 
+@cache
+def standard() -> set[str]:
+    return _files(sys.stdlib_module_names)
+
+
 LEAVES_A_MARK = """\
 import posix, sys
 mark = posix.open({mark!r}, posix.O_WRONLY | posix.O_CREAT | posix.O_APPEND, 0o644)
@@ -82,7 +87,7 @@ class Trap:
 @pytest.fixture
 def trap(tmp_path: Path) -> Trap:
     (tmp_path / "trap").mkdir()
-    return Trap(tmp_path / "trap", {*packages(), *_files(sys.stdlib_module_names), "robofleet"})
+    return Trap(tmp_path / "trap", {*packages(), *standard(), "robofleet"})
 
 
 def test_the_trap_catches_who_imports_from_there(trap: Trap) -> None:
