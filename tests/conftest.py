@@ -5,6 +5,7 @@ fleets of real processes go first, to one worker after another: no worker waits 
 """
 
 import fcntl
+import gc
 import os
 import re
 import sys
@@ -22,6 +23,9 @@ from tests.compiled_once import compiled_once
 
 pytest_plugins = ["tests.process_fixtures", "tests.recording_fixtures"]
 
+# What a worker collects and imports stays to its end: it is not looked through for garbage, then or later.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    gc.disable()
 # Else every process that a test starts compiles all sources anew, and every worker rewrites all assertions.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
@@ -74,6 +78,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if test in fast:
             item.add_marker("slow")
         fast.add(test)
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:

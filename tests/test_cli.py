@@ -211,7 +211,7 @@ def test_check_prints_what_it_proved(folder: Path) -> None:
     assert list(folder.iterdir()) == []
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["run", str(PLATOON), "--lockstep"], ["replay", "runs"], ["report", "runs"]])
 def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(arguments: list[str]) -> None:
     hidden = "import sys; sys.modules.update(numba=None, mcap=None)"
@@ -223,6 +223,7 @@ def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(a
     )
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("arguments", [["run", "--help"], ["calibrate", "intrinsics", "--help"], ["schema"]])
 def test_a_robots_computer_without_the_extra_has_every_commands_help_and_the_schema(arguments: list[str]) -> None:
     hidden = f"import sys; sys.modules.update(dict.fromkeys({LAB_MODULES}))"

@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterable
+from functools import cache
 from importlib.metadata import packages_distributions
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,8 +24,16 @@ def _files(names: Iterable[str]) -> set[str]:
     return {name for name, spec in specs.items() if spec is not None and spec.origin not in (None, "built-in")}
 
 
-PACKAGES = _files({*packages_distributions()} - {"robofleet"})
-STANDARD = _files(sys.stdlib_module_names)
+@cache
+def packages() -> set[str]:
+    return _files({*packages_distributions()} - {"robofleet"})
+
+
+@cache
+def standard() -> set[str]:
+    return _files(sys.stdlib_module_names)
+
+
 LEAVES_A_MARK = """\
 import posix, sys
 mark = posix.open({mark!r}, posix.O_WRONLY | posix.O_CREAT | posix.O_APPEND, 0o644)
@@ -78,7 +87,7 @@ class Trap:
 @pytest.fixture
 def trap(tmp_path: Path) -> Trap:
     (tmp_path / "trap").mkdir()
-    return Trap(tmp_path / "trap", {*PACKAGES, *STANDARD, "robofleet"})
+    return Trap(tmp_path / "trap", {*packages(), *standard(), "robofleet"})
 
 
 def test_the_trap_catches_who_imports_from_there(trap: Trap) -> None:
@@ -86,6 +95,7 @@ def test_the_trap_catches_who_imports_from_there(trap: Trap) -> None:
         trap.run(sys.executable, "-c", "import yaml")
 
 
+@pytest.mark.slow
 def test_nothing_of_it_is_imported_by_the_workers_of_a_storm_or_a_sweep(trap: Trap, tmp_path: Path) -> None:
     (tmp_path / "work.py").write_text(WORK)
     assert trap.run(sys.executable, str(tmp_path / "work.py")) == "[1, 2]\n"
@@ -99,7 +109,7 @@ def test_nothing_of_it_is_imported_by_the_doctor(trap: Trap) -> None:
 @pytest.mark.slow
 def test_nothing_of_it_is_imported_by_a_command_that_python_starts_as_a_module(tmp_path: Path) -> None:
     """Python itself looks there for its own modules, before anybody can forbid it."""
-    trap = Trap(tmp_path, PACKAGES)
+    trap = Trap(tmp_path, packages())
     assert "can run" in trap.run(sys.executable, "-m", "robofleet", "check", str(ROOT / "configs" / "swirl.yaml"))
 
 
@@ -131,7 +141,8 @@ def test_whoever_starts_a_python_forbids_it_the_current_folder() -> None:
     found = {}
     for folder in ("robofleet", "drivers"):
         for file in (ROOT / folder).rglob("*.py"):
-            for node in ast.walk(ast.parse(file.read_text())):
+            text = file.read_text()
+            for node in ast.walk(ast.parse(text)) if "sys.executable" in text else ():
                 if isinstance(node, ast.List | ast.Tuple) and "sys.executable" in map(ast.unparse, node.elts):
                     option = ast.unparse(node.elts[[*map(ast.unparse, node.elts)].index("sys.executable") + 1])
                     found[f"{file.relative_to(ROOT)}:{node.lineno}"] = option

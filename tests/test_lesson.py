@@ -59,7 +59,7 @@ def test_every_exercise_has_a_solution_that_the_class_does_not_see() -> None:
     assert files == set(SOLUTIONS) == set(re.findall(r"exercise\d", (LESSON.parent / "LESSON.md").read_text()))
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLUTIONS)
 def test_an_exercise_is_not_solved_at_first_and_its_solution_solves_it(lesson: Path, name: str) -> None:
     assert judged(name) == (2 if name == "exercise1" else 1)

@@ -29,6 +29,7 @@ def test_every_script_is_tried() -> None:
     assert scripts == set(NEEDED)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("tool", NEEDED)
 def test_a_script_without_its_packages_says_in_one_line_what_to_install(tool: str) -> None:
     package, extras = NEEDED[tool]

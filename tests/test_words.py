@@ -51,6 +51,7 @@ def banned(source: str) -> set[str]:
     return {word for name in named(source) if (word := name.strip("_")) in BANNED}
 
 
+@pytest.mark.slow
 def test_names_say_what_they_name() -> None:
     found = {str(file.relative_to(ROOT)): banned(file.read_text()) for file in FILES}
     assert {name: words for name, words in found.items() if words} == STANDING

@@ -90,7 +90,7 @@ def test_wheel_speeds_keep_their_limits_and_change_all_the_time(platoon: Floor) 
             assert (np.diff(wheels[:, row, side]) != 0.0).sum() > 100
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_is_touched_anywhere(seed: int) -> None:
     """A crowd in a corner: robots a few centimetres apart, and at the edge."""
@@ -133,6 +133,7 @@ def test_a_robot_that_is_lost_stands_still() -> None:
     assert not np.array(floor.commands).any()
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_drive_and_a_restart_begins_anew() -> None:
     def wheels(floor: Floor) -> np.ndarray:
         floor.run(45.0)

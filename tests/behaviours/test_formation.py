@@ -13,6 +13,7 @@ WIDE = {"knots": [{k: [v[0], 1.4 * v[1]] for k, v in knot.items()} for knot in O
 SHAPE: dict[str, Any] = {"path": WIDE, "path_rate": 0.05, "offsets_m": [[0.25, 0.0], [0.0, 0.25], [0.0, -0.25]]}
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("heading", [{}, {"heading_deg": 30.0}])
 def test_the_distances_between_the_points_stay_those_of_the_shape(heading: dict[str, float]) -> None:
     behaviour = make(Formation, SHAPE | heading, team(3))

@@ -24,6 +24,7 @@ def anywhere(n: int, seed: int) -> np.ndarray:
 STAR = {"edges": [["r1", "r4"], ["r2", "r4"], ["r3", "r4"]]}
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("graph", [{"graph": "ring"}, {"graph": "line"}, {"graph": "complete"}, STAR])
 def test_consensus_leads_all_to_one_point_and_the_edges_never_grow(graph: dict[str, object]) -> None:
     behaviour = make(Consensus, graph, team(4, tick=SLOW))
@@ -60,6 +61,7 @@ def test_consensus_refuses(settings: dict[str, object], complaint: str) -> None:
 # Cyclic pursuit
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("n", [2, 5])
 @pytest.mark.parametrize("settings", [{}, {"centre_m": [0.2, -0.1]}])
 def test_cyclic_pursuit_ends_on_the_circle_equally_spaced(n: int, settings: dict[str, object]) -> None:
@@ -86,6 +88,7 @@ def test_cyclic_pursuit_refuses_circles_and_groups_that_cannot_be() -> None:
 # Coverage
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("settings", [{}, {"peak_m": [0.8, 0.4], "peak_width_m": 0.4}])
 def test_the_locational_cost_never_rises_and_the_robots_end_in_the_middles_of_their_cells(
     settings: dict[str, object],

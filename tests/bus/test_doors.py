@@ -136,6 +136,7 @@ def test_a_flood_of_those_who_may_only_look_takes_no_place_of_an_operators_reque
     assert len(waiting) <= 32, "no flood fills the memory"
 
 
+@pytest.mark.slow
 def test_where_the_supervisor_is_silent_a_strangers_answer_is_named_and_not_believed(bus: Bus) -> None:
     stolen: list[bytes] = []
     _held = bus.forge(key("lab", on(b"hold"), "supervisor"), b"ok", stolen)
@@ -203,6 +204,7 @@ def full_key(topic: Topic) -> str:
 BOUNDED = [topic for topic in TOPICS if topic.largest and topic not in QUERIES]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("topic", BOUNDED, ids=lambda t: t.key)
 def test_a_message_that_is_larger_than_its_topic_allows_comes_to_nobody(bounding: Bus, topic: Topic) -> None:
     bus, name, full, listened, streamed = bounding, about(topic), full_key(topic), list[bytes](), set[bytes]()

@@ -46,6 +46,7 @@ def test_round_trip(layout: AnyLayout, any_of: Messages, data: st.DataObject) ->
         assert np.frombuffer(payload, layout.dtype)[0].item() == (VERSION, *message)
 
 
+@pytest.mark.slow_after_first
 @EXACT
 @given(st.data())
 def test_not_a_number_in_any_float_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
@@ -101,6 +102,7 @@ def flat(message: Any) -> list[float]:
     ]
 
 
+@pytest.mark.slow_after_first
 @settings(EXACT, max_examples=40)
 @given(st.data())
 def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
@@ -119,6 +121,7 @@ def test_whatever_is_encoded_is_decoded(layout: AnyLayout, any_of: Messages, dat
     assert layout.encode(decoded) == payload
 
 
+@pytest.mark.slow_after_first
 @EXACT
 @given(st.data())
 def test_an_instant_that_no_clock_shows_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
@@ -176,6 +179,7 @@ def test_what_counts_has_64_bits_and_goes_on_where_32_end() -> None:
                 assert kind in ("<u8", "<i8"), f"{name}.{field}"
 
 
+@pytest.mark.slow_after_first
 @EXACT
 @given(st.data())
 def test_a_wrong_length_or_version_is_refused(layout: AnyLayout, any_of: Messages, data: st.DataObject) -> None:
@@ -189,6 +193,7 @@ def test_a_wrong_length_or_version_is_refused(layout: AnyLayout, any_of: Message
         assert layout.decode(bytes([version]) + payload[1:]) is None
 
 
+@pytest.mark.slow_after_first
 @settings(EXACT, max_examples=80)
 @given(st.binary(max_size=400), st.booleans())
 def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bool) -> None:
@@ -200,6 +205,7 @@ def test_random_bytes_never_raise(layout: AnyLayout, noise: bytes, versioned: bo
         layout.arrays(payload)
 
 
+@pytest.mark.slow_after_first
 @settings(EXACT, max_examples=40)
 @given(st.data())
 def test_damaged_bytes_never_raise_and_a_view_is_what_is_decoded(
@@ -222,6 +228,7 @@ def layout_head(layout: ListLayout[Any]) -> int:
     return len(layout.head_dtype.names or ()) - 2  # without version and count
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", LISTS)
 @EXACT
 @given(data=st.data())

@@ -97,7 +97,7 @@ class Net(NamedTuple):
         return ZenohBus(ARENA, self.endpoint, role, CLOCK, credentials=own, session=session)
 
 
-@pytest.fixture(scope="module", params=["tls", "quic"])
+@pytest.fixture(scope="module", params=["tls", pytest.param("quic", marks=pytest.mark.slow)])
 def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
     authority = Authority.create(ARENA, tmp_path_factory.mktemp("keys"))
     authority.issue(ROUTER, ROUTER, addresses=["127.0.0.1"])
@@ -199,6 +199,7 @@ def _living(session: zenoh.Session) -> set[str]:
     }
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", [*UNITS, *ROLES])
 def test_everybody_says_hears_asks_and_answers_what_the_table_says_and_nothing_else(net: Net, name: str) -> None:
     who = net.who[name]
@@ -211,6 +212,7 @@ def test_everybody_says_hears_asks_and_answers_what_the_table_says_and_nothing_e
         bus.close()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", [*UNITS, *ROLES])
 def test_everybody_sees_who_lives_and_nobody_claims_the_place_of_another(net: Net, name: str) -> None:
     who = net.who[name]

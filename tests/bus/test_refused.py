@@ -42,7 +42,7 @@ class Lab(NamedTuple):
         return until(lambda: (self.robot(payload), self.subscription.take() == payload)[1])
 
 
-@pytest.fixture(params=["tls", "quic"])
+@pytest.fixture(params=["tls", pytest.param("quic", marks=pytest.mark.slow)])
 def lab(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Lab]:
     authority, elsewhere = (Authority.create(name, tmp_path / name) for name in (ARENA, "hall"))
     for keys in (authority, elsewhere):
@@ -83,7 +83,7 @@ def opened(endpoint: str, own: Credentials | None, *, root: Path | None = None, 
     return zenoh.open(config)
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 def test_without_a_certificate_of_this_authority_there_is_no_link(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor without encryption, with a certificate that has ended, or to a router of another arena."""
     own, theirs = (Credentials.at(keys.folder, "r1") for keys in (lab.authority, lab.elsewhere))
@@ -178,7 +178,7 @@ def test_who_is_revoked_or_speaks_as_another_unit_says_nothing(lab: Lab) -> None
     assert lines == []
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 def test_the_link_of_a_certificate_that_ends_is_ended(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """A day's certificate that was made a day ago, but for some seconds."""
     monkeypatch.setattr(authorities, "utc_now", lambda: utc_now() - timedelta(days=1) + timedelta(seconds=4))

@@ -58,6 +58,7 @@ def test_a_stream_hears_the_keys_that_were_named_and_no_other(joined: Joined, en
         assert messages == {full: full.encode() for full in publishers}
 
 
+@pytest.mark.slow
 def test_an_operator_is_answered_or_told_that_nobody_is(joined: Joined) -> None:
     take = joined.b.serve(REQUEST, "supervisor")
     with ThreadPoolExecutor(1) as pool:

@@ -35,6 +35,7 @@ def test_what_is_saved_is_loaded_and_every_earlier_one_is_kept(tmp_path: Path) -
     assert sorted(path.name for path in file.parent.iterdir()) == ["ceiling.yaml", "earlier"]
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=40)
 @given(st.floats(1.0, 1e6), st.lists(st.floats(-1e6, 1e6), min_size=5, max_size=5), st.text(max_size=20))
 def test_any_calibration_comes_back_as_it_was(

@@ -368,6 +368,7 @@ UNPLACED = [f"robots.{i}.start=null" for i in range(4)]
 WHOLE = [*((file, ()) for file in sorted(CONFIGS.glob("*.yaml"))), *((PLATOON, more) for more in ([CART], UNPLACED))]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("file", "overrides"), WHOLE, ids=str)
 def test_a_configuration_is_written_out_and_read_back_equal(
     file: Path, overrides: Sequence[str], tmp_path: Path

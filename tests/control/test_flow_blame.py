@@ -45,6 +45,7 @@ def test_what_cannot_be_told_from_a_changed_one_is_named() -> None:
         NewtonRaphsonFlow(Plant(uncompilable.reads_a_dict, lambda x: x, 1, 1), SETTINGS, [0.0])
 
 
+@pytest.mark.slow
 def test_functions_that_do_not_fit_together_are_shown_with_what_they_return() -> None:
     with pytest.raises(FlowError, match=r"functions together \(plant.f returns array\(complex128, 1d, C\), plant.h "):
         NewtonRaphsonFlow(Plant(lambda x, u: u + 0j, lambda x: x, 1, 1), SETTINGS, [0.0])

@@ -110,6 +110,7 @@ def test_an_eigenvalue_that_grows_on_the_way_asks_for_more_steps(predict: str) -
 matrix_bound = spectral_radius_bound(compiled(lambda x, u: x.reshape(4, 4).copy()))
 
 
+@pytest.mark.slow
 @EXACT
 @given(st.integers(0, 10_000), st.floats(1e-6, 1e6))
 def test_the_bound_holds_and_is_near(seed: int, scale: float) -> None:

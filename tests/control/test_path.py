@@ -135,6 +135,7 @@ def away(path: Path, sigma: float, parameters: np.ndarray) -> np.ndarray:
     return np.linalg.norm(path.position(parameters) - path.position(sigma), axis=-1)
 
 
+@pytest.mark.slow
 def test_the_whole_lap_is_searched() -> None:
     """Also the rest of the side on which it began."""
     for seed in range(60):

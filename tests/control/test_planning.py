@@ -58,6 +58,7 @@ def least_clearance(problem: Problem, places: Array, others: Array) -> float:
     return least
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("seed", "n"), [(1, 4), (2, 10), (3, 20), (4, 20)])
 def test_a_plan_leads_from_the_starts_to_the_goals_and_robots_are_clear(seed: int, n: int) -> None:
     problem = random_problem(seed, n)

@@ -285,6 +285,7 @@ def errors() -> Callable[[str], np.ndarray]:
     return of
 
 
+@pytest.mark.slow
 def test_euler_amplifies_and_exact_does_not(errors: Callable[[str], np.ndarray]) -> None:
     exact, euler = errors("exact"), errors("euler")
     assert exact[3] / exact[0] < 1.2

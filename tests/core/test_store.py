@@ -78,6 +78,7 @@ def test_another_process_loads_what_was_compiled_and_never_another_model(folder:
     assert said(started(MODELS, folder, 4.0, 3.0, 2.0)) == [(5.0, True), (4.0, True), (3.0, True)]
 
 
+@pytest.mark.slow
 def test_where_nothing_can_be_written_nothing_is_kept(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a folder")
     assert said(started(MODELS, tmp_path / "file" / "kernels", 3.0)) == [(4.0, False)]
@@ -131,7 +132,7 @@ def test_a_file_of_ones_own_is_unpickled(folder: Path, evil: Path) -> None:
     assert evil.exists(), "else the next tests prove nothing"
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [pytest.param(of_nobody, marks=as_root), lambda path: path.chmod(0o770), a_link])
 def test_a_folder_that_is_not_the_users_alone_is_not_used_and_that_is_said_once(
     folder: Path, evil: Path, spoil: Callable[[Path], None]

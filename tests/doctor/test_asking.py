@@ -39,6 +39,7 @@ def test_every_kind_is_known_by_its_answer_and_stands(twins: dict[str, TwinStand
     assert [stand.twin.truth()[:3] for stand in twins.values()] == before
 
 
+@pytest.mark.slow
 def test_a_configured_robot_is_asked_by_its_own_driver_alone(twins: dict[str, TwinStand]) -> None:
     ports = f"robots.0.settings.port={twins['gternal'].port}", f"robots.2.settings.port={twins['gternal'].port}"
     right, missing, *_ = asking.ask(Needs(load_config(LAB, ports[:1]), ("r1", "r2")), ["all"])

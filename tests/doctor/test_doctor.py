@@ -78,6 +78,7 @@ def test_bad_input_is_one_line_and_exit_2(arguments: list[object], says: str) ->
     assert says in line
 
 
+@pytest.mark.slow
 def test_a_machine_without_lab_can_run_a_robots_driver_and_no_run(folder: Path) -> None:
     script = folder / "bare.py"
     script.write_text(f"""

@@ -141,6 +141,7 @@ def test_a_driver_that_says_goodbye_is_not_stopped_and_leaves_no_process() -> No
         bench.close()
 
 
+@pytest.mark.slow
 def test_it_costs_nearly_nothing(bench: Bench) -> None:
     bench.hear(b"......")
     before = sum(bench.dead_man.cpu_times()[:2])

@@ -186,6 +186,7 @@ def test_two_runs_of_a_script_leave_the_same_trace(runs: Runs, folder: Path) -> 
     assert len(traces) == 1
 
 
+@pytest.mark.slow
 def test_the_sensors_of_version_2_have_its_units_and_signs(runs: Runs) -> None:
     values = told(
         runs("""
@@ -274,6 +275,7 @@ def test_version_1_counts_each_robots_collisions(runs: Runs) -> None:
     assert "boundary" not in values
 
 
+@pytest.mark.slow
 def test_random_starts_are_drawn_as_the_original_draws_them_and_a_new_robotarium_is_a_new_run(
     runs: Runs, folder: Path
 ) -> None:

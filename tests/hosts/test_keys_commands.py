@@ -138,6 +138,7 @@ def test_what_yaml_reads_otherwise_is_joined_as_it_is(lab: Path, desk: Path, nam
     assert load_robot_file(desk / "robot" / "robot.yaml") == RobotFile(arena="lab", unit=name, router=(router, ROUTER))
 
 
+@pytest.mark.slow
 def test_a_robot_takes_no_library_that_signs(bundle: Path, desk: Path) -> None:
     script = (
         "import sys; sys.modules['cryptography'] = None; from robofleet.cli import app\n"

@@ -46,6 +46,7 @@ def test_the_input_on_record_is_what_the_wheels_are_told(started: Lockstep) -> N
     assert np.hypot(items["u_x_m_s"], items["u_y_m_s"]) == pytest.approx(speeds, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_behind_a_robot_that_stalls_bodies_stay_apart(truth: Callable[..., dict[str, Any]]) -> None:
     s = truth("run.duration_s=20", "groups.0.settings.spacing_m=0.215", stalls("r2", 8, 20))
     assert s["outcome"] == "completed"

@@ -76,7 +76,7 @@ def test_nobody_hits_a_robot_that_is_parked_on_the_path(platoon_of: Make, how: t
     assert s["min_centre_distance_mm"] < 210, "and it is counted"
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [TRUTH, pytest.param("tracker.source=camera", marks=pytest.mark.long)])
 @pytest.mark.parametrize(("speed", "duration_s"), [(0.03, 10.0), (0.1, 3.0)])
 def test_nobody_hits_a_robot_that_a_hand_pushes_onto_the_path(
@@ -122,7 +122,7 @@ def test_a_fleet_beside_it_is_not_started(platoon_of: Make, pose: tuple[float, f
     assert s["cause"].startswith(cause)
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("pose", [(1.57, 0.0), (1.0, 0.0)])
 @pytest.mark.parametrize("fault", ["", "{kind: low_battery, robot: p1}", "{kind: killed, process: driver-p1, at_s: 1}"])
 def test_what_concerns_only_itself_stops_nobody(platoon_of: Make, pose: tuple[float, float], fault: str) -> None:
@@ -131,6 +131,7 @@ def test_what_concerns_only_itself_stops_nobody(platoon_of: Make, pose: tuple[fl
     assert (s["outcome"], s["stops"]) == ("completed", [])
 
 
+@pytest.mark.slow
 def test_the_fleet_drives_as_if_it_were_not_there_where_it_is_far_away(platoon_of: Make) -> None:
     """The same ticks, to the last bit."""
     exact = (TRUTH, "tracker.truth={}", "run.duration_s=5")

@@ -35,6 +35,7 @@ class Ahead(Jumping):
     AHEAD_NS = 5 * S
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [Back, Ahead])
 def test_robots_drive_on_when_the_cameras_clock_jumps(
     lockstep: Callable[..., dict[str, Any]], camera: type[Jumping]

@@ -23,6 +23,7 @@ def test_white_stays_below_saturation_while_daylight_falls_to_a_fifth_and_rises_
     assert rms[0] < 0.7 * rms[1]
 
 
+@pytest.mark.slow
 def test_daylight_that_rises_does_not_saturate_white_and_every_image_is_exposed_at_its_time() -> None:
     day = Day(AUTO, "camera.simulated.daylight=[{at_s: 1, light: 1.0}, {at_s: 8, light: 2.5}]")
     shown = day.run(8.0)

@@ -96,6 +96,7 @@ def test_a_wired_stop_acts_within_a_loop_and_holds(stand: Any) -> None:
     assert stand.newest("r1").gate == GateStatus.OPEN
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("fault", [*set(RobotFault) - {RobotFault.WIRED_STOP}, RobotFault.OWN << 3])
 def test_a_fault_stops_its_robot_within_a_loop_and_is_said_until_a_reset(stand: Any, fault: RobotFault) -> None:
     for name in ("r1", "r2"):

@@ -85,7 +85,7 @@ def played(platoon_of: Make, at: float | None, request: bytes | None) -> tuple[L
     return run, (run.clock.now_ns() - began_ns) / S
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(("at", "request_"), [(1.0, b"hold"), (1.0, b"stop"), (None, None)])
 def test_it_ends_in_an_emergency_stop_from_hold_and_from_idle(
     platoon_of: Make, at: float | None, request_: bytes | None

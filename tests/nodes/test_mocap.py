@@ -62,6 +62,7 @@ def test_a_platoon_drives_by_bodies_without_tags() -> None:
     assert (notices.news, notices.holds) == ([], [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keys", [(), ("tracker.mocap.up=y", "tracker.mocap.origin.heading_deg=90")])
 def test_equal_seeds_give_equal_bytes(keys: tuple[str, ...]) -> None:
     first, other = (in_lockstep("run.duration_s=1", *keys)[0]["trace_hash"] for _ in range(2))

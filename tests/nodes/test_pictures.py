@@ -137,6 +137,7 @@ def test_pictures_change_nothing_of_the_poses(stand_of: Make) -> None:
     assert told(without) == told(with_pictures)
 
 
+@pytest.mark.slow
 def test_five_a_second_are_shown_for_two_seconds_after_a_request(stand_of: Make) -> None:
     stand = stand_of()
     stand.pictures(S)

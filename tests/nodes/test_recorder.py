@@ -104,6 +104,7 @@ def test_what_its_queue_dropped_is_counted_once(stand: Stand) -> None:
         assert stand.newest().dropped == stand.log.dropped == dropped
 
 
+@pytest.mark.slow
 def test_a_lockstep_runs_summary_is_the_same_from_its_file(platoon_of: ConfigOf, tmp_path: Path) -> None:
     config = platoon_of("tracker.source=truth", "run.duration_s=8")
     lockstep_summary = in_lockstep(config, "platoon", tmp_path, quiet=True).summary
@@ -141,6 +142,7 @@ def recorder(folder: Path) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.slow
 def test_a_recording_is_not_written_over(platoon_of: ConfigOf, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text(resolved_yaml(platoon_of(f"bus.endpoint={own_endpoint()}")))
     (tmp_path / FILE).write_bytes(b"a run")
@@ -199,6 +201,7 @@ def test_a_disk_that_is_said_to_be_full_holds_a_run_too(real_run: Callable[..., 
     assert run.summary["recording"]["dropped"] == 0, "it was not"
 
 
+@pytest.mark.slow
 def test_a_flood_of_keys_that_nobody_knows_is_not_recorded_and_kills_nobody(
     platoon_of: ConfigOf, tmp_path: Path
 ) -> None:

@@ -160,6 +160,7 @@ def test_a_program_that_sends_what_a_person_sends_moves_nothing_running_or_held(
     assert held.x_m == pytest.approx(before, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["r1", "r3"])
 def test_any_robot_of_the_group_is_driven_out_but_not_towards_another(robot: str) -> None:
     held = Held()
@@ -209,7 +210,7 @@ def test_a_button_that_was_held_when_the_run_was_held_and_when_it_goes_on_moves_
     assert not held.broken
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "ends"),
     [

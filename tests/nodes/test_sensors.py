@@ -67,6 +67,7 @@ def test_sensors_say_what_is_true() -> None:
         assert np.nanmin(values.distances[-1, 2:5]) > gap - 0.055 - 0.07
 
 
+@pytest.mark.slow
 def test_a_run_without_sensors_is_the_run_that_it_was() -> None:
     """What a kind could sense changes neither a message nor the number of the configuration."""
     plain = config_of()
@@ -82,6 +83,7 @@ def test_a_run_without_sensors_is_the_run_that_it_was() -> None:
     assert len(sensing.messages[status][0]) == len(recording.messages[status][0])
 
 
+@pytest.mark.slow
 def test_the_same_run_again_has_the_same_noise_and_another_seed_another() -> None:
     once, again, other = driven(*ALL), driven(*ALL), driven(*ALL, "run.seed=2")
     assert once.trace_hash == again.trace_hash

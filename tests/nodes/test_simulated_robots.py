@@ -69,6 +69,7 @@ def test_the_same_bytes_and_the_same_decisions(monkeypatch: pytest.MonkeyPatch, 
     assert Phase.ESTOP in arrays[2]
 
 
+@pytest.mark.slow
 def test_the_same_in_units_of_any_grouping_and_order(monkeypatch: pytest.MonkeyPatch) -> None:
     changes = ["robots.0.unit=b", "robots.2.unit=a", "robots.3.unit=b", *OTHER_BODIES]
     arrays = told(monkeypatch, *changes, arrays=True)

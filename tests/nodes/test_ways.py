@@ -70,6 +70,7 @@ def test_only_the_run_itself_is_counted(there_and_back: Lockstep) -> None:
     assert (run.ticks["phase"] == Phase.RUNNING).all()
 
 
+@pytest.mark.slow
 def test_a_hold_on_the_way_goes_on_with_the_way() -> None:
     run = Lockstep(configured(*ANYWHERE, "run.begin=go_to_start", "run.duration_s=1"))
     run.request(b"start")
@@ -83,6 +84,7 @@ def test_a_hold_on_the_way_goes_on_with_the_way() -> None:
     run.close()
 
 
+@pytest.mark.slow
 def test_an_operator_parks_a_run_that_is_held() -> None:
     run = Lockstep(configured(*PARKS))
     run.request(b"start")

@@ -83,6 +83,7 @@ def page(browser: Chrome, stand: WebStand) -> Iterator[Seen]:
         yield page
 
 
+@pytest.mark.slow
 def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
     page.becomes(lambda: "press any button" in page.text("drive-gamepad"))
@@ -108,6 +109,7 @@ def test_a_gamepad_on_the_page_drives_while_a_shoulder_button_is_held(page: Seen
     assert len(wished.all) == count, "the release is said once, and nothing after it"
 
 
+@pytest.mark.slow
 def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_go(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
     page.run("pads = [pad]; pad.axes = [0, -1, 0, 0]")
@@ -139,6 +141,7 @@ def test_in_a_held_run_it_drives_the_chosen_robot_out_after_the_button_was_let_g
     page.becomes(lambda: not page.shown("drive-robot"))
 
 
+@pytest.mark.slow
 def test_a_gamepad_that_is_unplugged_or_a_page_that_is_closed_lets_the_robot_stand(page: Seen, stand: WebStand) -> None:
     wished = Wished(stand)
     for ending in ("pads = []", "location.href = 'about:blank'"):
@@ -166,6 +169,7 @@ def test_a_gamepad_drives_nothing_from_another_tab_nor_when_the_page_is_seen_aga
     assert wished.is_(WishKind.STAND)
 
 
+@pytest.mark.slow
 def test_a_mouse_and_keys_drive_while_they_hold_the_pages_stick(page: Seen, stand: WebStand) -> None:
     wished, acts = Wished(stand), ActionChains(page.browser, duration=0)
     ring = page.browser.find_element(By.ID, "drive-stick")

@@ -51,6 +51,7 @@ def test_a_machine_that_was_not_busy_is_null(story: Make, figures: Make) -> None
     assert figures(story().recording())["busy_machine"] is None
 
 
+@pytest.mark.slow
 def test_the_report_and_the_table_say_it(busy: Recording, figures: Make, tmp_path: Any) -> None:
     summary = figures(busy)
     assert VERDICT in write(Run(busy), summary, tmp_path).read_text()

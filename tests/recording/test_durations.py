@@ -24,6 +24,7 @@ def ended(durations: str) -> Recording:
 LONG = [*range(10_000_000, 10_400_000)]  # several megabytes of text
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     "durations",
     [[], [0], [5, 2, 7], [1 << 61, 3], LONG, [*LONG, 1 << 61]],

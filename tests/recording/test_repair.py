@@ -80,6 +80,7 @@ def test_what_is_still_being_recorded_is_refused(run_messages: recorded.Messages
     assert in_order(read(tmp_path)) == [(full, payload) for full, payload, _ in run_messages[:600]]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("room", [0, 5000, 100_000])
 def test_a_disk_without_room_for_the_new_file_costs_nothing(room: int, killed: Path) -> None:
     before = everything_in(killed)

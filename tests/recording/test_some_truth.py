@@ -67,6 +67,7 @@ def test_a_leader_without_truth_has_not_met_a_bound_on_it(drive_record: Any, fig
     assert verdicts["path_error_mean_mm"] is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gone", "kind"), [(("r2",), "mixed"), (("r1", "r3"), "mixed"), (("r1", "r2", "r3", "r4"), "real")]
 )

@@ -76,6 +76,7 @@ def test_it_stands_where_it_was_seen(run: Lockstep, truth: bool) -> None:
     assert pose == pytest.approx([*PLACE, np.pi / 2], abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", [True, False])
 def test_its_report_is_written(run: Lockstep, truth: bool, tmp_path: Path) -> None:
     recording = run.recording if truth else without_truth(run.recording)

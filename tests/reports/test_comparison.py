@@ -84,6 +84,7 @@ def test_a_run_that_measured_nothing_is_set_beside_another(story: Make, compared
     assert "Control error" in plots(page)
 
 
+@pytest.mark.slow
 def test_the_command_writes_into_the_first_runs_folder_or_where_it_is_told(
     story: Make, kept: Make, tmp_path: Path
 ) -> None:

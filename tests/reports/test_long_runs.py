@@ -41,6 +41,7 @@ def flat(value: Any, name: str = "") -> dict[str, Any]:
     return {name: value}
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("file", RECORDINGS, ids=lambda file: file.stem)
 def test_the_figures_of_a_run_in_parts_are_those_of_the_whole(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -138,6 +139,7 @@ def test_a_report_reads_its_file_once(part: int, tmp_path: Path, monkeypatch: py
     assert opened == [file]
 
 
+@pytest.mark.slow
 def test_a_run_in_lockstep_keeps_no_more_in_memory_than_a_live_view_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -139,6 +139,7 @@ def test_viewers_have_them_as_fields_of_the_groups_own_message(folder: Path) -> 
         assert b"radius_mm" in viewer.make(recording, folder / FILE) or viewer.file == "rerun.rbl"
 
 
+@pytest.mark.slow
 def test_where_it_is_missing_the_file_says_what_it_told(folder: Path, mylab: Path, tmp_path: Path) -> None:
     (run_folder := tmp_path / "run").mkdir()
     (run_folder / FILE).write_bytes((folder / FILE).read_bytes())

@@ -116,6 +116,7 @@ def test_a_run_says_who_drove_and_what_it_measured(tmp_path: Path) -> None:
         assert robofleet.load(tmp_path).duration_s == pytest.approx(3.465)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_is_read_up_to_there(run_file: Path, tmp_path: Path) -> None:
     content = run_file.read_bytes()
     (tmp_path / FILE).write_bytes(content[: len(content) * 3 // 4])

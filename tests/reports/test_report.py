@@ -123,6 +123,7 @@ def test_without_the_truth_it_says_what_is_not_known(story: Make, page: Make) ->
     assert "nan" not in words(text)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("ticks", [1, 2])
 def test_a_run_of_a_few_ticks_has_a_page(story: Make, page: Make, ticks: int) -> None:
     assert "Control error" in plots(page(story(ticks=ticks).recording()))
@@ -149,6 +150,7 @@ def test_a_file_that_broke_off_and_messages_that_are_missing_are_said(story: Mak
     assert "1,234 messages" in text_shown
 
 
+@pytest.mark.slow
 def test_one_robot_alone_has_a_page(story: Make, page: Make) -> None:
     text = page(story("groups.0.robots=[r3]", "run.bounds={}").recording())
     assert "Spacing. Not measured: it needs more robots" in words(text)
@@ -168,6 +170,7 @@ def test_a_hundred_robots_fit_into_two_megabytes(page: Make) -> None:
     assert len(set(robot_colours(MANY))) > 60
 
 
+@pytest.mark.slow
 def test_nothing_is_fetched_from_elsewhere_and_the_same_run_gives_the_same_page(story: Make, page: Make) -> None:
     first = page(story(ticks=20).recording())
     assert not re.search(r'(src|href)="(?!#|data:)', first)

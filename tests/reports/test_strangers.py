@@ -73,6 +73,7 @@ def test_nothing_is_written_through_a_link(run: Path, tmp_path: Path) -> None:
     assert (run / "report.html").read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.slow
 def test_a_file_that_is_damaged_is_not_kept_through_a_link(run: Path, tmp_path: Path) -> None:
     data = bytearray((run / FILE).read_bytes())
     data[len(data) // 2] ^= 1
@@ -141,6 +142,7 @@ def test_what_is_no_recording_is_refused_in_a_line(odd: list[Path], run: Path) -
     assert not wrong, "\n".join(wrong)
 
 
+@pytest.mark.slow
 def test_what_no_page_can_stand_in_is_refused_in_a_line(run: Path, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
@@ -177,6 +179,7 @@ def test_a_summary_that_is_none_is_left_out(run: Path, name: str) -> None:
     assert "x" * 1000 not in (run / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_folder_whose_name_is_no_text_has_a_report(run: Path) -> None:
     strange = Path(os.fsdecode(bytes(run.parent) + b"/\xff\n$x$"))
     run.rename(strange)

@@ -419,6 +419,7 @@ def test_in_a_users_private_folder_nothing_but_that_users_own_files_is_believed(
         assert [run.folder for run in running()] == ["/mine"]
 
 
+@pytest.mark.slow
 @as_root
 @pytest.mark.parametrize(
     "command", ["web --no-browser", "hosts", "foxglove", "rerun", "teleop", "ros2 --rviz", "Fleet"]
@@ -465,6 +466,7 @@ def test_what_a_stranger_writes_in_my_name_is_not_believed(users_folder: Path) -
     assert forged.exists(), "nothing of others is removed"
 
 
+@pytest.mark.slow
 def test_a_launcher_is_only_signalled_if_the_process_is_its_users(users_folder: Path) -> None:
     """The number in a file is what its user wrote: an administrator must not kill others by it."""
     with ExitStack() as stack:

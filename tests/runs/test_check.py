@@ -145,6 +145,7 @@ def test_what_just_works_is_not_refused(overrides: list[str]) -> None:
     assert refusals(platoon(*overrides)) == []
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(st.floats(0.08, 10.0))
 def test_the_path_rate_that_a_refusal_proposes_fits(rate: float) -> None:

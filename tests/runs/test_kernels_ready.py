@@ -57,7 +57,7 @@ def _trace(folder: Path, config: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "changes"),
     [

@@ -90,6 +90,7 @@ def test_the_same_seed_gives_the_same_bytes(truth: RunOf) -> None:
     assert first != other
 
 
+@pytest.mark.slow
 def test_the_camera_too_gives_the_same_bytes(lockstep: RunOf) -> None:
     first, again = (lockstep("run.duration_s=1")["trace_hash"] for _ in range(2))
     assert first == again

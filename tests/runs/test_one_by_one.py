@@ -22,6 +22,7 @@ def test_a_port_that_nobody_else_can_know_is_refused(command: list[str], tmp_pat
     assert "bus.endpoint" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_lost_terminal_ends_a_process_well(tmp_path: Path) -> None:
     config = tmp_path / "fixed.yaml"
     endpoint = own_endpoint()

@@ -90,6 +90,7 @@ def test_every_tick_and_every_command_is_what_it_was_to_the_last_bit(recording: 
     assert verdict.commands > 2 * 0.9 * verdict.ticks > 200
 
 
+@pytest.mark.slow
 def test_controllers_that_miss_messages_stand_still_die_and_keep_silent_are_replayed_too(wild: Recording) -> None:
     verdict, records = replay(wild, 0.0), ticks(wild)
     assert verdict.equal
@@ -233,6 +234,7 @@ def test_the_command_refuses_what_is_no_recording_and_an_empty_run(recording: Re
         assert len(result.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("kept", [slice(1, None), slice(None, None, -1)])
 def test_a_behaviour_that_has_other_figures_today_is_refused_in_one_line(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: slice

@@ -22,6 +22,7 @@ def replayed(name: str) -> tuple[Run, Verdict]:
         pytest.fail(f"{error}: {ANEW}", pytrace=False)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_recorded_scenario_is_decided_as_it_was(name: str) -> None:
     run, verdict = replayed(name)

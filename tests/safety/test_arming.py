@@ -26,6 +26,7 @@ WIRINGS = {
 }
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("prepare", HEALTHY.values(), ids=HEALTHY)
 def test_a_healthy_fleet_is_proved(prepare: Callable[[Lab], None]) -> None:
     lab = Lab(3)
@@ -72,7 +73,9 @@ def test_robots_that_cannot_tell_whether_they_rest_are_given_time() -> None:
     assert lab.arm() == PROVED
 
 
-@pytest.mark.parametrize(("robots", "within_s"), [(1, 2.0), (4, 4.0), (20, 8.0), (100, 20.0)])
+@pytest.mark.parametrize(
+    ("robots", "within_s"), [(1, 2.0), (4, 4.0), (20, 8.0), pytest.param(100, 20.0, marks=pytest.mark.slow)]
+)
 def test_a_fleet_is_proved_in_time_and_stands_about_where_it_stood(robots: int, within_s: float) -> None:
     lab = Lab(robots)
     before = [plant.truth() for plant in lab.plants]

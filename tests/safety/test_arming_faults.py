@@ -23,7 +23,7 @@ def named(lab: Lab) -> Happening:
     return happening
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("exchange", ["tags", "bodies"])
 def test_every_pair_of_exchanged_robots_is_named(exchange: str) -> None:
     """Ten robots need five rounds: most pairs share one, and many begin in one."""
@@ -102,6 +102,7 @@ def test_who_goes_with_another_one_is_named(first: int, second: int) -> None:
     assert {happening.robot, int(happening.detail)} & {first} or happening.robot == first
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 2), min_size=2, max_size=12),
     st.integers(0, 9),
@@ -125,6 +126,7 @@ def test_two_without_room_for_both_are_never_away_at_once(places: list[tuple[flo
     assert lab.state.stage is Stage.DONE
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("wirings", [*permutations([*WIRINGS, "straight"], 2)])
 @pytest.mark.parametrize("exchanged", [None, (0, 2), (1, 2), (0, 3)])
 def test_bodies_do_not_touch_whatever_is_exchanged_and_wired_wrongly(

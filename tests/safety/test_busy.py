@@ -331,6 +331,7 @@ def test_a_tag_that_is_still_lost_is_waited_for() -> None:
     assert settled(memory, HELD, 10) != []
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=60))
 def test_it_goes_on_at_most_ten_times_a_minute_however_late_who_is(runs: list[int]) -> None:

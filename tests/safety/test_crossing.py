@@ -15,14 +15,14 @@ def crossed(name: str, seed: int) -> Crossing:
     return crossing
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 11, 12, 17, 49])
 def test_bodies_stay_apart_whoever_stalls_and_who_cannot_arrive_is_said_to_be_blocked(seed: int) -> None:
     crossing = crossed("circle, 8, one stalls", seed)
     assert crossing.arrived + crossing.blocked == crossing.moving == 7
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ellipse, 10", "consensus, 8"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_where_nobody_stalls_all_arrive_and_nobody_is_blocked(name: str, seed: int) -> None:

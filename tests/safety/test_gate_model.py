@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
@@ -241,5 +242,10 @@ class GateMachine(RuleBasedStateMachine):
         assert output_ns == -1 or target_ns <= output_ns <= 230 * MS
 
 
-TestGate = GateMachine.TestCase
-TestGate.settings = settings(deadline=None, derandomize=True, max_examples=200, stateful_step_count=40)
+class TestGate(GateMachine.TestCase):  # type: ignore[misc]
+    settings = settings(deadline=None, derandomize=True, max_examples=30, stateful_step_count=40)
+
+
+@pytest.mark.slow
+class TestGateAtLength(GateMachine.TestCase):  # type: ignore[misc]
+    settings = settings(deadline=None, derandomize=True, max_examples=200, stateful_step_count=40)

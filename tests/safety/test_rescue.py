@@ -203,6 +203,7 @@ MOMENTS = st.builds(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])  # on a busy machine
 @given(st.lists(MOMENTS, max_size=25))
 def test_whatever_comes_one_robot_at_most_is_driven_out_and_none_without_a_button_pressed_in_this_hold(

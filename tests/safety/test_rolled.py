@@ -47,6 +47,7 @@ def test_every_wiring_is_named(wiring: str) -> None:
     assert fault == (None if event is None else (event, 0.0))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("wiring", list(WIRINGS))
 @pytest.mark.parametrize("wheels", [FORTH, BACK])
 @given(gain=st.floats(0.75, 1.3), errors=st.tuples(st.floats(-0.075, 0.075), st.floats(-0.075, 0.075)))
@@ -148,12 +149,14 @@ def refused(error: float, error_right: float, seed: int) -> float:
     return float(np.mean([gain_fault(wiggled(rng, error, error_right)) is not None for _ in range(3000)]))
 
 
+@pytest.mark.slow
 def test_no_healthy_robot_is_refused_and_none_that_is_a_fifth_off_passes() -> None:
     assert refused(0.0, 0.0, 1) == 0.0
     for error in (0.2, -0.2, 1 / 1.2 - 1):
         assert refused(error, error, 2) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scales", [(0.2, 0.0), (0.0, 0.2), (-0.2, 0.0), (0.0, -0.2)])
 def test_one_wheel_that_is_a_fifth_off_is_found_nearly_always(scales: tuple[float, float]) -> None:
     assert refused(*scales, 3) > 0.97

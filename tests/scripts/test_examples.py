@@ -96,6 +96,7 @@ def test_coverage_goes_down_the_locational_cost() -> None:
     assert np.diff(costs).max() < 1e-3 * costs[0]  # noise of the poses
 
 
+@pytest.mark.slow
 def test_the_flow_tracks_within_the_papers_error_and_its_sensitivity_is_the_derivative() -> None:
     ran = started("newton_raphson_flow")
     figures = kept(ran)
@@ -111,6 +112,7 @@ def test_the_flow_tracks_within_the_papers_error_and_its_sensitivity_is_the_deri
         assert derivative == pytest.approx(by_differences, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_robots_reach_their_goals_between_obstacles() -> None:
     ran = started("obstacles")
     figures = kept(ran)
@@ -140,6 +142,7 @@ def test_without_casadi_a_line_says_what_to_install(
     assert (ended.value.code, capsys.readouterr().err.count("\n")) == (2, 1)
 
 
+@pytest.mark.slow
 def test_keys_drive_the_chosen_robot() -> None:
     teleop = loaded("teleop")
     with Watched(teleop.CONFIG, lockstep=True) as fleet:
@@ -182,6 +185,7 @@ def test_keys_come_one_by_one_without_enter_until_q_and_the_terminal_is_given_ba
     assert termios.tcgetattr(0) == before
 
 
+@pytest.mark.slow
 def test_a_policy_that_knows_how_reaches_the_goals_and_equal_seeds_give_equal_episodes() -> None:
     rollout = loaded("rollout")
     env, rng = rollout.Reach(), np.random.default_rng(0)

@@ -43,11 +43,13 @@ def drives(seed: int, out: Path | bool = False) -> Fleet:
     return driven
 
 
+@pytest.mark.slow
 def test_two_runs_of_a_script_leave_the_same_trace_and_another_seed_another_one() -> None:
     first, again, other = (drives(seed).summary["trace_hash"] for seed in (1, 1, 2))
     assert first == again != other
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("threads", [False, True])
 def test_a_run_is_kept_as_any_other_and_is_replayed_to_the_bit(threads: bool, tmp_path: Path) -> None:
     out, over = tmp_path / "run", threading.Event()
@@ -114,6 +116,7 @@ def test_robots_go_to_poses_and_who_is_not_named_stands() -> None:
         assert driven.poses[1, :2] == pytest.approx((-0.9, 0.0), abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_barrier_keeps_robots_apart_that_a_script_drives_at_each_other() -> None:
     with fleet() as driven:
         driven.go_to({"r1": (-0.5, 0.0, 0), "r3": (0.5, 0.0, 180)})
@@ -178,6 +181,7 @@ def of_wish(wish: ScriptWish, n: int = 4, v: float = 0.1) -> bytes:
     return SCRIPT_WISH.encode(wish._replace(robots=tuple(RobotWish(1, v, 0.0, 0.0) for _ in range(n))))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("what", ["not finite", "too few robots", "unknown kind", "of the future", "beyond", "cut"])
 def test_the_controller_takes_no_wish_that_fleet_would_not_have_sent(what: str) -> None:
     with pytest.raises(FleetError, match="no longer hears from its script"), fleet() as driven:
@@ -267,6 +271,7 @@ def test_who_is_not_open_and_what_is_no_run_is_refused_in_a_line(tmp_path: Path)
     assert refused.value.__suppress_context__, "no other exception is shown with it"
 
 
+@pytest.mark.slow
 def test_a_closed_fleet_has_what_stays_and_refuses_what_has_passed(tmp_path: Path) -> None:
     closed, folder = drives(1), tmp_path / "run"
     for use in (
@@ -333,6 +338,7 @@ def shown(out: Path, topic: str) -> list[Any]:
         return [entity for message in messages for entity in message.decoded_message.entities]
 
 
+@pytest.mark.slow
 def test_the_guides_first_script_works_as_it_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

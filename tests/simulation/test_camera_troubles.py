@@ -86,6 +86,7 @@ class TestContract(CameraContract):
         return SimulatedCamera(context(load_config(PLATOON, ["camera.trigger=free", *size]), WallClock()))
 
 
+@pytest.mark.slow
 def test_a_long_exposure_smears_a_robot_around_where_it_is_at_its_middle() -> None:
     stage = Stage("camera.exposure_s=0.033", "camera.noise_gray=0.5")
     sharp = Stage("camera.exposure_s=0.0001", "camera.noise_gray=0.5")
@@ -173,6 +174,7 @@ EVERYTHING = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_all_of_it_at_once_is_the_same_each_time() -> None:
     first, again = (Stage(*EVERYTHING).run(6) for _ in range(2))
     for a, b in zip(first, again, strict=True):

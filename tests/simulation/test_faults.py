@@ -114,6 +114,7 @@ def test_what_a_robot_says_of_itself_stops_the_run(kind: str, event: Event) -> N
     assert drive.phases[1].robot == 2
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("kind", ["pose_dropout", "duplicate_tag"])
 def test_a_tag_is_missing_while_the_others_are_there(kind: str) -> None:
     drive = Drive(f"{{kind: {kind}, robot: r2, {WHEN}}}")
@@ -150,6 +151,7 @@ def test_swapped_tags_are_where_the_other_robot_is() -> None:
     assert math.dist(where[0][robots[1].tag], where[1][robots[1].tag]) < 0.05
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("kind", "event"), [("camera_frozen", TrackerEvent.CAMERA_FROZEN), ("camera_stalled", TrackerEvent.CAMERA_STALLED)]
 )
@@ -218,6 +220,7 @@ def test_a_cut_to_a_driver_process_parts_all_its_robots() -> None:
     assert silent == {(False, False, False, False), (False, False, True, True)}
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("process", "step_s"), [("controller", 1.0), ("supervisor", -1.0), ("driver-r2", 1.0)])
 def test_a_clock_that_jumps_stops_the_run_with_a_cause(process: str, step_s: float) -> None:
     drive = Drive(f"{{kind: clock_step, process: {process}, step_s: {step_s}, {WHEN}}}")
@@ -251,6 +254,7 @@ def test_a_fault_that_is_yet_to_come_changes_nothing() -> None:
             assert later[0][full] == later[1][full], full
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_whatever_goes_wrong() -> None:
     faults = [
         "faults=[{kind: lost, topics: [cmd, status, enable], share: 0.05, burst_s: 0.06}",
@@ -417,7 +421,7 @@ def test_a_radio_that_is_as_bad_as_it_may_be_stops_nobody_and_is_spoken_on_more_
     assert not any(status is not None and status.hurry for status in statuses)
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("faults", [None, PLATOON.parent / "faults" / "lossy.yaml"])
 def test_robots_with_computers_of_their_own_bear_that_radio_with_few_messages(faults: Path | None) -> None:
     """Their packets share the air: each tells once a command, and is answered at once."""

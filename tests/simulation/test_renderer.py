@@ -158,6 +158,7 @@ def test_other_lenses_and_prints_are_those_of_the_oracle(look: Look) -> None:
     assert np.abs(shift_px(inner)).max() < 0.003
 
 
+@pytest.mark.slow
 def test_prints_are_in_their_places_to_five_micrometres(renderer: SceneRenderer) -> None:
     rng = np.random.default_rng(3)
     poses = rng.uniform((-1.2, -0.7, -math.pi), (1.2, 0.7, math.pi), (8, 3))
@@ -225,6 +226,7 @@ def test_rows_of_a_rolling_shutter_see_a_robot_where_it_is_then() -> None:
             assert np.abs(seen - (now[i].astype(float) - empty[i])).max() > 2.0
 
 
+@pytest.mark.slow
 def test_a_tag_off_its_robots_middle_turns_with_the_robot_and_the_body_stays() -> None:
     forward, left, turn = 0.01, -0.005, 0.2
     offset = scene(offsets=np.array([[forward, left, turn]]))

@@ -50,6 +50,7 @@ def calibrated(config: Config) -> CameraGeometry:
     return CameraGeometry.from_model(config.camera.model)
 
 
+@pytest.mark.slow
 def test_every_robot_carries_its_tag_at_its_own_height() -> None:
     config = load("robots.1.tag_height_m=0.15", "robots.2.tag_height_m=0.03")
     image = drawn(config).render(PLACES)
@@ -82,6 +83,7 @@ def test_a_robot_hides_the_print_that_it_stands_on() -> None:
     assert look(eye, renderer.render(standing), target) == []
 
 
+@pytest.mark.slow
 def test_a_tag_sits_where_the_calibration_says_or_where_it_truly_is() -> None:
     offset = "{forward_m: 0.01, left_m: -0.006, heading_deg: 5}"
     measured = f"robots.0.calibration={{robot: r1, tag_offset: {offset}}}"
@@ -117,6 +119,7 @@ def test_a_focus_that_hunts_changes_the_focal_length_as_a_sine() -> None:
     assert ratios == pytest.approx([1.0, math.exp(0.005), math.exp(-0.005)])
 
 
+@pytest.mark.slow
 def test_the_noise_is_as_strong_in_the_dark() -> None:
     renderer = drawn(load("camera.simulated.light=0.15", "camera.noise_gray=2"))
     nobody = np.full((4, 3), np.nan)
@@ -126,6 +129,7 @@ def test_the_noise_is_as_strong_in_the_dark() -> None:
     assert images.std(0)[lit].mean() == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_lens_that_sees_the_horizon() -> None:
     """Its image's edges look past the floor: the floor and its textures must have an end, and tags be whole."""
     lens = (

@@ -155,6 +155,7 @@ def test_the_cameras_images_come_after_exposure_and_readout() -> None:
     assert camera.ready_ns() is None, "one image a tick"
 
 
+@pytest.mark.slow
 def test_a_robot_that_never_spoke_is_not_drawn() -> None:
     images = []
     for silent in ("", "r2"):
@@ -168,6 +169,7 @@ def test_a_robot_that_never_spoke_is_not_drawn() -> None:
     assert np.ptp(columns) < 80
 
 
+@pytest.mark.slow
 def test_a_robot_that_stands_in_no_arena_is_not_drawn() -> None:
     absent, silent = Floor("robots.1.reality=simulated"), Floor()
     silent.silent.add("r2")

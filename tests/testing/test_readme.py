@@ -16,6 +16,7 @@ GUIDE = Path(robofleet.testing.__file__).with_name("README.md")
 EXAMPLES = re.findall(r"^```python\n(.*?)^```$", GUIDE.read_text(), re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [code for code in EXAMPLES if "def test_" in code], ids=["alone", "in lockstep"])
 def test_the_example_of_a_behaviour_passes(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(SHIPPED)

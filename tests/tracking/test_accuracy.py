@@ -31,6 +31,7 @@ def test_followed_when_the_light_goes_out() -> None:
     assert row["measured"] == 1.0
 
 
+@pytest.mark.slow
 def test_rolling_shutter_is_accounted_for() -> None:
     rows = evaluate(SCENES["rolling shutter, 20 ms"], [OURS, UNTIMED], [6])
     assert rows[OURS]["measured"] >= 0.995

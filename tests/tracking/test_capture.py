@@ -54,6 +54,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("system", "why"),
     [
@@ -69,6 +70,7 @@ def test_a_system_that_does_not_answer_is_one_clear_error(system: str, why: str)
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_system_that_returns_though_nothing_answers_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capture, "_BODY_S", 0.1)
     with pytest.raises(

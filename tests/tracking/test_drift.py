@@ -118,6 +118,7 @@ KNOCKS = {
 }
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("places", [CORNERS, CORNERS + EDGES], ids=["4 tags", "8 tags"])
 @pytest.mark.parametrize("true", KNOCKS.values(), ids=KNOCKS.keys())
 def test_a_knock_is_told_within_three_images_and_corrected(
@@ -178,7 +179,7 @@ WARMING: dict[str, Callable[[float], CameraGeometry]] = {
 }
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("true", WARMING.values(), ids=WARMING.keys())
 def test_slow_drift_is_followed(true: Callable[[float], CameraGeometry]) -> None:
     lab, errors, minute = Lab(CORNERS), [], 60 * SECOND
@@ -360,6 +361,7 @@ def test_predictions_and_strangers_are_no_sightings() -> None:
     assert DriftMonitor(CALIBRATED, []).update(far) == (CALIBRATED, ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("places", "sigma", "images"),
     [
@@ -393,6 +395,7 @@ def shaken(deg: float, k: int, axes: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Cam
     return moved(*(deg * math.sin(math.tau * 7.0 * k / SECOND + 0.4) * np.array(axes)))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("axes", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)], ids=["x", "z", "all"])
 @pytest.mark.parametrize("deg", [0.02, 0.05])
 def test_every_image_of_a_camera_that_vibrates_has_its_own_correction(deg: float, axes: tuple[float, ...]) -> None:
@@ -436,6 +439,7 @@ def test_a_knock_of_a_camera_that_vibrates() -> None:
     assert TrackerEvent.CAMERA_CORRECTED in lab.events()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds_at_rest", [0, 1])
 @pytest.mark.parametrize("share", [0.001, 0.0025, 0.005])
 def test_a_lens_that_breathes_is_followed(share: float, seconds_at_rest: int) -> None:
@@ -457,6 +461,7 @@ def test_a_lens_that_breathes_is_followed(share: float, seconds_at_rest: int) ->
     assert still is not lab.used
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_an_images_camera_is_true() -> None:
     lab, squares = Lab(CORNERS), []
     points = np.array([(-1.0, 0.5, ROBOTS_M), (0.3, -0.4, ROBOTS_M), (1.2, 0.2, ROBOTS_M)])

@@ -46,6 +46,7 @@ def misplaced(found: PlacedCamera, seeing: RayCamera, truth: Array) -> Array:
     return np.asarray(np.abs(seen * turn / abs(turn) - true))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("tilt_deg", "fov_deg", "distortion", "edge_m"),
     [
@@ -86,6 +87,7 @@ def test_a_calibrated_lens_tells_height_and_tilt() -> None:
     assert up[1] > 0.01
 
 
+@pytest.mark.slow
 def test_one_tag_tells_little_and_says_so() -> None:
     seeing = camera((0.0, 0.0), 65.0, (), 2.0)
     _, single = tags(seeing, 1, np.random.default_rng(3))
@@ -104,6 +106,7 @@ def test_a_tag_that_stands_counts_once() -> None:
     assert seen.corners[:, 0, 0].tolist() == [0.0, 30.0, 0.0]
 
 
+@pytest.mark.slow
 def test_a_side_that_is_wrong_shows_in_a_calibrated_place() -> None:
     seeing = camera((-8.0, 5.0), 65.0, (), 2.0)
     _, seen = tags(seeing, 20, np.random.default_rng(4))

@@ -75,6 +75,7 @@ def test_the_lens_is_opencvs(fisheye: bool, coefficients: int) -> None:
     assert np.abs(eye.on_plane(by_opencv(eye, points), HEIGHT) - points[:, :2]).max() < 1e-9
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("fisheye", [False, True])
 def test_paper_and_print_lie_where_opencv_projects_them(fisheye: bool) -> None:
     eye = camera(FISHEYE if fisheye else PINHOLE, fisheye)
@@ -118,6 +119,7 @@ def paper(
     return cover
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("defocus", "way"), [(0.4, 0.0), (0.7, 0.0), (1.0, 0.0), (0.7, 0.5), (0.7, 2.4)])
 def test_edge_is_spread_by_disc_pixel_and_motion(defocus: float, way: float) -> None:
     edge, exposure = 200.3, 0.01  # at mid-exposure, while it goes its way [px]
@@ -131,6 +133,7 @@ def test_edge_is_spread_by_disc_pixel_and_motion(defocus: float, way: float) -> 
     assert np.abs(row[180:220] - inside @ share / share.sum()).max() < 0.004
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("sigma", [0.4, 0.7, 1.2, 2.0])
 @pytest.mark.parametrize(("phase", "degrees"), [(0.0, 0.0), (0.31, 0.0), (0.77, 90.0), (0.5, 30.0), (0.13, 45.0)])
 def test_edge_is_spread_by_gaussian_and_pixel(sigma: float, phase: float, degrees: float) -> None:
@@ -189,6 +192,7 @@ def test_cable_is_as_wide_as_said_and_lies_above() -> None:
     assert patch.light[0].sum() == pytest.approx(60.0 * over.sum(), rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("level", "noise"), [(1.0, 2.0), (1.0, 5.0), (0.15, 2.0)])
 def test_light_and_noise_are_as_stated(level: float, noise: float) -> None:
     source, prints = caster(flat()), [Print(0, 0.08, 0.0, (0.25, 0.0, 0.0))]

@@ -51,6 +51,7 @@ def test_no_robot_is_measured_in_the_wrong_place_while_a_knock_is_corrected(tilt
     assert measured(looks[KNOCKED + 1 :]) > 0.7 * KNOCKED * len(STANDING)
 
 
+@pytest.mark.slow
 def test_robots_that_are_found_with_floor_tags_are_not_placed_by_a_camera_that_was_knocked_meanwhile() -> None:
     looks = looked_at(0.08, 1.0, 60, range(25, 45), 1.0)  # nothing is seen for longer than tags are predicted
     assert measured(looks[45:]) > 10 * len(STANDING)

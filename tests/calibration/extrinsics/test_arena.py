@@ -60,6 +60,7 @@ def rms_mm(squares: list[tuple[float, float]]) -> float:
     return actual
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("stated", [SURVEY_M, None])
 def test_error_on_the_arena_is_small_and_as_predicted(stated: float | None) -> None:
     squares = []
@@ -72,6 +73,7 @@ def test_error_on_the_arena_is_small_and_as_predicted(stated: float | None) -> N
     assert rms_mm(squares) <= 0.4
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("stated", [SURVEY_M, None])
 def test_a_wrong_survey_is_named_and_left_out(stated: float | None) -> None:
     squares = []
@@ -100,6 +102,7 @@ def test_two_wrong_of_twelve_are_found() -> None:
         assert np.flatnonzero(~agree(LENS, marks, None).inside).tolist() == wrong
 
 
+@pytest.mark.slow
 def test_good_surveys_are_not_accused() -> None:
     accused = 0
     for seed in range(30):
@@ -108,6 +111,7 @@ def test_good_surveys_are_not_accused() -> None:
     assert accused <= 3  # half a one is expected; more than 3 have a chance of 0.2 %
 
 
+@pytest.mark.slow
 def test_an_uncertain_lens_counts() -> None:
     sigma = np.array([2.0, 2.0, 3.0, 3.0, 3e-3, 3e-3, 3e-4, 3e-4, 1e-4])
     squares, without = [], []
@@ -218,6 +222,7 @@ def test_one_wrong_of_five_is_named_or_both_suspects_are() -> None:
             assert "surveyed wrongly" in str(unclear)
 
 
+@pytest.mark.slow
 def test_an_innocent_one_of_five_is_not_accused() -> None:
     for seed in range(40):
         rng = np.random.default_rng(seed)

@@ -187,6 +187,7 @@ def test_camera_is_placed_and_verified(lab: Lab, floor: Image) -> None:
     assert first in [kept.read_bytes() for kept in (lab.folder / "earlier").iterdir()]
 
 
+@pytest.mark.slow
 def test_a_camera_is_named_as_a_configuration_names_it(lab: Lab, floor: Image, monkeypatch: pytest.MonkeyPatch) -> None:
     lab.show(floor, surveyed(FLOOR, np.random.default_rng(4)))
     file = lab.folder / "configs" / "cameras" / "overhead.yaml"
@@ -258,6 +259,7 @@ def test_mirrored_images_are_named_as_such(lab: Lab, floor: Image) -> None:
     assert refused(lab.arena()).startswith("the images are mirrored")
 
 
+@pytest.mark.slow
 def test_wrong_survey_is_named_and_left_out(lab: Lab, floor: Image) -> None:
     tags = surveyed(FLOOR, np.random.default_rng(6))
     tags[5]["x_m"] += 0.02
@@ -287,6 +289,7 @@ def test_a_poor_survey_is_refused(lab: Lab, floor: Image) -> None:
     assert words in good(lab.arena("--survey-mm", 0.5))
 
 
+@pytest.mark.slow
 def test_points_read_off_an_image_need_no_image(lab: Lab) -> None:
     rng = np.random.default_rng(7)
     points = []
@@ -303,6 +306,7 @@ def test_points_read_off_an_image_need_no_image(lab: Lab) -> None:
     assert "cross 4: u_px, v_px: 1300" in refused(lab.run("arena", lab.camera, lab.survey, "--report", lab.report))
 
 
+@pytest.mark.slow
 def test_strangers_twins_and_the_missing_are_named(lab: Lab) -> None:
     rng = np.random.default_rng(8)
     image = rendered(TRUTH, [*FLOOR[:7], (0.3, 0.5, 0.0)], rng)  # tag 107 elsewhere: the survey lacks it

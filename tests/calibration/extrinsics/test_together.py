@@ -55,7 +55,7 @@ def at_the_seam(cameras: list[CameraGeometry], found: list[Lens | CameraGeometry
     return float(np.sqrt(((first - other) ** 2).sum(axis=1).mean()))
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("open_", [(), (6, 7, 8), (9, 10, 12, 13, 14)])
 def test_poses_are_as_uncertain_as_is_said(open_: tuple[int, ...]) -> None:
     """Also with tags in the middle that nobody surveyed, and a right camera that sees one surveyed tag of its own."""
@@ -95,6 +95,7 @@ def test_four_marks_of_a_camera_do_not_tell_how_well_they_were_surveyed() -> Non
     agree_together([left, right], SURVEY_M)
 
 
+@pytest.mark.slow
 def test_at_the_seam_they_agree_better_than_cameras_that_were_placed_alone() -> None:
     together, alone = [], []
     for seed in range(10):

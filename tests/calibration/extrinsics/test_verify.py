@@ -87,7 +87,7 @@ def test_false_alarms_are_rare() -> None:
     assert sum(not Lab(seed).judged().good for seed in range(100)) <= 1
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("again", "shares"),
     [
@@ -125,6 +125,7 @@ def test_marks_that_are_new_or_surveyed_again_do_not_count() -> None:
     assert verdict.sentences[1].startswith("tag 3, tag 5: not compared")
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("fresh", [False, True])
 @pytest.mark.parametrize("n", [4, 8])
 def test_a_camera_in_its_place_is_ok(n: int, fresh: bool) -> None:
@@ -137,6 +138,7 @@ def test_a_camera_in_its_place_is_ok(n: int, fresh: bool) -> None:
         assert verdict.sentences[0].startswith(f"OK: {n} marks are seen")
 
 
+@pytest.mark.slow
 def test_expected_errors_are_the_usual_ones() -> None:
     for fresh in (False, True):
         ratios = []

@@ -27,14 +27,15 @@ def test_corners_are_found_to_a_twentieth_of_a_pixel(true_camera: TrueCamera) ->
     assert np.abs(np.median(off, axis=0)).max() < 0.01  # half a pixel's convention would show here
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("named", "words"),
     [
-        (Board((11, 8), dictionary="DICT_6X6_250"), "no marker of DICT_6X6_250 in 4 images"),
         (Board((5, 6)), "are not of a board of 5 x 6 squares (0 to 14)"),
         (Board((8, 11)), "the markers do not lie as on a board of 8 x 11 squares"),
         (Board((12, 8)), "the markers do not lie as on a board of 12 x 8 squares"),
         (Board(marker_m=0.02), "of a square, not 0.50: check --square-mm and --marker-mm"),
+        (Board((11, 8), dictionary="DICT_6X6_250"), "no marker of DICT_6X6_250 in 4 images"),
     ],
 )
 def test_a_board_that_is_not_the_one_named(named: Board, words: str, true_camera: TrueCamera) -> None:

@@ -81,6 +81,7 @@ def test_fifteen_centred_untilted_views_are_refused(true_camera: TrueCamera) -> 
     assert result.arena_mm > 3.0
 
 
+@pytest.mark.slow
 def test_each_lack_is_named(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(4)
     views = seen(true_camera, true_camera.good_poses(24, rng), 0.05, rng)
@@ -109,6 +110,7 @@ def test_a_good_reprojection_does_not_outweigh_an_uncertain_arena(true_camera: T
     assert any("mm rms over the arena: at most 0.5 mm" in fault for fault in result.faults())
 
 
+@pytest.mark.slow
 def test_views_that_do_not_fit_are_named_and_left_out(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(6)
     views = seen(true_camera, true_camera.good_poses(24, rng), 0.08, rng)
@@ -170,6 +172,7 @@ def test_held_out_error_is_the_corners_noise(true_camera: TrueCamera) -> None:
     assert poor_px > 1.3 * rich_px
 
 
+@pytest.mark.slow
 def test_the_view_that_is_asked_for_helps_most(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(9)
     views = seen(true_camera, true_camera.good_poses(14, rng), 0.3, rng)
@@ -222,6 +225,7 @@ def test_a_lean_names_the_edge_that_is_away(lean: Lean, true_camera: TrueCamera)
         assert (np.corrcoef(along, depth)[0, 1] < 0) == farther_first
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("coefficients", [4, 8, 14])
 def test_richer_models_fit_no_worse(coefficients: int, true_camera: TrueCamera) -> None:
     views = good_views(true_camera, 24, 0.05, 12)

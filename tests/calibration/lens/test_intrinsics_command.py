@@ -270,6 +270,7 @@ def test_a_live_camera_is_read_until_its_lens_is_determined(
     assert model.focal_px == pytest.approx(lens.values[:2], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_capture_that_is_broken_off_is_judged_by_what_it_has(
     calibrate: Calibrate, scripted: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -63,6 +63,7 @@ def decoded(file: Path, topic: Any, layout: Any) -> list[Any]:
     return [(message.log_ns, layout.decode(message.data)) for full, message in messages(file) if full in names]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_tables_are_those_of_the_run(form: str, run: RecordedRun, tmp_path: Path) -> None:
     done("export", run.file, "--to", form, "--out", tmp_path / "out")

@@ -194,6 +194,7 @@ def test_every_rule_has_a_scenario() -> None:
     assert set(names) == SCENARIOS.keys()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("rule", SCENARIOS)
 def test_a_rule_fires_through_the_supervisor_and_does_not_once_it_is_taken_out(
     rule: str, stand_of: Callable[..., Stand], monkeypatch: pytest.MonkeyPatch

@@ -72,7 +72,7 @@ def test_a_tracker_that_was_restarted_on_another_clock_makes_nobody_seen_or_lost
     assert [robot.cause for robot in stand.state.robots] == [0, Event.TAG_LATE, 0, 0]
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_a_bad_network_raises_nothing(stand: Stand, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """1 % of what is said is lost, in bursts of up to 60 ms, and one message in a hundred is later than 60 ms."""

@@ -307,6 +307,7 @@ ROWS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("row", ROWS.values(), ids=ROWS)
 def test_a_run_goes_where_the_table_says(row: Row, stand_of: Callable[..., Stand]) -> None:
     stand = stand_of(attended=row.attended)

@@ -66,6 +66,7 @@ def test_robots_move_on_the_page_as_they_do_in_the_arena(page: Seen) -> None:
     assert page.run(pixels) != picture
 
 
+@pytest.mark.slow
 def test_a_control_can_be_pressed_only_in_the_phases_that_permit_it(page: Seen) -> None:
     for phase, permitted in PERMITTED.items():
         page.stand.requests.clear()
@@ -84,12 +85,14 @@ def _first_row(page: Seen) -> str:
     return found[0] if found else ""
 
 
+@pytest.mark.slow
 def test_in_peace_a_reset_is_offered_only_when_a_robot_is_latched_and_that_robot_comes_first(page: Seen) -> None:
     page.fleet.phase, page.fleet.latched = Phase.IDLE, {"r3"}
     page.becomes(lambda: "reset" in page.enabled())
     page.becomes(lambda: _first_row(page).startswith("r3 latched: emergency stop"))
 
 
+@pytest.mark.slow
 def test_a_refusal_is_shown_in_the_supervisors_words(page: Seen) -> None:
     page.fleet.phase = Phase.HOLD
     page.becomes(lambda: "resume" in page.enabled())
@@ -120,6 +123,7 @@ def test_the_emergency_stop_is_one_press_and_says_who_has_latched(page: Seen, ho
     assert b"hold" not in page.stand.requests, "space pressed the button that had the focus"
 
 
+@pytest.mark.slow
 def test_robots_that_did_not_acknowledge_are_named_loudly(page: Seen) -> None:
     page.browser.find_element(By.ID, "estop-button").click()
     latch_when_asked(page, "r1", "r3")
@@ -127,6 +131,7 @@ def test_robots_that_did_not_acknowledge_are_named_loudly(page: Seen) -> None:
     assert "NOT acknowledged within 200 ms by r2, r4" in page.text("notice")
 
 
+@pytest.mark.slow
 def test_the_emergency_stop_goes_another_way_where_the_socket_does_not_open(page: Seen) -> None:
     script = {"source": "window.WebSocket = class { static OPEN = 1; readyState = 0; }"}
     added = page.browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", script)
@@ -141,7 +146,7 @@ def is_lost(page: Seen) -> bool:
     return page.shown("lost-banner") and page.estop_is_dead() and not page.enabled()
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("who", ["supervisor", "controller"])
 def test_a_fleet_that_is_not_heard_greys_everything_out_until_it_is_heard_again(page: Seen, who: str) -> None:
     silent = {"supervisor": "supervised", "controller": "controlled"}[who]
@@ -156,6 +161,7 @@ def test_a_fleet_that_is_not_heard_greys_everything_out_until_it_is_heard_again(
     assert page.enabled() == PERMITTED[Phase.RUNNING]
 
 
+@pytest.mark.slow
 def test_a_server_that_is_gone_in_mid_run_is_a_lost_link(browser: Chrome, mortal: WebStand) -> None:
     with opened(browser, mortal) as page:
         page.run("setInterval(() => { window.after_ms ??= robofleet.state.lost?.ms }, 5)")
@@ -198,7 +204,7 @@ def test_a_run_that_has_ended_is_told_calmly(browser: Chrome, mortal: WebStand, 
         assert {state.text for state in states} == {"ended"}
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [DESKTOP, (820, 1100), PHONE, LYING])
 def test_the_emergency_stop_is_in_sight_at_every_size_and_scrolled(page: Seen, size: tuple[int, int]) -> None:
     show_as(page.browser, size)
@@ -217,6 +223,7 @@ def test_the_emergency_stop_is_in_sight_at_every_size_and_scrolled(page: Seen, s
     assert page.run("return document.documentElement.scrollWidth") <= size[0], "it scrolls sideways"
 
 
+@pytest.mark.slow
 def test_the_camera_is_asked_only_while_it_is_shown_and_its_tags_are_outlined(page: Seen) -> None:
     pixel = "return Array.from(document.getElementById('camera-view').getContext('2d').getImageData(...arguments).data)"
     grey = cv2.imencode(".jpg", np.full((72, 128), 128, np.uint8))[1].tobytes()

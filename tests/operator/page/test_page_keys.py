@@ -168,6 +168,7 @@ def test_a_name_of_this_computer_that_others_reach_is_not_served_without_keys(
         asyncio.run(serve(served, listening, lambda _: None, lambda: True))
 
 
+@pytest.mark.slow
 def test_the_command_prints_an_address_for_each_role(
     folder: Path, tmp_path: Path, platoon_of: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -179,6 +179,7 @@ def test_a_robot_whose_behaviour_failed_stands_in_words(stand: WebStand) -> None
     assert row(hello, tick, "r1")["halted"] == "the behaviour of its group failed, and all its robots stand"
 
 
+@pytest.mark.slow
 def test_a_silent_controller_is_not_shown_as_if_it_were_there(stand: WebStand) -> None:
     stand.say_state(Phase.RUNNING)
     stand.say_tick(30)
@@ -201,6 +202,7 @@ def test_the_page_is_told_every_200_ms_that_the_link_is_there(stand: WebStand) -
     assert np.median(np.diff(heard_ns)) < 300 * MS  # a busy machine delays some of them
 
 
+@pytest.mark.slow
 def test_events_come_to_all_pages_and_the_last_100_to_who_comes_later(stand: WebStand) -> None:
     with stand.page() as page:
         stand.say_state(Phase.ARMED, Event.START_REQUESTED)
@@ -239,6 +241,7 @@ def fresh_seqs(page: OpenPage, within_ns: int) -> list[int]:
     return [frame["seq"] for frame in page.heard(within_ns) if frame["type"] == "tick"]
 
 
+@pytest.mark.slow
 def test_a_page_that_sleeps_delays_nobody_and_is_owed_no_more_than_the_newest_tick(stand: WebStand) -> None:
     with stand.page() as asleep, stand.page() as page:
         began_ns, took_ns = CLOCK.now_ns(), []
@@ -269,6 +272,7 @@ def test_a_change_of_phase_comes_also_to_a_page_that_draws_nothing(stand: WebSta
     assert phases[-1:] == ["estop"]
 
 
+@pytest.mark.slow
 def test_a_picture_comes_only_to_who_asked_with_the_tags_where_they_were_seen(tmp_path: Path) -> None:
     with web_stand(tmp_path) as stand, stand.page() as page, stand.page() as other:
         assert page.next("hello")["cameras"] == [{"name": "overhead", "width": 1280, "height": 720}]

@@ -125,6 +125,7 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
     return invoke
 
 
+@pytest.mark.slow
 def test_what_the_command_cannot_serve_is_refused_in_a_line(
     command: Callable[..., tuple[int, str]], platoon_of: Callable[..., Config], tmp_path: Path
 ) -> None:
@@ -153,6 +154,7 @@ def test_what_the_command_cannot_serve_is_refused_in_a_line(
     assert command("web", str(run)) == (2, f"{ended}; its report: {run / 'report.html'}\n")
 
 
+@pytest.mark.slow
 def test_a_run_that_ends_is_told_from_a_link_that_is_lost(platoon_of: Callable[..., Config], tmp_path: Path) -> None:
     config = platoon_of(f"bus.endpoint={own_endpoint()}", "arena.name=hall")
     with claimed(config, tmp_path):

@@ -121,7 +121,7 @@ def meanwhile(act: Callable[[], None]) -> Iterator[None]:
         thread.join()
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("opening", [b"", HALF, SAID["garbage"]])
 def test_a_crowd_that_keeps_coming_does_not_delay_the_emergency_stop(
     stand: WebStand, opening: bytes, capsys: pytest.CaptureFixture[str]

@@ -68,6 +68,7 @@ def test_the_page_is_served_to_who_has_its_address(stand: WebStand) -> None:
     assert not re.search(r'(?:src|href)="(?:https?:)?//', page.text), "everything that it needs is here"
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1.evil.example:{port}", ""]
 )

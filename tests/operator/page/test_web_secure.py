@@ -85,6 +85,7 @@ def test_another_arenas_authority_is_not_this_ones(stand: WebStand, comes: Comes
         comes("", trusting(tmp_path / "other")).client.get("/")
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("version", "is_taken"),
     [(ssl.TLSVersion.TLSv1_3, True), (ssl.TLSVersion.TLSv1_2, True), (ssl.TLSVersion.TLSv1_1, False)],
@@ -190,6 +191,7 @@ def test_the_address_for_a_browsers_command_line_is_for_this_user_only(
     assert comes(stand.once).client.get("/").status_code == 200
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     "origin", ["http://{authority}", "https://evil.example", "null", "https://localhost:{port}", ""]
 )

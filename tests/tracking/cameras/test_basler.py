@@ -127,6 +127,7 @@ def test_of_several_cameras_one_has_to_be_named(lab: Lab, monkeypatch: pytest.Mo
     assert lab.open("camera.trigger=free", "camera.basler.serial='0815-0001'").identity.endswith("0815-0001")
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("exposure_s", [0.004, 0.0002])
 def test_a_tick_triggers_one_image_its_lead_before_the_next_tick(lab: Lab, exposure_s: float) -> None:
     lead_s = 0.018
@@ -180,6 +181,7 @@ def test_the_trigger_moves_by_half_the_change_of_the_exposure(lab: Lab) -> None:
         assert least_ms < 15 - 1e3 * exposure_s / 2 + 4
 
 
+@pytest.mark.slow
 def test_exposure_and_gain_are_adjusted_between_two_images(lab: Lab) -> None:
     for overrides in (["camera.trigger=free", "camera.rate_hz=50"], ["camera.trigger=tick"]):
         camera = lab.open(*overrides)
@@ -274,6 +276,7 @@ def test_without_pypylon_it_says_what_to_install(lab: Lab, monkeypatch: pytest.M
 # Its clock
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.floats(0, 20e-3), min_size=80, max_size=200),
     st.integers(-(10**17), 10**17),

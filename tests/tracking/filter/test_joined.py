@@ -226,7 +226,7 @@ def test_a_knocked_camera_is_named_whenever_its_images_come(cameras: tuple[int, 
     assert [(camera, believed) for _, camera, believed in hall.verdicts[1:]] == [(1, True)]
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("cameras", CAMERAS.values(), ids=CAMERAS)
 def test_cameras_that_hang_well_are_believed_for_long(cameras: tuple[int, Pair, Pair]) -> None:
     """Though the wheels are larger than believed, and the robots are held for a while."""

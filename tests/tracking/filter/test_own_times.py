@@ -74,6 +74,7 @@ class Fleet:
         return 1e3 * float(np.sqrt((error[:, :2] ** 2).sum(axis=1).mean())), math.degrees(np.sqrt((turn**2).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("delay_s", "before_ms"),
     [(0.002, 45), (0.045, 18), (0.027, 18)],

@@ -58,6 +58,7 @@ def test_a_covered_tag_of_another_fleet_is_no_tag(family: str) -> None:
             assert finder.detect(trial.images[0]).tags == ()
 
 
+@pytest.mark.slow
 def test_tags_are_followed_out_of_focus_and_back() -> None:
     watched, shows, spread = Watched(), scene(), []
     for k in range(60):

@@ -101,6 +101,7 @@ def test_printed_right_is_forward_and_top_is_left() -> None:
         assert abs(complex(*middle) - seen.centre) < 2e-4  # 0.07 px
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_nothing_is_found_where_nothing_is(seed: int) -> None:
     empty = scene(seed=seed)
@@ -166,6 +167,7 @@ def test_a_tile_is_searched_again_around_what_changes_and_now_and_then(
         assert k == 0 or searched[0].right - searched[0].left < 0.3 * tile.right
 
 
+@pytest.mark.slow
 def test_prints_at_the_edge_of_a_fisheye_that_looks_aslant_are_refused() -> None:
     T = np.eye(4)
     T[:3, :3], T[2, 3] = cv2.Rodrigues(np.array([0.75 * math.pi, 0.0, 0.0]))[0], 2.5

@@ -56,7 +56,7 @@ def _off(seen: TagSighting, psi: float) -> float:
     return math.degrees(math.remainder(seen.psi - psi, math.tau))
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("tilts_deg", [(5.0, 0.0), (3.0, -4.0)])
 def test_a_tilt_is_learnt_and_no_longer_turns_the_heading(tilts_deg: tuple[float, float]) -> None:
     off, sigma = errors(tilts_deg)

@@ -129,6 +129,7 @@ def beside_where_two_tiles_meet() -> list[Pose]:
     return [(x, y, 0.3), (x - 0.3, y, 1.0), STANDING[2]]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     "acts",
     [
@@ -247,6 +248,7 @@ def test_a_robot_that_leaves_the_image_is_not_seen_elsewhere(renderer: SceneRend
     assert 1 not in {pose.tag for pose in sightings.poses}
 
 
+@pytest.mark.slow
 def test_tags_of_different_heights_are_placed_at_their_own() -> None:
     low, high = 0.0, 0.08
     targets = [Target(1, SIDE_M, low, 0.0), Target(2, SIDE_M, high, MAX_SPEED)]
@@ -268,6 +270,7 @@ def test_a_corrected_camera_is_used_from_the_next_image_on(renderer: SceneRender
     assert all(measured(seen)[tag].x - STANDING[i][0] == pytest.approx(0.004, abs=2e-4) for i, tag in enumerate(IDS))
 
 
+@pytest.mark.slow
 def test_a_print_that_was_a_second_one_is_not_taken_for_the_robot_that_is_hidden() -> None:
     twins, watched = scene((1, 1, 2)), Watched()
     poster = (-0.45, 0.2, 0.0)  # so near that the robot could have driven there
@@ -289,6 +292,7 @@ def test_a_stamp_from_the_future_is_survived(renderer: SceneRenderer) -> None:
     assert measured(watched.at(renderer, STANDING, 2 * SWEEP)[-1]).keys() == set(IDS)
 
 
+@pytest.mark.slow
 def test_a_print_that_is_taken_for_a_hidden_robot_is_given_up_when_the_robot_is_back() -> None:
     twins, watched = scene((1, 1, 2)), Watched()
     robot, poster = STANDING[0], (-0.5, 0.2, 0.0)  # so near that the robot could have driven there
