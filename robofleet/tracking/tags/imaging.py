@@ -28,7 +28,7 @@ _CALIBRATED_SIGMA, _CALIBRATED_TONE_SIGMA = np.array([0.1, 0.1]), 0.02  # of wha
 _PIXEL = 1.0 / 12.0  # variance of its square [px^2]
 _TONE_DOUBT = 4.0  # variance of what is learnt over that of white noise
 _MOST_TONE = 0.24
-_DOUBT_GAIN, _DOUBT_TAGS = 0.02, 5.0  # least gain of the doubt; tags that its expected value, 1, counts for
+_DOUBT_GAIN = 0.02
 # Noise is correlated across the edges of blocks too. Bartlett's weights of two blocks (25, 25): a half for a neighbour
 # in a row or a column, a quarter for one across.
 _BESIDE = np.kron(*[np.maximum(1.0 - 0.5 * np.abs(np.subtract.outer(np.arange(BLOCKS), np.arange(BLOCKS))), 0.0)] * 2)
@@ -47,7 +47,6 @@ class Imaging(NamedTuple):
     tone: Array  # (1,) how far the middle between black and white lies above linear light [contrasts]
     tone_known: Array  # (1,) information on it
     doubt: Array  # (2,) variances of position and of heading over those of white noise
-    studied: Array  # (1,) tags from which that was learnt
     quiet: Array  # (1,) variance that a fit leaves of a tag in even light, as ``quiet_variance`` has it [grey levels^2]
 
     @classmethod
@@ -62,7 +61,7 @@ class Imaging(NamedTuple):
             tone, tone_sigma = settings.tone, _CALIBRATED_TONE_SIGMA
         tone = min(max(tone, -_MOST_TONE), _MOST_TONE)
         known = np.full(1, tone_sigma**-2)
-        return cls(blur, np.diag(sigma**-2), np.full(1, tone), known, np.ones(2), np.zeros(1), np.zeros(1))
+        return cls(blur, np.diag(sigma**-2), np.full(1, tone), known, np.ones(2), np.zeros(1))
 
     @property
     def sigma_px(self) -> float:
@@ -97,9 +96,7 @@ class Imaging(NamedTuple):
         robust = inverse @ (score.T @ _BESIDE @ score) @ inverse / _UNEXPLAINED
         white = variance * np.diag(inverse)
         ratio = np.array([(robust[4, 4] + robust[5, 5]) / (white[4] + white[5]), robust[6, 6] / white[6]])
-        self.studied[0] += 1.0
-        gain = max(_DOUBT_GAIN, 1.0 / (_DOUBT_TAGS + self.studied[0]))
-        self.doubt[:] += gain * (np.clip(ratio, 0.2, 5.0) - self.doubt)
+        self.doubt[:] += _DOUBT_GAIN * (np.clip(ratio, 0.2, 5.0) - self.doubt)
         curve = total[n + 1, : n + 1] - total[n + 1, :n] @ inverse @ total[:n, : n + 1]
         size = total[n + 1, n + 1] - total[n + 1, :n] @ inverse @ total[:n, n + 1]
         known = contrast**2 * size / (_TONE_DOUBT * variance)
