@@ -22,7 +22,7 @@ from robofleet.tracking.tags.pixels import PARAMETERS, SHAPED
 # A shape's numbers, as ``mapping.map_pixels`` has them; two of the tilt, then the bows and the twist.
 SIZE, STRETCH, SHEAR, TILT, BOW = 0, 1, 2, 3, 5
 _NUMBERS = 8
-_SIGMA = np.array([0.01, 0.002, 0.001, math.radians(2.0), math.radians(2.0), 0.03, 0.03, 0.02])  # expected
+_SIGMA = np.array([0.01, 0.002, 0.001, math.radians(1.5), math.radians(1.5), 0.03, 0.03, 0.02])  # expected
 _MOST = np.array([0.05, 0.03, 0.03, math.radians(10.0), math.radians(10.0), 0.3, 0.3, 0.3])
 _EXPECTED = 1.0 / _SIGMA**2
 STUDIED_FROM, STUDIED = 0.8, 0.985  # least likeness, and share of pixels that count, to learn a shape

@@ -63,7 +63,7 @@ def test_a_tilt_is_learnt_and_no_longer_turns_the_heading(tilts_deg: tuple[float
     first, last = math.sqrt((off[0] ** 2).mean()), math.sqrt((off[-6:] ** 2).mean())
     assert first > 0.3
     assert last < 0.06
-    assert (sigma[-1] < 0.2 * sigma[0]).all(), "it says so"
+    assert (sigma[-1] < 0.3 * sigma[0]).all(), "it says so"
     assert (off[-6:] ** 2 / sigma[-6:] ** 2).mean() < 4.0
 
 
