@@ -88,8 +88,8 @@ class FleetPlant(Protocol):
     with one :class:`PlantContext`. It may define what is no part of this protocol:
 
     - ``Settings``: a pydantic model of what ``plant.settings`` may say.
-    - ``refusals(settings)``, a static method: returns what cannot work as (dotted path below ``plant``, what is wrong
-      and how to mend it). ``robofleet check`` calls it before a plant is made.
+    - ``refusals(settings, robots)``, a static method: returns what cannot work, with the ids of all robots, as (dotted
+      path below ``plant``, what is wrong and how to mend it). ``robofleet check`` calls it before a plant is made.
     """
 
     def step(self, setpoints: Array, duration: float) -> None:
@@ -169,8 +169,8 @@ class PlantedRobot(Plant):
         """What the loops of its wheels, left and right, aim at [rad/s]."""
         return (0.0, 0.0) if self._b.stuck else setpoints(self._b, self._p)
 
-    def arrive(self, now_ns: int, pose: list[float], velocity: list[float], angles: list[float], speeds: list[float]) -> None:
+    def arrive(self, now_ns: int, *rows: list[float]) -> None:
+        """Take a row of the plant's state at an instant [ns]."""
         b = self._b
         b.reached_ns, b.used = now_ns, (now_ns - self._began_ns) * _NS
-        (b.x, b.y, b.psi), (b.v, b.omega) = pose, velocity
-        (b.left_angle, b.right_angle), (b.left_speed, b.right_speed) = angles, speeds
+        (b.x, b.y, b.psi), (b.v, b.omega), (b.left_angle, b.right_angle), (b.left_speed, b.right_speed) = rows

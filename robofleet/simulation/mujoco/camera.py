@@ -37,3 +37,8 @@ class MujocoCamera(SimulatedCamera):
             exposure_s=camera.exposure_s, light=light_at(simulated, 0.0), lens_sigma_px=simulated.lens_sigma_px,
             shade=shade(simulated, (camera.width, camera.height)),
         )  # fmt: skip
+
+    def close(self) -> None:
+        """Let go of OpenGL."""
+        if isinstance(self._renderer, MujocoRenderer):
+            self._renderer.close()

@@ -7,19 +7,20 @@ encoder counts, tuned so that a wheel that drives straight ahead follows with th
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
+from robofleet.config.faults import did_you_mean
 from robofleet.core.arrays import Array
 from robofleet.core.settings import MANY, Fraction, Length, Model, Name, within
 from robofleet.simulation.mujoco.extra import missing, mujoco, turned
 from robofleet.vehicles.plants import PlantContext, PlantRobot, PlantState
 
 _GRAVITY = 9.81  # [m/s^2]
-_FLOOR, _WHEEL, _CHASSIS, _OBSTACLE = 1, 2, 4, 8  # bits of what collides with what
+_FLOOR, _CHASSIS, _OBSTACLE = 1, 2, 4  # bits of what collides with what
 _TYRE = 0.2  # half width of a tyre [wheel radii]
 _CASTOR_BEHIND, _CASTOR_RADIUS = 0.75, 0.3  # [body radii], [wheel radii]
 _CASTOR_FRICTION = 0.05
@@ -65,9 +66,12 @@ class MujocoPlant:
     Settings = MujocoSettings
 
     @staticmethod
-    def refusals(settings: MujocoSettings) -> Iterator[tuple[str, str]]:
+    def refusals(settings: MujocoSettings, robots: Sequence[str]) -> Iterator[tuple[str, str]]:
         if lacking := missing("mujoco"):
             yield "model", lacking
+        for robot in settings.cables_n:
+            if robot not in robots:
+                yield f"settings.cables_n.{robot}", f"there is no robot '{robot}': {did_you_mean(robot, robots)}"
 
     def __init__(self, context: PlantContext) -> None:
         self._mj = mujoco()
@@ -75,13 +79,13 @@ class MujocoPlant:
         self._settings, n = s, len(robots)
         self._model = _model(context).compile()
         self._data = self._mj.MjData(self._model)
-        of = self._model.joint
-        free = [of(f"{robot.robot}/free") for robot in robots]
-        wheels = [of(f"{robot.robot}/{side}") for robot in robots for side in ("left", "right")]
-        self._position = np.array([joint.qposadr[0] for joint in free])
-        self._velocity = np.array([joint.dofadr[0] for joint in free])
-        self._angle = np.array([joint.qposadr[0] for joint in wheels]).reshape(n, 2)
-        self._speed = np.array([joint.dofadr[0] for joint in wheels]).reshape(n, 2)
+        joint = self._model.joint
+        free = [joint(f"{robot.robot}/free") for robot in robots]
+        wheels = [joint(f"{robot.robot}/{side}") for robot in robots for side in ("left", "right")]
+        self._position = np.array([each.qposadr[0] for each in free])
+        self._velocity = np.array([each.dofadr[0] for each in free])
+        self._angle = np.array([each.qposadr[0] for each in wheels]).reshape(n, 2)
+        self._speed = np.array([each.dofadr[0] for each in wheels]).reshape(n, 2)
         self._tyres = np.array([self._model.geom(f"{r.robot}/{side}").id for r in robots for side in ("left", "right")])
         self._bodies = np.array([self._model.body(robot.robot).id for robot in robots])
         self._loops = [_Loop(robot, s) for robot in robots]
@@ -146,7 +150,9 @@ class MujocoPlant:
         speed = np.linalg.norm(motion, axis=1)
         forces = -(self._drag / np.maximum(speed, _STILL_M_S))[:, None] * motion
         data.xfrc_applied[self._bodies, :3] = forces
-        data.xfrc_applied[self._bodies, 3:] = np.cross(data.xpos[self._bodies] + arms - data.xipos[self._bodies], forces)
+        data.xfrc_applied[self._bodies, 3:] = np.cross(
+            data.xpos[self._bodies] + arms - data.xipos[self._bodies], forces
+        )
 
 
 class _Loop:
@@ -207,7 +213,8 @@ def _model(context: PlantContext) -> Any:
     mj, s = mujoco(), context.settings
     spec = mj.MjSpec()
     x, y = np.radians(s.tilt_deg)
-    spec.option.gravity = -_GRAVITY * np.array([math.sin(x), math.sin(y), math.sqrt(1.0 - math.sin(x) ** 2 - math.sin(y) ** 2)])
+    down = np.array([math.tan(x), math.tan(y), 1.0])
+    spec.option.gravity = -_GRAVITY * down / np.linalg.norm(down)
     spec.option.integrator = mj.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 20.0
@@ -220,8 +227,9 @@ def _model(context: PlantContext) -> Any:
         half = obstacle.height / 2.0
         if obstacle.radius:
             spec.worldbody.add_geom(
-                type=mj.mjtGeom.mjGEOM_CYLINDER, pos=[*obstacle.points[0], half], size=[obstacle.radius, half, 0.0], **bits
-            )
+                type=mj.mjtGeom.mjGEOM_CYLINDER, size=[obstacle.radius, half, 0.0], pos=[*obstacle.points[0], half],
+                **bits,
+            )  # fmt: skip
             continue
         corners = obstacle.points
         for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True):
@@ -251,11 +259,14 @@ def _add(spec: Any, robot: PlantRobot, s: MujocoSettings) -> None:
         type=mj.mjtGeom.mjGEOM_CYLINDER, size=[radius, half, 0.0], pos=[0.0, 0.0, low + half - r],
         contype=_CHASSIS, conaffinity=_CHASSIS | _OBSTACLE, friction=[0.3, 0.005, 0.0001],
     )  # fmt: skip
-    stiff = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.0001, 0.5, 2.0], "priority": 1, "conaffinity": _FLOOR, "contype": 0}
+    stiff = {
+        "solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.0001, 0.5, 2.0], "priority": 1, "condim": 3,
+        "contype": 0, "conaffinity": _FLOOR,
+    }  # fmt: skip
     castor = _CASTOR_RADIUS * r
     body.add_geom(
         type=mj.mjtGeom.mjGEOM_SPHERE, size=[castor, 0.0, 0.0], pos=[-_CASTOR_BEHIND * radius, 0.0, castor - r],
-        condim=3, friction=[_CASTOR_FRICTION, 0.0, 0.0], **stiff,
+        friction=[_CASTOR_FRICTION, 0.0, 0.0], **stiff,
     )  # fmt: skip
     half_inertia, stall = _half_inertia(robot, s), _stall(robot, s)
     no_load = s.no_load * p.max_wheel_speed
@@ -268,7 +279,7 @@ def _add(spec: Any, robot: PlantRobot, s: MujocoSettings) -> None:
         )  # fmt: skip
         wheel.add_geom(
             name=f"{name}/{side}", type=mj.mjtGeom.mjGEOM_ELLIPSOID, size=[own, _TYRE * own, own],
-            mass=_WHEEL_MASS * mass, condim=3, friction=[s.friction, 0.0, 0.0], **stiff,
+            mass=_WHEEL_MASS * mass, friction=[s.friction, 0.0, 0.0], **stiff,
         )  # fmt: skip
         motor = spec.add_actuator(
             name=f"{name}/{side}", target=f"{name}/{side}", trntype=mj.mjtTrn.mjTRN_JOINT,

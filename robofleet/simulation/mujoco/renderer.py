@@ -5,12 +5,15 @@ a pixel is the mean of its square. Floor and prints are drawn once; of each imag
 """
 
 import ctypes.util
+import itertools
 import math
-from collections.abc import Callable, Sequence
+import weakref
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array, Array32, Image
 from robofleet.simulation.camera import Print
@@ -22,7 +25,7 @@ from robofleet.tracking.tags.targets import Target
 from robofleet.vehicles.interface import WorldObstacle
 
 BLACK, WHITE, FLOOR, SOLID, BODY = 30, 215, 130, 100, 70  # greys in full light
-_FINE = 6  # samples of a pixel along each axis
+_FINE = 4  # samples of a pixel along each axis
 _BUFFER = 1024  # sides of what OpenGL draws at once [samples]
 _TILE = 120  # sides of the parts in which the ground is drawn [px]
 _TEXELS = 32  # of a cell
@@ -30,6 +33,7 @@ _AWAY = -100.0  # height of what is not there [m]
 _MARGIN = 3  # around a part, for the blur [px]
 _STILL_PX = 0.05  # motion in an exposure that is not drawn
 _BODY_DROP_M = 0.02  # a body's top lies below its tag
+_RIM = 1e-6  # around the slopes of a part's rim
 _PAPER_M = 0.0005  # a print's height above the floor, at least
 _GHOST = {"contype": 0, "conaffinity": 0}  # nothing collides
 _BANK = 2  # images of noise that are drawn in turn, from anywhere in them
@@ -61,6 +65,12 @@ def _context() -> Any:
         raise CameraError(no_display() or f"OpenGL draws nothing here: {error}: install libosmesa6") from error
 
 
+def _free(gl: Any, drawing: Any) -> None:
+    gl.make_current()
+    drawing.free()
+    gl.free()
+
+
 class MujocoRenderer:
     """Draws what a calibrated camera sees of N robots."""
 
@@ -81,10 +91,12 @@ class MujocoRenderer:
         mj.mj_forward(self._model, self._data)
         plates = [self._model.geom(f"plate{row}") for row in range(len(robots))]
         self._plates = np.array([plate.id for plate in plates])
-        self._materials = np.array([*(self._model.mat(f"print{row}").id for row in range(len(robots))), self._model.mat("paper").id])
+        looks = [*(f"print{row}" for row in range(len(robots))), "paper"]
+        self._materials = np.array([self._model.mat(look).id for look in looks])
         self._gl = _context()
         self._gl.make_current()
         self._drawing = mj.MjrContext(self._model, mj.mjtFontScale.mjFONTSCALE_50)
+        self.close = weakref.finalize(self, _free, self._gl, self._drawing)
         mj.mjr_setBuffer(mj.mjtFramebuffer.mjFB_OFFSCREEN, self._drawing)
         self._scene, self._view = mj.MjvScene(self._model, self._model.ngeom + 10), mj.MjvCamera()
         self._option = mj.MjvOption()
@@ -125,17 +137,16 @@ class MujocoRenderer:
         image = self._clean.copy()
         moving = np.zeros_like(poses) if velocities is None else velocities
         boxes = self._boxes(poses)
-        at = (0.0,)
-        if len(boxes) and self._motion_px(poses, moving) > _STILL_PX:  # two instants with the exposure's variance
-            at = (-self._exposure_s / math.sqrt(12.0), self._exposure_s / math.sqrt(12.0))
-        light = [np.zeros((box[3] - box[1], box[2] - box[0]), np.float32) for box in boxes]
+        at = [0.0]
+        if self._motion_px(poses, moving) > _STILL_PX:  # two instants with the exposure's variance
+            at = [-self._exposure_s / math.sqrt(12.0), self._exposure_s / math.sqrt(12.0)]
+        drawn = []
         for t in at:
             self._put(poses + t * moving)
-            for box, part in zip(boxes, light, strict=True):
-                part += self._drawn(box) / len(at)
-        for (left, top, right, bottom), part in zip(boxes, light, strict=True):
-            part *= self._light * self._shade[top:bottom, left:right]
-            image[top:bottom, left:right] = part
+            drawn.append([self._drawn(box) for box in boxes])
+        for k, (left, top, right, bottom) in enumerate(boxes):
+            shade = self._light * self._shade[top:bottom, left:right]
+            image[top:bottom, left:right] = shade * np.mean([parts[k] for parts in drawn], axis=0)
         start = int(self._rng.integers((_BANK - 1) * image.size + 1))
         image += self._bank[start : start + image.size].reshape(image.shape)
         return np.asarray(np.clip(np.rint(image), 0.0, 255.0), np.uint8)
@@ -145,7 +156,7 @@ class MujocoRenderer:
         heights = np.array([body.target.height for body in self._robots])
         known = np.nan_to_num(poses)
         rows = self._geometry.project(np.column_stack([known[:, :2], heights]))[:, 1]
-        return np.where(np.isfinite(poses).all(1), rows, np.nan)
+        return np.where(_there(poses), rows, np.nan)
 
     def _drawn_noise(self) -> Array32:
         width, height = self._size
@@ -157,7 +168,7 @@ class MujocoRenderer:
 
     def _put(self, poses: Array) -> None:
         """Put the robots there, with the tags that they carry now."""
-        known = np.isfinite(poses).all(1)
+        known = _there(poses)
         at = np.where(known[:, None], poses, 0.0)
         self._data.mocap_pos[:, :2], self._data.mocap_pos[:, 2] = at[:, :2], np.where(known, 0.0, _AWAY)
         self._data.mocap_quat[:, 0], self._data.mocap_quat[:, 3] = np.cos(at[:, 2] / 2.0), np.sin(at[:, 2] / 2.0)
@@ -174,8 +185,8 @@ class MujocoRenderer:
             if math.isnan(x + y + psi):
                 continue
             reach = max(body.radius, body.target.whole) + 0.02
-            square = [(x + a * reach, y + b * reach, z) for a in (-1, 1) for b in (-1, 1) for z in (0.0, body.target.height)]
-            pixels = self._geometry.project(np.array(square))
+            ends = itertools.product((x - reach, x + reach), (y - reach, y + reach), (0.0, body.target.height))
+            pixels = self._geometry.project(np.array([*ends]))
             left, top = np.maximum(np.floor(pixels.min(0)).astype(int), 0).tolist()
             right, bottom = np.minimum(np.ceil(pixels.max(0)).astype(int) + 1, (width, height)).tolist()
             boxes += [
@@ -186,8 +197,7 @@ class MujocoRenderer:
 
     def _motion_px(self, poses: Array, velocities: Array) -> float:
         focal, depth = self._geometry.K[0, 0], self._geometry.position[2]
-        there = np.isfinite(poses).all(1)
-        speeds = np.hypot(velocities[there, 0], velocities[there, 1])
+        speeds = np.hypot(velocities[:, 0], velocities[:, 1])[_there(poses)]
         return float(speeds.max(initial=0.0) * self._exposure_s * focal / depth)
 
     def _drawn(self, box: tuple[int, int, int, int]) -> Array32:
@@ -197,14 +207,15 @@ class MujocoRenderer:
         columns = _samples(left - _MARGIN, right + _MARGIN) + 1 + _MARGIN
         u, v = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
         slopes = cv2.remap(self._slopes, u, v, cv2.INTER_LINEAR)
-        low, high = slopes.min((0, 1)) - 1e-6, slopes.max((0, 1)) + 1e-6
+        rim = np.concatenate([slopes[0], slopes[-1], slopes[:, 0], slopes[:, -1]])
+        low, high = rim.min(0) - _RIM, rim.max(0) + _RIM
         count = np.minimum(np.ceil((high - low) * np.diag(self._geometry.K)[:2] * _FINE).astype(int) + 2, _BUFFER)
         pinhole = self._pinhole(low, high, count.tolist())
         at = np.asarray((slopes - low) / (high - low) * count - 0.5, np.float32)
-        bent = cv2.remap(pinhole, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        bent = cv2.remap(pinhole, *cv2.split(at), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         blurred = cv2.GaussianBlur(bent, (0, 0), self._sigma)
         inner = blurred[_MARGIN * _FINE : -_MARGIN * _FINE, _MARGIN * _FINE : -_MARGIN * _FINE]
-        means = inner.reshape(bottom - top, _FINE, right - left, _FINE).mean((1, 3))
+        means = cv2.resize(inner, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
         return np.asarray(means, np.float32)
 
     def _pinhole(self, low: Array, high: Array, count: Sequence[int]) -> Array32:
@@ -224,6 +235,10 @@ class MujocoRenderer:
         return np.ascontiguousarray(samples[::-1, :, 0], np.float32)  # OpenGL's rows go up
 
 
+def _there(poses: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(poses).all(1))
+
+
 def _samples(first: int, end: int) -> Array:
     """Return where the samples of pixels lie along an axis [px]."""
     return (np.arange((end - first) * _FINE) + 0.5) / _FINE - 0.5 + first
@@ -233,7 +248,7 @@ def _scene(
     robots: Sequence[Body], prints: Sequence[Print], obstacles: Sequence[WorldObstacle], offsets: Array,
     rng: np.random.Generator,
 ) -> Any:  # fmt: skip
-    """Return all that is seen, as MuJoCo's specification. Greys are a surface's own: the light comes from everywhere."""
+    """Return all that is seen, as MuJoCo's specification. Light comes from everywhere: greys are a surface's own."""
     mj = mujoco()
     spec = mj.MjSpec()
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [1.0] * 3, [0.0] * 3
@@ -242,7 +257,7 @@ def _scene(
     spec.visual.global_.offwidth = spec.visual.global_.offheight = _BUFFER
     spec.visual.map.znear, spec.visual.map.zfar = 0.01, 100.0
     wood = rng.integers(FLOOR - 12, FLOOR + 13, (96, 96)).astype(np.uint8)
-    _material(spec, "wood", cv2.resize(wood, (960, 960), interpolation=cv2.INTER_CUBIC))
+    _material(spec, "wood", np.asarray(cv2.resize(wood, (960, 960), interpolation=cv2.INTER_CUBIC), np.uint8))
     world = spec.worldbody
     world.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[8.0, 8.0, 1.0], material="wood", **_GHOST)
     for obstacle in obstacles:
@@ -257,7 +272,8 @@ def _scene(
         robot = world.add_body(mocap=True, pos=[0.0, 0.0, _AWAY])
         half = (body.target.height - _BODY_DROP_M) / 2.0
         robot.add_geom(
-            type=mj.mjtGeom.mjGEOM_CYLINDER, size=[body.radius, half, 0.0], pos=[0.0, 0.0, half], rgba=_gray(BODY), **_GHOST
+            type=mj.mjtGeom.mjGEOM_CYLINDER, size=[body.radius, half, 0.0], pos=[0.0, 0.0, half], rgba=_gray(BODY),
+            **_GHOST,
         )  # fmt: skip
         robot.add_geom(
             name=f"plate{row}", pos=[forward, left, body.target.height], quat=turned(turn), material=f"print{row}",
