@@ -23,7 +23,8 @@ _GRAVITY = 9.81  # [m/s^2]
 _FLOOR, _CHASSIS, _OBSTACLE = 1, 2, 4  # bits of what collides with what
 _TYRE = 0.2  # half width of a tyre [wheel radii]
 _CASTOR_BEHIND, _CASTOR_RADIUS = 0.75, 0.3  # [body radii], [wheel radii]
-_CASTOR_FRICTION = 0.05
+_CASTOR_FRICTION, _BODY_FRICTION = 0.05, 0.3
+_STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.0001, 0.5, 2.0]}  # contacts: hundredths of a mm deep
 _CENTRE_BEHIND, _CENTRE_HEIGHT = 0.2, 1.0  # of mass, from the axle's middle [body radii], above the floor [wheel radii]
 _WHEEL_MASS = 0.05  # of a wheel [robot's mass]
 _WALL_M = 0.01  # half thickness of an obstacle's side
@@ -223,7 +224,7 @@ def _model(context: PlantContext) -> Any:
         type=mj.mjtGeom.mjGEOM_PLANE, size=[*context.world.size, 0.1], contype=_FLOOR, conaffinity=0, name="floor"
     )
     for obstacle in context.world.obstacles:
-        bits = {"contype": _OBSTACLE, "conaffinity": 0}
+        bits = {**_STIFF, "contype": _OBSTACLE, "conaffinity": 0}
         half = obstacle.height / 2.0
         if obstacle.radius:
             spec.worldbody.add_geom(
@@ -257,16 +258,13 @@ def _add(spec: Any, robot: PlantRobot, s: MujocoSettings) -> None:
     body.inertia, body.explicitinertial = [flat, flat, upright], True
     body.add_geom(
         type=mj.mjtGeom.mjGEOM_CYLINDER, size=[radius, half, 0.0], pos=[0.0, 0.0, low + half - r],
-        contype=_CHASSIS, conaffinity=_CHASSIS | _OBSTACLE, friction=[0.3, 0.005, 0.0001],
+        contype=_CHASSIS, conaffinity=_CHASSIS | _OBSTACLE, friction=[_BODY_FRICTION, 0.0, 0.0], **_STIFF,
     )  # fmt: skip
-    stiff = {
-        "solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.0001, 0.5, 2.0], "priority": 1, "condim": 3,
-        "contype": 0, "conaffinity": _FLOOR,
-    }  # fmt: skip
+    on_floor = {**_STIFF, "priority": 1, "condim": 3, "contype": 0, "conaffinity": _FLOOR}
     castor = _CASTOR_RADIUS * r
     body.add_geom(
         type=mj.mjtGeom.mjGEOM_SPHERE, size=[castor, 0.0, 0.0], pos=[-_CASTOR_BEHIND * radius, 0.0, castor - r],
-        friction=[_CASTOR_FRICTION, 0.0, 0.0], **stiff,
+        friction=[_CASTOR_FRICTION, 0.0, 0.0], **on_floor,
     )  # fmt: skip
     half_inertia, stall = _half_inertia(robot, s), _stall(robot, s)
     no_load = s.no_load * p.max_wheel_speed
@@ -279,7 +277,7 @@ def _add(spec: Any, robot: PlantRobot, s: MujocoSettings) -> None:
         )  # fmt: skip
         wheel.add_geom(
             name=f"{name}/{side}", type=mj.mjtGeom.mjGEOM_ELLIPSOID, size=[own, _TYRE * own, own],
-            mass=_WHEEL_MASS * mass, friction=[s.friction, 0.0, 0.0], **stiff,
+            mass=_WHEEL_MASS * mass, friction=[s.friction, 0.0, 0.0], **on_floor,
         )  # fmt: skip
         motor = spec.add_actuator(
             name=f"{name}/{side}", target=f"{name}/{side}", trntype=mj.mjtTrn.mjTRN_JOINT,

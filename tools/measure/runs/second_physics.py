@@ -1,0 +1,92 @@
+"""The shipped fleets on this project's own plant and on MuJoCo, by own pixels and by MuJoCo's, in lockstep.
+
+    python -m tools.measure.runs.second_physics [--fleets platoon,go-to,formation] [--duration 88] [--settings '{...}']
+    python -m tools.measure.runs.second_physics --frames 100
+
+Control errors do not see slip: true errors are those of the path, or of the goals. ``--settings`` are those of MuJoCo's
+plant. ``--frames``: instead, how exactly the tracker places robots on frames of either renderer.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robofleet.config.load import load_config
+from robofleet.core.clock import S, cpu_ns
+from robofleet.simulation.mujoco.camera import MujocoCamera
+from robofleet.simulation.sources import SimulatedCamera
+from robofleet.testing import run_lockstep
+from robofleet.tracking.sight import FleetSight
+from tools.measure.program import program
+
+CONFIGS = Path(__file__).parents[3] / "configs"
+WAYS = {
+    "own plant, own pixels": (),
+    "MuJoCo, own pixels": ("plant.model=mujoco",),
+    "MuJoCo, its pixels": ("plant.model=mujoco", "camera.source=mujoco"),
+}
+SETTLED = 4  # frames until a tag is followed
+
+
+def drive(fleet: str, changes: list[str]) -> list[str]:
+    """Return a run's row: outcome, figures [mm], CPU time [s]."""
+    began_ns = cpu_ns()
+    run = run_lockstep(load_config(CONFIGS / f"{fleet}.yaml", changes))
+    figures = [mean(run.summary, key) for key in ("control_error_mm", "path_error_mm", "timed_error_mm")]
+    gap, pose = run.summary["min_gap_mm"], run.summary["pose_error"]
+    return [run.outcome, *figures, shown(pose and pose["rms_mm"]), shown(gap), f"{(cpu_ns() - began_ns) / S:.0f}"]
+
+
+def mean(summary: dict[str, Any], key: str) -> str:
+    figure = summary.get(key)
+    return shown(figure["mean"] if isinstance(figure, dict) else figure)
+
+
+def shown(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def frames(count: int) -> None:
+    """Print errors of robots that stand anywhere under the shipped camera, on frames with its noise."""
+    config = load_config(CONFIGS / "platoon.yaml")
+    rows = {robot.tag: row for row, robot in enumerate(config.robots)}
+    print("renderer | poses | position rms, worst mm | heading rms, worst deg | lost")
+    for name, camera in (("own", SimulatedCamera), ("MuJoCo", MujocoCamera)):
+        renderer, rng = camera.renderer(config, np.random.default_rng(1)), np.random.default_rng(2)
+        errors: list[np.ndarray] = []
+        wanted = 0
+        for _ in range(count):
+            x = np.linspace(-1.2, 1.2, 4) + rng.uniform(-0.25, 0.25, 4)
+            poses = np.column_stack([x, rng.uniform(-0.85, 0.85, 4), rng.uniform(-math.pi, math.pi, 4)])
+            sight = FleetSight(config)
+            for k in range(SETTLED + 1):
+                seen = sight.see(renderer.render(poses).copy(), (k + 1) * S // 30).poses
+            wanted += len(poses)
+            errors += [np.array([pose.x, pose.y, pose.psi]) - poses[rows[pose.tag]] for pose in seen]
+        off = np.array(errors)
+        mm = 1e3 * np.hypot(off[:, 0], off[:, 1])
+        deg = np.degrees(np.abs(np.remainder(off[:, 2] + math.pi, math.tau) - math.pi))
+        mm_rms, deg_rms = (math.sqrt(np.mean(values**2)) for values in (mm, deg))
+        print(
+            f"{name} | {len(off)} | {mm_rms:.4f}, {mm.max():.4f} | {deg_rms:.4f}, {deg.max():.4f} | {wanted - len(off)}"
+        )
+
+
+def main() -> None:
+    arguments = program(__doc__, fleets="platoon,go-to,formation", duration=0.0, settings="{}", frames=0).parse_args()
+    if arguments.frames:
+        frames(arguments.frames)
+        return
+    print("fleet | plant, pixels | outcome | control | path | timed | pose rms | smallest gap mm | CPU s")
+    for fleet in arguments.fleets.split(","):
+        for way, changes in WAYS.items():
+            own = [*changes, *([f"run.duration_s={arguments.duration}"] if arguments.duration else [])]
+            if changes:
+                own.append(f"plant.settings={arguments.settings}")
+            print(" | ".join([fleet, way, *drive(fleet, own)]), flush=True)
+
+
+if __name__ == "__main__":
+    main()
