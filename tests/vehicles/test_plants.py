@@ -77,7 +77,7 @@ def test_robots_of_a_plant_are_commanded_and_read_as_others(changes: list[str]) 
             robot.advance(1000 * MS)
         assert tuple(plant.robot(name).truth()) == pytest.approx(tuple(reference.truth()), abs=1e-8)
         assert tuple(plant.robot(name).reading()) == pytest.approx(tuple(reference.reading()), abs=1e-8)
-    assert plant.robot("r1").truth().v_m_s == 0.0  # the watchdog
+    assert plant.robot("r1").truth().v == 0.0  # the watchdog
 
 
 def test_a_wheel_that_runs_and_motors_that_stand() -> None:
