@@ -48,21 +48,24 @@ class Body(NamedTuple):
 
 def no_display() -> str:
     """Return why nothing can be drawn here, and what to install; nothing where it can."""
-    if ctypes.util.find_library("OSMesa") or ctypes.util.find_library("EGL"):
-        return ""
-    return "nothing here draws without a display: install OSMesa (Debian: apt-get install libosmesa6)"
+    try:
+        _context(1).free()
+    except CameraError as error:
+        return str(error)
+    return ""
 
 
-def _context() -> Any:
-    """Return OpenGL's context without a display: OSMesa's, which draws alike everywhere, else EGL's."""
+def _context(side: int) -> Any:
+    """Return OpenGL's context without a display: OSMesa's, which draws alike everywhere, else EGL's; CameraError."""
     try:
         if ctypes.util.find_library("OSMesa"):
             from mujoco.osmesa import GLContext  # noqa: PLC0415 - an extra
         else:
             from mujoco.egl import GLContext  # noqa: PLC0415
-        return GLContext(_BUFFER, _BUFFER)
+        return GLContext(side, side)
     except Exception as error:
-        raise CameraError(no_display() or f"OpenGL draws nothing here: {error}: install libosmesa6") from error
+        why = f"OpenGL cannot draw without a display here ({error})"
+        raise CameraError(f"{why}: install OSMesa, in Debian: apt-get install libosmesa6") from error
 
 
 def _free(gl: Any, drawing: Any) -> None:
@@ -93,7 +96,7 @@ class MujocoRenderer:
         self._plates = np.array([plate.id for plate in plates])
         looks = [*(f"print{row}" for row in range(len(robots))), "paper"]
         self._materials = np.array([self._model.mat(look).id for look in looks])
-        self._gl = _context()
+        self._gl = _context(_BUFFER)
         self._gl.make_current()
         self._drawing = mj.MjrContext(self._model, mj.mjtFontScale.mjFONTSCALE_50)
         self.close = weakref.finalize(self, _free, self._gl, self._drawing)
