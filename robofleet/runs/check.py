@@ -108,8 +108,8 @@ def _plant(config: Config) -> Iterator[Complaint]:
     except PluginError as error:
         yield "plant.model", str(error)
     except ValidationError as invalid:
-        for error in invalid.errors(include_url=False):
-            yield ".".join(["plant.settings", *map(str, error["loc"])]), plain_words(error, kind.Settings)
+        for wrong in invalid.errors(include_url=False):
+            yield ".".join(["plant.settings", *map(str, wrong["loc"])]), plain_words(wrong, kind.Settings)
     else:
         refused = kind.refusals(settings, [robot.id for robot in config.robots]) if hasattr(kind, "refusals") else ()
         yield from ((f"plant.{path}", words) for path, words in refused)

@@ -214,8 +214,8 @@ class MujocoRenderer:
         low, high = rim.min(0) - _RIM, rim.max(0) + _RIM
         count = np.minimum(np.ceil((high - low) * np.diag(self._geometry.K)[:2] * _FINE).astype(int) + 2, _BUFFER)
         pinhole = self._pinhole(low, high, count.tolist())
-        at = np.asarray((slopes - low) / (high - low) * count - 0.5, np.float32)
-        bent = cv2.remap(pinhole, *cv2.split(at), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        x, y = cv2.split(np.asarray((slopes - low) / (high - low) * count - 0.5, np.float32))
+        bent = cv2.remap(pinhole, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         blurred = cv2.GaussianBlur(bent, (0, 0), self._sigma)
         inner = blurred[_MARGIN * _FINE : -_MARGIN * _FINE, _MARGIN * _FINE : -_MARGIN * _FINE]
         means = cv2.resize(inner, (right - left, bottom - top), interpolation=cv2.INTER_AREA)

@@ -8,6 +8,7 @@ plant. ``--frames``: instead, how exactly the tracker places robots on frames of
 """
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def drive(fleet: str, changes: list[str]) -> list[str]:
     return [run.outcome, *figures, shown(pose and pose["rms_mm"]), shown(gap), f"{(cpu_ns() - began_ns) / S:.0f}"]
 
 
-def mean(summary: dict[str, Any], key: str) -> str:
+def mean(summary: Mapping[str, Any], key: str) -> str:
     figure = summary.get(key)
     return shown(figure["mean"] if isinstance(figure, dict) else figure)
 
