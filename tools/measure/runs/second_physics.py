@@ -3,14 +3,12 @@
     python -m tools.measure.runs.second_physics [--fleets platoon,go-to,formation] [--duration 88] [--settings '{...}']
     python -m tools.measure.runs.second_physics --frames 100
 
-Control errors do not see slip: true errors are those of the path, or of the goals. ``--settings`` are those of MuJoCo's
-plant. ``--frames``: instead, how exactly the tracker places robots on frames of either renderer.
+Means of one run. Control errors do not see slip; true errors do: of the platoon's path, of the formation's shape, of the
+places in the end of robots that go to goals, which have no control error. ``--settings`` are those of MuJoCo's plant. ``--frames``: instead, how exactly the tracker places robots on frames of either renderer.
 """
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,6 +26,8 @@ WAYS = {
     "MuJoCo, own pixels": ("plant.model=mujoco",),
     "MuJoCo, its pixels": ("plant.model=mujoco", "camera.source=mujoco"),
 }
+CONTROL_ERROR = "control_error_mm"
+TRUE_ERRORS = ("path_error_mm", "shape_error_mm", "final_distance_to_goal_mm")
 SETTLED = 4  # frames until a tag is followed
 
 
@@ -35,18 +35,13 @@ def drive(fleet: str, changes: list[str]) -> list[str]:
     """Return a run's row: outcome, figures [mm], CPU time [s]."""
     began_ns = cpu_ns()
     run = run_lockstep(load_config(CONFIGS / f"{fleet}.yaml", changes))
-    figures = [mean(run.summary, key) for key in ("control_error_mm", "path_error_mm", "timed_error_mm")]
-    gap, pose = run.summary["min_gap_mm"], run.summary["pose_error"]
-    return [run.outcome, *figures, shown(pose and pose["rms_mm"]), shown(gap), f"{(cpu_ns() - began_ns) / S:.0f}"]
-
-
-def mean(summary: Mapping[str, Any], key: str) -> str:
-    figure = summary.get(key)
-    return shown(figure["mean"] if isinstance(figure, dict) else figure)
-
-
-def shown(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
+    (group,) = run.summary["groups"].values()
+    true = next(key for key in TRUE_ERRORS if key in group)
+    means = [group[key] and group[key]["mean"] for key in (CONTROL_ERROR, true) if key in group]
+    pose, gap = run.summary["pose_error"], run.summary["min_gap_mm"]
+    figures = [*[None] * (2 - len(means)), *means, pose and pose["rms_mm"], gap]
+    shown = ["-" if figure is None else f"{figure:.2f}" for figure in figures]
+    return [run.outcome, *shown, f"{(cpu_ns() - began_ns) / S:.0f}"]
 
 
 def frames(count: int) -> None:
@@ -80,7 +75,7 @@ def main() -> None:
     if arguments.frames:
         frames(arguments.frames)
         return
-    print("fleet | plant, pixels | outcome | control | path | timed | pose rms | smallest gap mm | CPU s")
+    print("fleet | plant, pixels | outcome | control error | true error | pose rms | smallest gap mm | CPU s")
     for fleet in arguments.fleets.split(","):
         for way, changes in WAYS.items():
             own = [*changes, *([f"run.duration_s={arguments.duration}"] if arguments.duration else [])]
