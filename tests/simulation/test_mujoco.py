@@ -76,8 +76,10 @@ def test_what_friction_and_slope_do() -> None:
 
 
 def test_patches_have_a_friction_of_their_own() -> None:
-    one, other = (driven(plant(settings=f"{{friction: 0.06, friction_spread: {s}}}"), 12.5, 12.5, 0.5) for s in (0, 1))
-    reached = [np.ptp(states[-1].velocities[:, 0]) for states in (one, other)]
+    even, uneven = (
+        driven(plant(settings=f"{{friction: 0.06, friction_spread: {s}}}"), 12.5, 12.5, 0.5) for s in (0, 1)
+    )
+    reached = [np.ptp(states[-1].velocities[:, 0]) for states in (even, uneven)]
     assert reached[0] < 0.01 < reached[1]
 
 
@@ -104,9 +106,9 @@ def test_bodies_and_obstacles_are_solid() -> None:
 
 def test_the_same_seed_is_the_same_world() -> None:
     settings = "{friction_spread: 0.5, cables_n: {r2: 0.2}}"
-    one, other = (driven(plant(settings=settings), 9.0, 7.0, 0.3)[-1] for _ in range(2))
-    for first, second in zip(one, other, strict=True):
-        assert np.array_equal(first, second)
+    first, again = (driven(plant(settings=settings), 9.0, 7.0, 0.3)[-1] for _ in range(2))
+    for before, after in zip(first, again, strict=True):
+        assert np.array_equal(before, after)
 
 
 @pytest.mark.parametrize(("change", "path", "words"), [

@@ -3,8 +3,9 @@
     python -m tools.measure.runs.second_physics [--fleets platoon,go-to,formation] [--duration 88] [--settings '{...}']
     python -m tools.measure.runs.second_physics --frames 100
 
-Means of one run. Control errors do not see slip; true errors do: of the platoon's path, of the formation's shape, of the
-places in the end of robots that go to goals, which have no control error. ``--settings`` are those of MuJoCo's plant. ``--frames``: instead, how exactly the tracker places robots on frames of either renderer.
+Means of one run. Control errors do not see slip; true errors do: of the platoon's path, of the formation's shape, and
+where robots that go to goals stand in the end, who have no control error. ``--settings`` are those of MuJoCo's plant.
+``--frames``: instead, how exactly the tracker places robots on frames of either renderer.
 """
 
 import math
