@@ -47,20 +47,21 @@ class ConfiguredDrivers:
         return driver_settings.context(self._config, self._config.robot(robot), self._now_ns, self._world)
 
     def driver(self, context: DriverContext) -> Driver:
-        kind = load("robofleet.drivers", self._config.robot(context.robot).driver)
-        if context.simulation is not None and self._config.robot(context.robot).driver == OWN_DRIVER:
-            context = replace(context, simulation=replace(context.simulation, plant=self._plant(context.robot)))
+        name = self._config.robot(context.robot).driver
+        kind = load("robofleet.drivers", name)
+        if name == OWN_DRIVER and context.simulation is not None:
+            context = replace(context, simulation=replace(context.simulation, plant=self._plant(context)))
         make: Callable[[], Driver] = partial(kind, context)
         if not is_concurrent(kind):
             make = partial(self._alone, make)
         return make() if issubclass(kind, SimulatedDriver) else ReconnectingDriver(make, context.now_ns)
 
-    def _plant(self, robot: str) -> SharedPlant | None:
+    def _plant(self, context: DriverContext) -> SharedPlant | None:
         """Return the plant that a robot shares with all simulated ones of its unit."""
-        unit = self._config.unit_of[robot]
+        unit = self._config.unit_of[context.robot]
         if unit not in self._plants:
             robots = [name for name in self._config.units[unit] if self._config.robot(name).driver == OWN_DRIVER]
-            self._plants[unit] = slices.shared_plant(self._config, robots, self._now_ns())
+            self._plants[unit] = slices.shared_plant(self._config, robots, context.now_ns())
         return self._plants[unit]
 
     def _alone(self, make: Callable[[], Driver]) -> Driver:
