@@ -25,6 +25,7 @@ from robofleet.vehicles.plant import (
     placed,
     setpoints,
 )
+from robofleet.vehicles.readings import TruePose
 
 _NS = 1e-9
 
@@ -121,6 +122,10 @@ class SharedPlant:
         found.trouble = trouble
         return found
 
+    def others(self, robot: str) -> list[tuple[TruePose, float]]:
+        """Return where the other robots truly are, and the radii of their bodies [m]."""
+        return [(other.truth(), other.radius) for name, other in self._robots.items() if name != robot]
+
     def advance(self, now_ns: int) -> None:
         """Let time pass until then [ns], cut where commands begin to act; the past changes nothing."""
         robots = self._robots.values()
@@ -143,7 +148,7 @@ class PlantedRobot(Plant):
 
     def __init__(self, shared: SharedPlant, robot: PlantRobot, now_ns: int) -> None:
         self._shared, self._p, self._b = shared, robot.build, placed(robot.start, now_ns)
-        self._began_ns = now_ns
+        self.radius, self._began_ns = robot.radius, now_ns
         self._coming = [Coming() for _ in range(capacity(self._p.delay_ns))]
         self.trouble: Callable[[], BodyTrouble] | None = None
 

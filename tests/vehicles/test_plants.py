@@ -9,6 +9,7 @@ from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS
+from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.vehicles.differential_drive import arc, body_from_wheels
 from robofleet.vehicles.interface import STOP, BodyTrouble, WheelSpeeds
 from robofleet.vehicles.plant import WATCHDOG_NS, Plant
@@ -95,3 +96,12 @@ def test_a_wheel_that_runs_and_motors_that_stand() -> None:
     plant.advance(300 * MS)
     assert robot.truth() == before
     assert math.isclose(robot.reading().battery, 1.0, abs_tol=1e-3)
+
+
+def test_distance_sensors_see_the_robots_of_the_same_plant() -> None:
+    perfect = [f"robots.0.vehicle.sensors.distances.{error}=0" for error in ("noise", "dropout", "outliers")]
+    starts = [f"robots.{row}.start={{x_m: {0.3 * row}, y_m: 0, heading_deg: 0}}" for row in (0, 1)]
+    drivers = ConfiguredDrivers(config("robots.0.sensors=true", "arena.walls=[]", *perfect, *starts), lambda: 0)
+    sensors = drivers.driver(drivers.context("r1")).read().sensors
+    assert sensors is not None
+    assert sensors.distances[3] == pytest.approx(0.3 - 0.05 - 0.055, abs=1e-3)  # of the sensor ahead, to r2's disc
