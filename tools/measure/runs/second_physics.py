@@ -2,12 +2,15 @@
 
     python -m tools.measure.runs.second_physics [--fleets platoon,go-to,formation] [--duration 88] [--settings '{...}']
     python -m tools.measure.runs.second_physics --frames 100
+    python -m tools.measure.runs.second_physics --rank [--duration 25]
 
 Means of one run. Control errors do not see slip; true errors do: of the platoon's path, of the formation's shape, and
 where robots that go to goals stand in the end, who have no control error. ``--settings`` are those of MuJoCo's plant.
-``--frames``: instead, how exactly the tracker places robots on frames of either renderer.
+``--frames``: instead, how exactly the tracker places robots on frames of either renderer. ``--rank``: instead, whether
+both plants rank ten settings of the platoon's controller alike, by poses without images.
 """
 
+import itertools
 import math
 from pathlib import Path
 
@@ -27,6 +30,10 @@ WAYS = {
     "MuJoCo, own pixels": ("plant.model=mujoco",),
     "MuJoCo, its pixels": ("plant.model=mujoco", "camera.source=mujoco"),
 }
+RANKED = [  # horizon_s, alpha, point_ahead_m
+    (0.6, 45, 0.08), (0.3, 45, 0.08), (0.9, 45, 0.08), (1.2, 45, 0.08), (0.6, 10, 0.08),
+    (0.6, 20, 0.08), (0.6, 45, 0.05), (0.6, 45, 0.12), (0.4, 20, 0.06), (0.9, 15, 0.10),
+]  # fmt: skip
 CONTROL_ERROR = "control_error_mm"
 TRUE_ERRORS = ("path_error_mm", "shape_error_mm", "final_distance_to_goal_mm")
 SETTLED = 4  # frames until a tag is followed
@@ -43,6 +50,28 @@ def drive(fleet: str, changes: list[str]) -> list[str]:
     figures = [*[None] * (2 - len(means)), *means, pose and pose["rms_mm"], gap]
     shown = ["-" if figure is None else f"{figure:.2f}" for figure in figures]
     return [run.outcome, *shown, f"{(cpu_ns() - began_ns) / S:.0f}"]
+
+
+def rank(duration_s: float) -> None:
+    """Print the path and control errors of each setting on both plants, and Kendall's tau of each."""
+    print("horizon s, alpha, point ahead m | path error own, MuJoCo mm | control error own, MuJoCo mm")
+    rows: list[list[float]] = []
+    for horizon, alpha, ahead in RANKED:
+        keys = {"controller.horizon_s": horizon, "controller.alpha": alpha, "controller.point_ahead_m": ahead}
+        changes = [f"{key}={value}" for key, value in keys.items()]
+        means: list[float] = []
+        for plant in ("own", "mujoco"):
+            run = ["tracker.source=truth", f"run.duration_s={duration_s}", f"plant.model={plant}", *changes]
+            figures = run_lockstep(load_config(CONFIGS / "platoon.yaml", run)).summary
+            means += [figures[key]["mean"] for key in ("path_error_mm", CONTROL_ERROR)]
+        rows.append(means)
+        print(
+            f"{horizon}, {alpha}, {ahead} | {means[0]:.3f}, {means[2]:.3f} | {means[1]:.3f}, {means[3]:.3f}", flush=True
+        )
+    for name, own, other in zip(("path", "control"), (0, 1), (2, 3), strict=True):
+        pairs = itertools.combinations(rows, 2)
+        agree = [np.sign((a[own] - b[own]) * (a[other] - b[other])) for a, b in pairs]
+        print(f"Kendall's tau, {name} error: {np.mean(agree):.2f}")
 
 
 def frames(count: int) -> None:
@@ -72,7 +101,12 @@ def frames(count: int) -> None:
 
 
 def main() -> None:
-    arguments = program(__doc__, fleets="platoon,go-to,formation", duration=0.0, settings="{}", frames=0).parse_args()
+    arguments = program(
+        __doc__, fleets="platoon,go-to,formation", duration=0.0, settings="{}", frames=0, rank=False
+    ).parse_args()
+    if arguments.rank:
+        rank(arguments.duration or 25.0)
+        return
     if arguments.frames:
         frames(arguments.frames)
         return
