@@ -31,6 +31,7 @@ _TILE = 120  # sides of the parts in which the ground is drawn [px]
 _TEXELS = 32  # of a cell
 _AWAY = -100.0  # height of what is not there [m]
 _MARGIN = 3  # around a part, for the blur [px]
+_AROUND_M = 0.02  # drawn around a robot
 _STILL_PX = 0.25  # motion in an exposure that is not drawn
 _BODY_DROP_M = 0.02  # a body's top lies below its tag
 _RIM = 1e-6  # around the slopes of a part's rim
@@ -184,10 +185,10 @@ class MujocoRenderer:
         """Return the parts of the image, left, top, right, bottom [px], that the robots that are there can hide."""
         boxes = []
         width, height = self._size
-        for body, (x, y, psi) in zip(self._robots, poses.tolist(), strict=True):
+        for body, offset, (x, y, psi) in zip(self._robots, self._offsets, poses.tolist(), strict=True):
             if math.isnan(x + y + psi):
                 continue
-            reach = max(body.radius, body.target.whole) + 0.02
+            reach = max(body.radius, body.target.whole + math.hypot(*offset[:2])) + _AROUND_M
             ends = itertools.product((x - reach, x + reach), (y - reach, y + reach), (0.0, body.target.height))
             pixels = self._geometry.project(np.array([*ends]))
             left, top = np.maximum(np.floor(pixels.min(0)).astype(int), 0).tolist()
@@ -273,7 +274,7 @@ def _scene(
     for row, (body, (forward, left, turn)) in enumerate(zip(robots, offsets.tolist(), strict=True)):
         _material(spec, f"print{row}", _print(body.target))
         robot = world.add_body(mocap=True, pos=[0.0, 0.0, _AWAY])
-        half = (body.target.height - _BODY_DROP_M) / 2.0
+        half = max(body.target.height - _BODY_DROP_M, _PAPER_M) / 2.0
         robot.add_geom(
             type=mj.mjtGeom.mjGEOM_CYLINDER, size=[body.radius, half, 0.0], pos=[0.0, 0.0, half], rgba=_gray(BODY),
             **_GHOST,
