@@ -101,7 +101,7 @@ def test_bodies_and_obstacles_are_solid() -> None:
     poses = np.array([state.poses for state in driven(plant(*starts), 8.0, 8.0, 1.5)])
     apart = np.linalg.norm(poses[:, 1, :2] - poses[:, 0, :2], axis=1)
     assert apart.min() == pytest.approx(2 * RADIUS, abs=5e-4)
-    assert poses[:, 2, 0].max() == pytest.approx(0.8 - RADIUS, abs=0.012)
+    assert poses[:, 2, 0].max() == pytest.approx(0.8 - RADIUS, abs=0.003)
 
 
 def test_the_same_seed_is_the_same_world() -> None:

@@ -16,7 +16,7 @@ from pydantic import Field
 from robofleet.config.faults import did_you_mean
 from robofleet.core.arrays import Array
 from robofleet.core.settings import MANY, Fraction, Length, Model, Name, within
-from robofleet.simulation.mujoco.extra import missing, mujoco, turned
+from robofleet.simulation.mujoco.extra import missing, mujoco, raise_walls, turned
 from robofleet.vehicles.plants import PlantContext, PlantRobot, PlantState
 
 _GRAVITY = 9.81  # [m/s^2]
@@ -27,7 +27,6 @@ _CASTOR_FRICTION, _BODY_FRICTION = 0.05, 0.3
 _STIFF = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.0001, 0.5, 2.0]}  # contacts: hundredths of a mm deep
 _CENTRE_BEHIND, _CENTRE_HEIGHT = 0.2, 1.0  # of mass, from the axle's middle [body radii], above the floor [wheel radii]
 _WHEEL_MASS = 0.05  # of a wheel [robot's mass]
-_WALL_M = 0.01  # half thickness of an obstacle's side
 _STILL_M_S = 0.005  # a cable's drag fades below this speed
 
 Angle = Annotated[float, Field(ge=-10, le=10)]
@@ -224,21 +223,7 @@ def _model(context: PlantContext) -> Any:
         type=mj.mjtGeom.mjGEOM_PLANE, size=[*context.world.size, 0.1], contype=_FLOOR, conaffinity=0, name="floor"
     )
     for obstacle in context.world.obstacles:
-        bits = {**_STIFF, "contype": _OBSTACLE, "conaffinity": 0}
-        half = obstacle.height / 2.0
-        if obstacle.radius:
-            spec.worldbody.add_geom(
-                type=mj.mjtGeom.mjGEOM_CYLINDER, size=[obstacle.radius, half, 0.0], pos=[*obstacle.points[0], half],
-                **bits,
-            )  # fmt: skip
-            continue
-        corners = obstacle.points
-        for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True):
-            psi = math.atan2(y1 - y0, x1 - x0)
-            spec.worldbody.add_geom(
-                type=mj.mjtGeom.mjGEOM_BOX, pos=[(x0 + x1) / 2, (y0 + y1) / 2, half], quat=turned(psi),
-                size=[math.dist((x0, y0), (x1, y1)) / 2, _WALL_M, half], **bits,
-            )  # fmt: skip
+        raise_walls(spec.worldbody, obstacle, **_STIFF, contype=_OBSTACLE, conaffinity=0)
     for robot in context.robots:
         _add(spec, robot, s)
     return spec

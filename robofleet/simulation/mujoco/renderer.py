@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array, Array32, Image
 from robofleet.simulation.camera import Print
-from robofleet.simulation.mujoco.extra import mujoco, turned
+from robofleet.simulation.mujoco.extra import mujoco, raise_walls, turned
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraError
 from robofleet.tracking.tags.families import pattern
@@ -265,7 +265,7 @@ def _scene(
     world = spec.worldbody
     world.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[8.0, 8.0, 1.0], material="wood", **_GHOST)
     for obstacle in obstacles:
-        _raise(spec, obstacle)
+        raise_walls(world, obstacle, rgba=_gray(SOLID), **_GHOST)
     for k, (target, x, y, psi) in enumerate(prints):
         _material(spec, f"lying{k}", _print(target))
         lying = {"pos": [x, y, max(target.height, _PAPER_M)], "quat": turned(psi), "material": f"lying{k}"}
@@ -309,20 +309,6 @@ def _material(spec: Any, name: str, greys: Image) -> None:
     textures = list(material.textures)
     textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
     material.textures = textures
-
-
-def _raise(spec: Any, obstacle: WorldObstacle) -> None:
-    """Add an obstacle: a disc, or the hull of a polygon's corners."""
-    mj, half = mujoco(), obstacle.height / 2.0
-    if obstacle.radius:
-        spec.worldbody.add_geom(
-            type=mj.mjtGeom.mjGEOM_CYLINDER, size=[obstacle.radius, half, 0.0], pos=[*obstacle.points[0], half],
-            rgba=_gray(SOLID), **_GHOST,
-        )  # fmt: skip
-        return
-    corners = [(x, y, z) for x, y in obstacle.points for z in (0.0, obstacle.height)]
-    spec.add_mesh(name=obstacle.name, uservert=np.ravel(corners))
-    spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_MESH, meshname=obstacle.name, rgba=_gray(SOLID), **_GHOST)
 
 
 def _gray(gray: int) -> list[float]:
