@@ -1,5 +1,7 @@
 """A robot that does not exist: the driver closes its loop through the plant of ``robofleet.vehicles.plant``."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import ClassVar
 
 from robofleet.vehicles.interface import STOP, DriverContext, DriverReading, WheelSpeeds
@@ -17,8 +19,13 @@ class SimulatedRobot:
         s = context.simulation
         assert s is not None, "a robot that does not exist is refused without one"
         self._now_ns = context.now_ns
-        self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=context.now_ns(), trouble=s.trouble)
-        own = s.sensing  # it sees walls alone: it knows of no other robot
+        self._others: Callable[[], Sequence[tuple[TruePose, float]]] = tuple  # that its distance sensors see
+        if s.plant is None:
+            self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=context.now_ns(), trouble=s.trouble)
+        else:
+            self._plant = s.plant.robot(context.robot, s.trouble)
+            self._others = partial(s.plant.others, context.robot)
+        own = s.sensing
         self._sensors = None if own is None else SimulatedSensors([0], [own])
         self._sensed: SensorReading | None = None
         self._sense_ns = 0
@@ -36,7 +43,8 @@ class SimulatedRobot:
             return reading
         if not self._sense_ns - self._sensors.period_ns <= now_ns < self._sense_ns:
             self._sense_ns = now_ns + self._sensors.period_ns
-            self._sensed = self._sensors.first(now_ns, [self._plant.truth()], [0.0])
+            bodies = [(self._plant.truth(), 0.0), *self._others()]
+            self._sensed = self._sensors.first(now_ns, *zip(*bodies, strict=True))
         return reading._replace(sensors=self._sensed)
 
     def truth(self) -> TruePose:

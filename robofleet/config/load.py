@@ -192,6 +192,7 @@ class ConfigFile:
             *((f"robots.{i}.twin", robot.twin) for i, robot in robots if robot.twin is not None),
             *((f"{path}.source", camera.source) for path, camera in config.camera_keys),
             ("tracker.source", config.tracker.source),
+            ("plant.model", config.plant.model),
         ]
         for path, name in named:
             try:

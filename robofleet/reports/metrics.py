@@ -14,7 +14,7 @@ from robofleet.behaviours.described import COMMON_FIGURES
 from robofleet.bus.keys import BUSY, key
 from robofleet.bus.messages import FleetPoses
 from robofleet.config import obstacles
-from robofleet.config.tree import Config
+from robofleet.config.tree import OWN_PLANT, Config
 from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, US
 from robofleet.recording import notes
@@ -329,11 +329,20 @@ _LAW_SHARE = 0.2  # of the timed error: a smaller control error is not its reaso
 
 
 def remarks(config: Config, groups: Mapping[str, Any]) -> list[str]:
-    return [
+    of_groups = (
         line
         for name, figures in groups.items()
         for line in (*_goal_remarks(name, figures), *_estimate_remark(config, figures))
-    ]
+    )
+    return [*_second_physics(config), *of_groups]
+
+
+def _second_physics(config: Config) -> Iterator[str]:
+    """Yield what the figures were measured on, where that is not this project's own plant and renderer."""
+    if config.simulated and config.plant.model != OWN_PLANT:
+        yield f"simulated robots: the physics of plant.model {config.plant.model!r}"
+    if config.tracker.source == "camera" and any(camera.source == "mujoco" for _, camera in config.camera_keys):
+        yield "images: drawn by MuJoCo's renderer"
 
 
 def _goal_remarks(name: str, figures: Mapping[str, Any]) -> Iterator[str]:

@@ -8,13 +8,14 @@ from pathlib import Path as FilePath
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
 
 from robofleet.behaviours.interface import Bound, Refusal, Start
 from robofleet.config import groups, obstacles, slices, units
-from robofleet.config.faults import Complaint
+from robofleet.config.faults import Complaint, plain_words
 from robofleet.config.load import Change, ConfigFile, Files
 from robofleet.config.robots import Robot, StartPose
-from robofleet.config.tree import Config
+from robofleet.config.tree import OWN_PLANT, Config
 from robofleet.core.clock import S
 from robofleet.core.plugins import PluginError, load
 from robofleet.nodes import views
@@ -72,7 +73,7 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
     """
     faults = check_faults.complaints(config, lockstep=lockstep)
     complaints = [*check_drivers.complaints(config, lockstep=lockstep), *reality_complaints(config), *faults]
-    complaints += pose_complaints(config, lockstep=lockstep)
+    complaints += [*_plant(config), *pose_complaints(config, lockstep=lockstep)]
     if config.tracker.source == "camera":
         for (path, _), view in zip(config.camera_keys, config.views, strict=True):
             complaints += _camera_source(view, path, lockstep)
@@ -92,6 +93,26 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
             for refusal in behaviour.refusals()
         ]
     return complaints
+
+
+def _plant(config: Config) -> Iterator[Complaint]:
+    """Refuse a plant that is not there, its settings, and what it refuses itself."""
+    name = config.plant.model
+    if name == OWN_PLANT:
+        if config.plant.settings:
+            yield "plant.settings", f"{name!r} takes none: remove them, or name another plant.model"
+        return
+    try:
+        kind = load(slices.PLANTS, name)
+        settings = slices.plant_settings(config)
+    except PluginError as error:
+        yield "plant.model", str(error)
+    except ValidationError as invalid:
+        for wrong in invalid.errors(include_url=False):
+            yield ".".join(["plant.settings", *map(str, wrong["loc"])]), plain_words(wrong, kind.Settings)
+    else:
+        refused = kind.refusals(settings, [robot.id for robot in config.robots]) if hasattr(kind, "refusals") else ()
+        yield from ((f"plant.{path}", words) for path, words in refused)
 
 
 def proofs(config: Config) -> list[tuple[str, str, str, str]]:
@@ -306,7 +327,7 @@ def unreachable(config: Config) -> list[Complaint]:
 def reality_complaints(config: Config) -> Iterator[Complaint]:
     """Yield the robots whose poses could never come."""
     source, cameras = config.tracker.source, [camera.source for _, camera in config.camera_keys]
-    real = [camera for camera in cameras if camera != "simulated"]
+    real = [camera for _, camera in config.camera_keys if not camera.rendered]
     capture = config.tracker.mocap.system if source == "mocap" else ""
     if source == "camera" and not config.seen:
         yield "tracker.source", "there is no robot that the camera could see, all are simulated: take truth"

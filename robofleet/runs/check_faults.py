@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from robofleet.config.faults import Complaint, did_you_mean
 from robofleet.config.robots import Robot
-from robofleet.config.tree import Config
+from robofleet.config.tree import OWN_PLANT, Config
 from robofleet.config.troubles import (
     BodyFault,
     ClockStep,
@@ -38,6 +38,11 @@ def complaints(config: Config, *, lockstep: bool) -> Iterator[Complaint]:
             why := _obeys_no_body_fault(config.robot(fault.robot))
         ):
             yield f"faults.{i}.robot", f"{fault.robot} {why}"
+        if fault.kind in ("slip", "pushed") and config.plant.model != OWN_PLANT:
+            own = (
+                f"only plant.model {OWN_PLANT!r} has it: {config.plant.model!r} has a contact of its own, so remove it"
+            )
+            yield f"faults.{i}.kind", own
         if isinstance(fault, TouchFault | LinkFault | LineFault):
             if not twins:
                 yield f"faults.{i}.kind", f"no robot has a twin: {fault.kind} is for one, so remove it"

@@ -20,8 +20,8 @@ class Bench(TwinStand):
 
     clock: SimulatedClock
 
-    def __init__(self, folder: Path, faults: str = "") -> None:
-        super().__init__(config_of(twin=FAKE, faults=faults), folder, SimulatedClock())
+    def __init__(self, folder: Path, *changes: str, faults: str = "") -> None:
+        super().__init__(config_of(*changes, twin=FAKE, faults=faults), folder, SimulatedClock())
         self.host = SerialPort(str(self.port), BAUD)
         self.step()
 
@@ -57,7 +57,11 @@ def test_it_stands_where_it_starts_until_it_is_told(bench: Bench) -> None:
     assert bench.twin.truth() == (start.x_m, start.y_m, start.psi, 0.0, 0.0)
 
 
-def test_what_is_written_moves_it_and_its_encoders_count_it(bench: Bench) -> None:
+@pytest.mark.parametrize("plant", ["own", "mujoco"])
+def test_what_is_written_moves_it_and_its_encoders_count_it(tmp_path: Path, plant: str) -> None:
+    if plant == "mujoco":
+        pytest.importorskip("mujoco")
+    bench = Bench(tmp_path, f"plant.model={plant}")
     for _ in range(10):
         bench.say(b"500,500\n")
         bench.pass_time(0.2)
@@ -67,6 +71,8 @@ def test_what_is_written_moves_it_and_its_encoders_count_it(bench: Bench) -> Non
     left, right = map(int, counts.split(b","))
     assert left * 0.002244 == pytest.approx(5.0 * 1.72, rel=0.05)
     assert right == pytest.approx(left, rel=0.05)
+    bench.host.close()
+    bench.twin.close()
 
 
 def test_bytes_take_their_time_on_the_line(bench: Bench) -> None:

@@ -18,7 +18,7 @@ def made(tmp_path: Path) -> Iterator[Made]:
     benches = []
 
     def make(faults: str) -> Bench:
-        benches.append(Bench(tmp_path, faults))
+        benches.append(Bench(tmp_path, faults=faults))
         return benches[-1]
 
     yield make
