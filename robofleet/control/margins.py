@@ -93,8 +93,8 @@ class SampledLoop:
         longest = _MOST_STEPS * self.step
         return Margins(
             radius,
-            _least(lambda d: self.spectral_radius(delay=d), self.step / 16.0, longest),
-            _least(lambda t: self.spectral_radius(lag=t), self.step / 16.0, longest),
+            _least(lambda d: self.spectral_radius(delay=d), self.step / 4.0, longest),
+            _least(lambda t: self.spectral_radius(lag=t), self.step / 4.0, longest),
             (
                 -min(1.0, _least(lambda g: self.spectral_radius(gain=-g), 1e-3, 1.0)),
                 _least(lambda g: self.spectral_radius(gain=g), 1e-3, _MOST_GAIN),
