@@ -5,12 +5,13 @@ the moment when the commands act, the flow of the point ahead (eq. 31), the whee
 about straight driving at a speed: there, in the frame that moves along, nothing of it changes with time.
 """
 
+import itertools
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from robofleet.config import slices
+from robofleet.config import groups, slices
 from robofleet.config.controller import FilterSettings
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
@@ -18,10 +19,50 @@ from robofleet.control.flow import integrator_gain
 from robofleet.control.margins import Margins, Motion, SampledLoop
 from robofleet.core.arrays import Array
 from robofleet.core.clock import S
-from robofleet.vehicles.differential_drive import DifferentialDrive
 
 _SETTLED_STEPS = 3000  # of the filter: its slowest part forgets within tens of seconds
 _POSE, _WHEELS, _INPUT = slice(0, 5), slice(5, 7), slice(7, 9)  # of the controller's state; then the commands
+
+
+def margin_rows(config: Config) -> Iterator[tuple[str, str, str, str]]:
+    """Yield what a table of proofs says of the margins, the least of any robot: what, value, limit, note."""
+    every = [margins for _, margins in _fastest(config)]
+    if not every:
+        return
+    delay, lag = min(m.delay for m in every), min(m.lag for m in every)
+    low, high = max(m.gain[0] for m in every), min(m.gain[1] for m in every)
+    yield "the unknown delay that the loop bears at top speed", _shown(delay), "", ""
+    yield "the unknown motor lag that it bears", _shown(lag), "", ""
+    yield "the error of the wheels' radius that it bears", f"{low:+.0%} to {high:+.0%}", "", ""
+
+
+def margin_warnings(config: Config) -> Iterator[str]:
+    """Yield the robots whose loop is unstable even if all is as configured, a line each."""
+    for robot, margins in _fastest(config):
+        if margins.delay == 0.0:
+            yield (
+                f"the loop of {robot.id} is unstable at its top speed, {robot.vehicle.max_speed_m_s:g} m/s: "
+                "raise controller.horizon_s"
+            )
+
+
+def _fastest(config: Config) -> list[tuple[Robot, Margins]]:
+    """Return the margins of one robot of each kind that the flow drives, at its top speed: the least of any speed."""
+    members = itertools.chain.from_iterable(
+        group.robots
+        for group, behaviour in zip(config.groups, groups.behaviours(config), strict=True)
+        if behaviour.by_point_flow()
+    )
+    kinds: dict[object, Robot] = {}
+    for robot in map(config.robot, members):
+        kinds.setdefault((slices.drive(robot), slices.delay_ns(config, robot)), robot)
+    return [
+        (robot, robot_loop(config, robot, robot.vehicle.max_speed_m_s).margins()) for robot in kinds.values()
+    ]
+
+
+def _shown(duration: float) -> str:
+    return f"{1e3 * duration:.0f} ms" if math.isfinite(duration) else "any"
 
 
 def robot_loop(config: Config, robot: Robot, speed: float) -> SampledLoop:
@@ -67,9 +108,9 @@ def robot_loop(config: Config, robot: Robot, speed: float) -> SampledLoop:
 def image_age_s(config: Config) -> float:
     """Return how long before a tick the poses were measured that it decides by."""
     source = config.tracker.source
-    if source == "camera":
+    if source in ("camera", "truth") and config.camera.trigger == "tick":
         return config.camera.trigger_lead_s
-    return config.tracker.truth.delay_s if source == "truth" else config.controller.tick_s
+    return config.controller.tick_s / 2.0 + (config.tracker.mocap.latency_s if source == "mocap" else 0.0)
 
 
 def _filter_gain(believed: Array, noise: FilterSettings, h: float) -> Array:
