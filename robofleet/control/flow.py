@@ -201,7 +201,7 @@ class NewtonRaphsonFlow:
         kept = np.concatenate([np.arange(places[name].start, places[name].stop) for name in names])
 
         def after(state: Array, measured: Array, reference: Array) -> Array:
-            changed = memory.copy()
+            changed: Array = memory.copy()
             changed[kept] = state
             changed[places["u"]] = state[-plant.m :]
             if status := self.compiled_step(measured, reference, changed):

@@ -110,8 +110,8 @@ def _growth(errors: Array) -> float:
 
 def delay_border(growth: Callable[[float], float], near: float) -> float:
     """Return the least delay [s] with which errors grow, by bisection; NaN: it is not within a factor of two."""
-    low, high = near / 2.0, 2.0 * near
-    if growth(low) > 1.0 or growth(high) <= 1.0:
+    low, high = near / 2.0, 1.9 * near
+    if not near or growth(low) > 1.0 or growth(high) <= 1.0:
         return math.nan
     while high / low > _BORDER_RATIO:
         middle = math.sqrt(low * high)

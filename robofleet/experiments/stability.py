@@ -9,7 +9,6 @@ A control step of the real controller and its plant is a map of (x, u) onto itse
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -21,10 +20,9 @@ from robofleet.control.flow import FlowError, FlowSettings, Integrator, NewtonRa
 from robofleet.control.prediction import compile_plant
 from robofleet.core.arrays import Array
 from robofleet.core.settings import Positive
+from robofleet.experiments.delay_borders import DelayParameters, Range, delay_borders
 from robofleet.experiments.results import Cell, Curve, Figure, Map, Panel, Result, Table
 from robofleet.vehicles.bicycle import FALCONE_2007
-
-Range = Annotated[tuple[Positive, Positive], Field(strict=False)]
 
 _GRAVITY, _LENGTH, _DAMPING = 9.81, 0.5, 0.2  # of the pendulum [m/s^2, m, 1/s]
 _INTEGRATORS: tuple[Integrator, ...] = ("exact", "euler")
@@ -42,6 +40,7 @@ class StabilityParameters(Parameters):
     boundary_alpha_step: float = Field(gt=0, lt=1)
     simulated_alpha_t: Positive
     bicycle_speeds_m_s: tuple[Positive, ...] = Field(min_length=1, strict=False)
+    unknown_delay: DelayParameters
 
     def complaints(self) -> Iterator[Complaint]:
         for name in ("alpha_1_s", "horizon_s", "step_s"):
@@ -115,8 +114,11 @@ def run(parameters: StabilityParameters) -> Result:
     horizons = _boundaries(p, systems)
     steps, found_steps = _step_limits(p, systems)
     deviation = max(abs(float(row[3] or np.nan) - 1.0) for row in horizons.rows if row[0] == systems[0][0])
-    figures = (_horizon_maps(p, systems), _step_maps(p, systems, found_steps))
-    return Result((horizons, _simulated(p), steps), figures, {"double_integrator_deviation": deviation})
+    delays, delay_map = delay_borders(
+        p.unknown_delay, [("inverted pendulum", INVERTED_PENDULUM, np.zeros(2)), systems[-1]]
+    )
+    figures = (_horizon_maps(p, systems), _step_maps(p, systems, found_steps), delay_map)
+    return Result((horizons, _simulated(p), steps, delays), figures, {"double_integrator_deviation": deviation})
 
 
 def _boundaries(p: StabilityParameters, systems: list[tuple[str, Plant, Array]]) -> Table:

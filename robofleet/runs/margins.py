@@ -56,9 +56,7 @@ def _fastest(config: Config) -> list[tuple[Robot, Margins]]:
     kinds: dict[object, Robot] = {}
     for robot in map(config.robot, members):
         kinds.setdefault((slices.drive(robot), slices.delay_ns(config, robot)), robot)
-    return [
-        (robot, robot_loop(config, robot, robot.vehicle.max_speed_m_s).margins()) for robot in kinds.values()
-    ]
+    return [(robot, robot_loop(config, robot, robot.vehicle.max_speed_m_s).margins()) for robot in kinds.values()]
 
 
 def _shown(duration: float) -> str:

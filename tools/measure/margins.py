@@ -8,6 +8,7 @@ paper's bicycle; an inverted pendulum about upright. Settings whose loop is unst
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,9 @@ def main() -> None:
         for _ in range(options.settings):
             drawn, predicted, simulated = next(cases)
             found.append(abs(predicted / simulated - 1.0) if math.isfinite(simulated) else math.inf)
-            print(f"{name:9} {drawn:75} {1e3 * predicted:7.1f} ms {1e3 * simulated:7.1f} ms {found[-1]:7.2%}", flush=True)
+            print(
+                f"{name:9} {drawn:75} {1e3 * predicted:7.1f} ms {1e3 * simulated:7.1f} ms {found[-1]:7.2%}", flush=True
+            )
         apart += found
         print(f"{name}: {_summary(found)}", flush=True)
     print(f"all: {_summary(apart)}")
@@ -66,8 +69,10 @@ def robots(rng: np.random.Generator) -> Iterator[Case]:
         margins = robot_loop(config, robot, speed).margins()
         if 0.0 < margins.delay < 1.0:
             duration = 60.0 + 60.0 * margins.delay
-            border = delay_border(lambda d: robot_growth(config, robot, speed, duration, d), margins.delay)
-            text = f"alpha {alpha:4.1f} T {T:.3f} tick {tick:.3f} delay {delay:.3f} lag {lag:.3f} l {l:.3f} v {speed:.2f}"
+            border = delay_border(partial(robot_growth, config, robot, speed, duration), margins.delay)
+            text = (
+                f"alpha {alpha:4.1f} T {T:.3f} tick {tick:.3f} delay {delay:.3f} lag {lag:.3f} l {l:.3f} v {speed:.2f}"
+            )
             yield f"{text} {disturbance}", margins.delay, border
 
 
@@ -82,7 +87,7 @@ def flows(rng: np.random.Generator, plant: Plant, start: Any) -> Iterator[Case]:
         margins = NewtonRaphsonFlow(plant, settings, np.zeros(plant.m)).margins(x, np.zeros(plant.m))
         if 0.0 < margins.delay < math.inf:
             duration = 300.0 / alpha + 100.0 * (margins.delay + settings.delay)
-            border = delay_border(lambda d: _flow_growth(plant, settings, x, duration, d), margins.delay)
+            border = delay_border(partial(_flow_growth, plant, settings, x, duration), margins.delay)
             speed = f" v {x[2]:.1f}" if len(x) > 2 else ""
             text = f"alpha {alpha:4.1f} T {T:.3f} step {step:.3f} delay {settings.delay:.3f}{speed}"
             yield f"{text}{' offset-free' if settings.offset_free else ''}", margins.delay, border
@@ -106,7 +111,8 @@ def _integrator(rng: np.random.Generator, alpha_step: float) -> Any:
 
 def _summary(apart: list[float]) -> str:
     near = sum(a <= _NEAR for a in apart)
-    return f"{near} of {len(apart)} within {_NEAR:.0%} ({near / len(apart):.0%}); median {np.median(apart):.2%}, largest {max(apart):.2%}"
+    within = f"{near} of {len(apart)} within {_NEAR:.0%} ({near / len(apart):.0%})"
+    return f"{within}; median {np.median(apart):.2%}, largest {max(apart):.2%}"
 
 
 if __name__ == "__main__":
