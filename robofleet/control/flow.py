@@ -208,7 +208,7 @@ class NewtonRaphsonFlow:
                 self.memory[[Slot.FOUND, Slot.USED]] = changed[[Slot.FOUND, Slot.USED]]
                 raise FlowError(self.explain(Status(status), measured, reference))
             memory[places["y"]] = changed[places["y"]]
-            return changed[kept]
+            return np.asarray(changed[kept])
 
         state = memory[kept]
         after(state, x, np.zeros(plant.m))

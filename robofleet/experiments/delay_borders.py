@@ -20,7 +20,7 @@ from robofleet.runs.margins import robot_loop
 Range = Annotated[tuple[Positive, Positive], Field(strict=False)]
 
 _ROBOT_S = 30.0  # of a robot's simulation
-_POINTS = 40  # of a curve, and of a map along each axis
+_POINTS = 40  # of a curve
 
 
 class DelayParameters(Model):
@@ -68,7 +68,7 @@ def delay_borders(p: DelayParameters, systems: Sequence[tuple[str, Plant, Array]
 def _panel(loop: _Loop, horizons: Array, simulated: tuple[Array, Array]) -> Panel:
     border = 1e3 * np.array([loop.margin(T) for T in horizons])
     limits = (1e2 * horizons[0], 1e3 * horizons[-1])
-    delays = np.geomspace(*limits, _POINTS)
+    delays = np.geomspace(*limits, 10 * _POINTS)
     stable = Map(horizons, delays, np.where(delays[:, None] < border, 0.4, 0.0))
     shown = np.where(border > 0.0, border, np.nan)
     curves = (

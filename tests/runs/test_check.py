@@ -237,7 +237,7 @@ def test_check_says_what_the_loop_bears_that_nobody_knows_of() -> None:
     assert delay_ms("controller.horizon_s=0.3") < 0.7 * delay_ms()
     assert delay_ms("controller.disturbance=estimated") < 0.7 * delay_ms()
     assert list(margin_warnings(platoon())) == []
-    (line,) = margin_warnings(platoon("controller.horizon_s=0.03"))
+    (line,) = margin_warnings(platoon("controller.horizon_s=0.02"))
     assert line.startswith("the loop of r1 is unstable at its top speed, 0.2 m/s: raise controller.horizon_s")
     by_no_flow = load_config(PLATOON.with_name("consensus.yaml"))
     assert not any("unknown" in what for what, *_ in proofs(by_no_flow))

@@ -68,7 +68,7 @@ def robots(rng: np.random.Generator) -> Iterator[Case]:
         robot = config.members[0].model_copy(update={"vehicle": vehicle})
         margins = robot_loop(config, robot, speed).margins()
         if 0.0 < margins.delay < 1.0:
-            duration = 60.0 + 60.0 * margins.delay
+            duration = 30.0 + 60.0 * margins.delay
             border = delay_border(partial(robot_growth, config, robot, speed, duration), margins.delay)
             text = (
                 f"alpha {alpha:4.1f} T {T:.3f} tick {tick:.3f} delay {delay:.3f} lag {lag:.3f} l {l:.3f} v {speed:.2f}"
