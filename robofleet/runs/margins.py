@@ -33,7 +33,7 @@ def margin_rows(config: Config) -> Iterator[tuple[str, str, str, str]]:
     low, high = max(m.gain[0] for m in every), min(m.gain[1] for m in every)
     yield "the unknown delay that the loop bears at top speed", _shown(delay), "", ""
     yield "the unknown motor lag that it bears", _shown(lag), "", ""
-    yield "the error of the wheels' radius that it bears", f"{low:+.0%} to {high:+.0%}", "", ""
+    yield "the wheels' true radius that it bears", f"{1.0 + low:.2f} to {1.0 + high:.2f} times", "", ""
 
 
 def margin_warnings(config: Config) -> Iterator[str]:
