@@ -106,9 +106,6 @@ def run(parameters: ModelFreeParameters) -> Result:
     panels, worst = [], 0.0
     tables_of_paper = (("closed-curve", ZHOU_2017, _closed_curve()), ("lane-change", FALCONE_2007, _changes()))
     for name, vehicle, cases in tables_of_paper:
-        ("closed-curve", ZHOU_2017, _closed_curve()),
-        ("lane-change", FALCONE_2007, _changes()),
-    ):
         found = learned(parameters, other_driving(parameters, vehicle, parameters.speeds_m_s[name]))
         fits += [(name, kind, *map(float, fit.unexplained)) for kind, fit in found.items()]
         plants = {"exact": bicycle_plant(vehicle), **{kind: fit.plant for kind, fit in found.items()}}
