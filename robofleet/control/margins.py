@@ -19,15 +19,18 @@ from robofleet.core.arrays import Array
 
 _ON_THE_CIRCLE = 1e-6  # how far rounding and differences move a mode that keeps its value
 _DIFFERENCE = 1e-5
-_SCAN = 1.1  # a margin is sought in steps of this ratio, so that an island of stability beyond it does not count
+_SCAN = 1.2  # a margin is sought in steps of this ratio, so that an island of stability beyond it does not count
 _EXACT = 1e-5  # relative width at which bisection ends
-_MOST_STEPS = 200  # control steps; a loop that bears more is said to bear any delay or lag
+MOST_DELAY, MOST_LAG = 100, 1000  # control steps that a margin is sought up to: each of a delay is a state
 _MOST_GAIN = 100.0
 
 
 @dataclass(frozen=True)
 class Margins:
-    """How much a loop bears beyond what its controller knows, each alone; infinite where there is no limit.
+    """How much a loop bears beyond what its controller knows, each alone.
+
+    A delay is sought up to ``MOST_DELAY`` control steps, a lag up to ``MOST_LAG``, a gain up to a hundredfold; beyond,
+    it is infinite.
 
     Attributes:
         spectral_radius: Of one control step, with nothing unknown.
@@ -90,11 +93,10 @@ class SampledLoop:
         radius = self.spectral_radius()
         if not _stable(radius):
             return Margins(radius, 0.0, 0.0, (0.0, 0.0))
-        longest = _MOST_STEPS * self.step
         return Margins(
             radius,
-            _least(lambda d: self.spectral_radius(delay=d), self.step / 4.0, longest),
-            _least(lambda t: self.spectral_radius(lag=t), self.step / 4.0, longest),
+            _least(lambda d: self.spectral_radius(delay=d), self.step / 4.0, MOST_DELAY * self.step),
+            _least(lambda t: self.spectral_radius(lag=t), self.step / 4.0, MOST_LAG * self.step),
             (
                 -min(1.0, _least(lambda g: self.spectral_radius(gain=-g), 1e-3, 1.0)),
                 _least(lambda g: self.spectral_radius(gain=g), 1e-3, _MOST_GAIN),

@@ -16,11 +16,12 @@ from robofleet.config.controller import FilterSettings
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.control.flow import integrator_gain
-from robofleet.control.margins import Margins, Motion, SampledLoop
+from robofleet.control.margins import MOST_DELAY, MOST_LAG, Margins, Motion, SampledLoop
 from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 
 _SETTLED_STEPS = 3000  # of the filter: its slowest part forgets within tens of seconds
+_MOST_UNDER_WAY = 30  # commands, of which the controller's state holds each
 _POSE, _WHEELS, _INPUT = slice(0, 5), slice(5, 7), slice(7, 9)  # of the controller's state; then the commands
 
 
@@ -29,10 +30,11 @@ def margin_rows(config: Config) -> Iterator[tuple[str, str, str, str]]:
     every = [margins for _, margins in _fastest(config)]
     if not every:
         return
+    tick = config.controller.tick_s
     delay, lag = min(m.delay for m in every), min(m.lag for m in every)
     low, high = max(m.gain[0] for m in every), min(m.gain[1] for m in every)
-    yield "the unknown delay that the loop bears at top speed", _shown(delay), "", ""
-    yield "the unknown motor lag that it bears", _shown(lag), "", ""
+    yield "the unknown delay that the loop bears at top speed", _shown(delay, MOST_DELAY * tick), "", ""
+    yield "the unknown motor lag that it bears", _shown(lag, MOST_LAG * tick), "", ""
     yield "the wheels' true radius that it bears", f"{1.0 + low:.2f} to {1.0 + high:.2f} times", "", ""
 
 
@@ -55,12 +57,14 @@ def _fastest(config: Config) -> list[tuple[Robot, Margins]]:
     )
     kinds: dict[object, Robot] = {}
     for robot in map(config.robot, members):
+        if image_age_s(config) + slices.delay_ns(config, robot) / S > _MOST_UNDER_WAY * config.controller.tick_s:
+            return []  # it would take too long
         kinds.setdefault((slices.drive(robot), slices.delay_ns(config, robot)), robot)
     return [(robot, robot_loop(config, robot, robot.vehicle.max_speed_m_s).margins()) for robot in kinds.values()]
 
 
-def _shown(duration: float) -> str:
-    return f"{1e3 * duration:.0f} ms" if math.isfinite(duration) else "any"
+def _shown(duration: float, most: float) -> str:
+    return f"{1e3 * duration:.0f} ms" if math.isfinite(duration) else f"over {1e3 * most:.0f} ms"
 
 
 def robot_loop(config: Config, robot: Robot, speed: float) -> SampledLoop:

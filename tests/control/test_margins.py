@@ -41,9 +41,8 @@ def routh_lag(alpha: float, T: float) -> float:
     return low
 
 
-@pytest.mark.parametrize(("alpha", "T"), [(20.0, 0.3), (60.0, 0.1), (10.0, 0.25)])
-def test_with_short_steps_the_margins_are_those_of_continuous_time(alpha: float, T: float) -> None:
-    step = 1e-3
+@pytest.mark.parametrize(("alpha", "T", "step"), [(20.0, 0.3, 2e-3), (60.0, 0.1, 5e-4), (10.0, 0.25, 2e-3)])
+def test_with_short_steps_the_margins_are_those_of_continuous_time(alpha: float, T: float, step: float) -> None:
     found = NewtonRaphsonFlow(DOUBLE_INTEGRATOR, FlowSettings(alpha, T, step), NO_INPUT).margins(REST, NO_INPUT)
     assert found.delay + step / 2 == pytest.approx(phase_margin_delay(alpha, T), rel=0.02)
     assert found.lag == pytest.approx(routh_lag(alpha, T), rel=0.05)
