@@ -69,6 +69,9 @@ class Formation(Behaviour):
     def restart(self) -> None:
         self._flow.u[:] = 0.0
 
+    def by_point_flow(self) -> bool:
+        return True
+
     def changed(self, velocities: Array) -> None:
         self._flow.u[:] = velocities
 

@@ -144,6 +144,9 @@ class GoTo(Behaviour):
     def carried(self, robot: int) -> None:
         self._drop()
 
+    def by_point_flow(self) -> bool:
+        return True
+
     def changed(self, velocities: Array) -> None:
         if np.isfinite(self._poses).all():
             self._follower.changed(velocities, self._poses)

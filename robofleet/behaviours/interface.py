@@ -436,6 +436,14 @@ class Behaviour:
         """Whether the behaviour has done everything: the run ends then. Most behaviours never have."""
         return False
 
+    def by_point_flow(self) -> bool:
+        """Return whether the flow of the points ahead (eq. 31) drives the robots, with the parameters of ``team.flow``.
+
+        Returns:
+            True: ``robofleet check`` says how much delay, lag and wrong wheel radius the loop bears.
+        """
+        return False
+
     def places(self) -> Sequence[Pose] | None:
         """Return where the robots begin; ``run.begin: go_to_start`` brings them there.
 

@@ -97,6 +97,9 @@ class Platoon(Behaviour):
     def restart(self) -> None:
         self._law.restart()
 
+    def by_point_flow(self) -> bool:
+        return True
+
     def changed(self, velocities: Array) -> None:
         """Predict by what the robots do, not by what was asked."""
         self._law.changed(velocities)

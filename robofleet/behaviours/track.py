@@ -67,6 +67,9 @@ class Track(Behaviour):
     def restart(self) -> None:
         self._law.restart()
 
+    def by_point_flow(self) -> bool:
+        return bool(self.settings.law == "point_ahead")
+
     def changed(self, velocities: Array) -> None:
         self._law.changed(velocities)
 

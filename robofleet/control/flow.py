@@ -37,6 +37,7 @@ from robofleet.control.flow_settings import (
     warnings_of,
 )
 from robofleet.control.flow_step import Slot, Status, compile_step, layout
+from robofleet.control.margins import Margins, SampledLoop, slopes
 from robofleet.control.prediction import MAX_STEPS, Plant
 from robofleet.control.sensitivity import difference_jacobian
 from robofleet.core.arrays import Array
@@ -170,6 +171,65 @@ class NewtonRaphsonFlow:
             raise FlowError(f"u: expected finite numbers, got {u.tolist()}")
         self._u[:] = u
         self._history[-1] = self._u
+
+    def loop(self, x: ArrayLike, u: ArrayLike) -> SampledLoop:
+        """Return the loop of the flow and its plant, linearised about a state at which the flow holds an input.
+
+        The controller is the compiled step itself, by differences, without its limits. The linearisation is that of
+        the whole motion where the plant's Jacobians do not change along it: at rest, and where a vehicle drives
+        straight. Elsewhere it is that of the instant.
+
+        Args:
+            x: The state (n,).
+            u: The input (m,) that acts there.
+
+        Returns:
+            The loop, whose ``margins`` says what it bears.
+
+        Raises:
+            FlowError: A shape or a number cannot be used, or the flow cannot step there.
+        """
+        plant, s = self.plant, self.settings
+        x, u = vector("x", x, plant.n), vector("u", u, plant.m)
+        A, B = slopes(lambda at: plant.f(at, u), x), slopes(lambda at: plant.f(x, at), u)
+        memory, places = self.memory.copy(), self._places
+        memory[places["lower"]], memory[places["upper"]] = -np.inf, np.inf
+        memory[places["w"]], memory[places["before"]] = 0.0, x - s.step * plant.f(x, u)
+        memory[Slot.PRIMED] = s.offset_free
+        memory[places["history"]] = np.tile(u, len(self._history))
+        names = [*(["before", "w"] if s.offset_free else []), "history"]
+        kept = np.concatenate([np.arange(places[name].start, places[name].stop) for name in names])
+
+        def after(state: Array, measured: Array, reference: Array) -> Array:
+            changed: Array = memory.copy()
+            changed[kept] = state
+            changed[places["u"]] = state[-plant.m :]
+            if status := self.compiled_step(measured, reference, changed):
+                self.memory[[Slot.FOUND, Slot.USED]] = changed[[Slot.FOUND, Slot.USED]]
+                raise FlowError(self.explain(Status(status), measured, reference))
+            memory[places["y"]] = changed[places["y"]]
+            return np.asarray(changed[kept])
+
+        state = memory[kept]
+        after(state, x, np.zeros(plant.m))
+        reached = memory[places["y"]].copy()  # the reference with which the flow holds u
+        F, G = slopes(lambda c: after(c, x, reached), state), slopes(lambda y: after(state, y, reached), x)
+        return SampledLoop(A, B, F, G, np.eye(len(kept))[-plant.m :], s.step, s.delay)
+
+    def margins(self, x: ArrayLike, u: ArrayLike) -> Margins:
+        """Return how much delay, lag and wrong input gain the loop bears that the flow does not know of.
+
+        Args:
+            x: The state (n,), as in ``loop``.
+            u: The input (m,) that acts there.
+
+        Returns:
+            The margins, each alone.
+
+        Raises:
+            FlowError: As ``loop``.
+        """
+        return self.loop(x, u).margins()
 
     def _view(self, name: str) -> Array:
         return self.memory[self._places[name]]

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from robofleet.config.faults import Complaint
 from robofleet.control.bicycle import bicycle_plant
+from robofleet.control.flow import Plant
 from robofleet.core.settings import Model, Positive
 from robofleet.experiments.curves import Reference
 from robofleet.experiments.driving import (
@@ -70,9 +71,9 @@ class ClosedCurveParameters(DriveParameters):
 def run(parameters: ClosedCurveParameters) -> Result:
     """Drive the track at each speed: the paper's law, its start-up transient, this project's setting."""
     track, speeds = parameters.track.reference(), parameters.speeds_km_h
-    paper = [_drive(parameters, track, speed) for speed in speeds]
-    early = [_drive(parameters, track, speed, lead=parameters.reference_lead_s) for speed in speeds]
-    ours = [_drive(parameters, track, speed, ours=True) for speed in speeds]
+    paper = [driven(parameters, track, speed) for speed in speeds]
+    early = [driven(parameters, track, speed, lead=parameters.reference_lead_s) for speed in speeds]
+    ours = [driven(parameters, track, speed, ours=True) for speed in speeds]
     printed = [TABLE_1.get(speed, NOT_GIVEN) for speed in speeds]
     columns = {
         "here": errors(paper),
@@ -87,12 +88,14 @@ def run(parameters: ClosedCurveParameters) -> Result:
     )
 
 
-def _drive(
-    parameters: ClosedCurveParameters, track: Reference, speed_km_h: float, *, lead: float = 0.0, ours: bool = False
-) -> Drive:
+def driven(
+    parameters: ClosedCurveParameters, track: Reference, speed_km_h: float, *, lead: float = 0.0, ours: bool = False,
+    model: Plant | None = None,
+) -> Drive:  # fmt: skip
+    """Drive one speed; ``model``: what the flow takes the vehicle for, if not what it is."""
     flow, step = parameters.recommended if ours else parameters.flow, parameters.control_step_s
     settings = flow.settings(step, parameters.computing_delay_s if ours else 0.0)
-    return drive(bicycle_plant(ZHOU_2017), settings, parameters.loop(lead=lead), track, speed_km_h / 3.6)
+    return drive(bicycle_plant(ZHOU_2017), settings, parameters.loop(lead=lead), track, speed_km_h / 3.6, model=model)
 
 
 def _names(parameters: ClosedCurveParameters) -> list[str]:
@@ -118,7 +121,7 @@ def _choice(parameters: ClosedCurveParameters, chosen: list[Drive]) -> Table:
     drives = {track.corner_radius_m: chosen}
     for radius in parameters.other_corner_radii_m:
         other = track.model_copy(update={"corner_radius_m": radius}).reference()
-        drives[radius] = [_drive(parameters, other, speed) for speed in speeds]
+        drives[radius] = [driven(parameters, other, speed) for speed in speeds]
     rows: list[tuple[Cell, ...]] = []
     for radius, found in sorted(drives.items()):
         of_it = [peaks(run) for run in found]

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from robofleet.config.faults import Complaint
 from robofleet.control.bicycle import bicycle_plant
+from robofleet.control.flow import Plant
 from robofleet.core.settings import Model, Positive
 from robofleet.experiments import driving
 from robofleet.experiments.curves import Reference, lane_change
@@ -62,12 +63,12 @@ def run(parameters: LaneChangeParameters) -> Result:
     speeds, readings, lead = parameters.speeds_m_s, parameters.readings, parameters.reference_lead_s
     roads = [parameters.reference(reading) for reading in readings]
     pairs = list(zip(readings, roads, strict=True))
-    paper = [[_drive(parameters, road_, speed, reading.flow) for speed in speeds] for reading, road_ in pairs]
+    paper = [[driven(parameters, road_, speed, reading.flow) for speed in speeds] for reading, road_ in pairs]
     early = [
-        [_drive(parameters, road_, speed, reading.flow, lead=lead) for speed in speeds] for reading, road_ in pairs
+        [driven(parameters, road_, speed, reading.flow, lead=lead) for speed in speeds] for reading, road_ in pairs
     ]
     known, own = parameters.computing_delay_s, parameters.recommended
-    ours = [[_drive(parameters, road_, speed, own, known=known) for speed in speeds] for road_ in roads]
+    ours = [[driven(parameters, road_, speed, own, known=known) for speed in speeds] for road_ in roads]
     delayed = _delays(parameters, roads[0])
     return Result(
         (*_tables(parameters, paper, ours), _transient(parameters, paper, early), _delay_table(parameters, delayed)),
@@ -76,14 +77,17 @@ def run(parameters: LaneChangeParameters) -> Result:
     )
 
 
-def _drive(
+def driven(
     parameters: LaneChangeParameters, reference: Reference, speed: float, flow: FlowParameters, *,
-    lead: float = 0.0, delay: float | None = None, known: float = 0.0,
+    lead: float = 0.0, delay: float | None = None, known: float = 0.0, model: Plant | None = None,
 ) -> Drive:  # fmt: skip
-    """Drive from the origin, heading 0, at the reference speed; ``known`` is the delay that is rolled forward [s]."""
+    """Drive from the origin, heading 0, at the reference speed; ``known`` is the delay that is rolled forward [s].
+
+    ``model``: what the flow takes the vehicle for, if not what it is.
+    """
     settings = flow.settings(parameters.control_step_s, known)
     start = np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0])
-    return drive(bicycle_plant(FALCONE_2007), settings, parameters.loop(delay, lead), reference, speed, start)
+    return drive(bicycle_plant(FALCONE_2007), settings, parameters.loop(delay, lead), reference, speed, start, model)
 
 
 def _names(parameters: LaneChangeParameters) -> list[str]:
@@ -155,7 +159,7 @@ def _delays(parameters: LaneChangeParameters, reference: Reference) -> Delayed:
     def attempt(case: _Case, speed: float) -> Drive | str:
         known = case.delay if case.rolled_forward else 0.0
         try:
-            return _drive(parameters, reference, speed, case.flow, delay=case.delay, known=known)
+            return driven(parameters, reference, speed, case.flow, delay=case.delay, known=known)
         except DivergedError as error:
             return str(error)
 

@@ -27,6 +27,7 @@ EXPERIMENTS = {
     "closed-curve": ("closed_curve", "ClosedCurveParameters"),
     "lane-change": ("lane_change", "LaneChangeParameters"),
     "platoon": ("platoon", "PlatoonParameters"),
+    "model-free": ("model_free", "ModelFreeParameters"),
     "comparison": ("comparison", "ComparisonParameters"),
 }
 

@@ -50,11 +50,13 @@ class Drive:
 
 
 def drive(
-    plant: Plant, settings: FlowSettings, loop: Loop, reference: Reference, speed: float, start: Array | None = None
-) -> Drive:
+    plant: Plant, settings: FlowSettings, loop: Loop, reference: Reference, speed: float, start: Array | None = None,
+    model: Plant | None = None,
+) -> Drive:  # fmt: skip
     """Drive along a reference whose point moves at ``speed`` [m/s].
 
-    ``start`` (6,): the first state; default: on the curve at s = 0, along it, at ``speed``.
+    ``start`` (6,): the first state; default: on the curve at s = 0, along it, at ``speed``. ``model``: what the flow
+    takes the plant for; default: what it is.
 
     Raises:
         ValueError: the reference is too short.
@@ -64,15 +66,17 @@ def drive(
     r = reference.position(speed * (t + settings.delay + settings.horizon + loop.reference_lead))
     x = np.zeros(plant.n)
     x[:2], x[2], x[4] = reference.positions[0], speed, reference.headings[0]
-    flow = NewtonRaphsonFlow(plant, settings, np.zeros(plant.m))
-    states, inputs, error = _driven(flow, loop, x if start is None else start, r, t)
+    flow = NewtonRaphsonFlow(model or plant, settings, np.zeros(plant.m))
+    states, inputs, error = _driven(plant, flow, loop, x if start is None else start, r, t)
     lateral, heading, along = reference.errors(states[:, :2], states[:, 4])
     return Drive(t, states, inputs, error, lateral, heading, along)
 
 
-def _driven(flow: NewtonRaphsonFlow, loop: Loop, start: Array, r: Array, t: Array) -> tuple[Array, Array, Array]:
+def _driven(
+    plant: Plant, flow: NewtonRaphsonFlow, loop: Loop, start: Array, r: Array, t: Array
+) -> tuple[Array, Array, Array]:
     """Return states (K, n), inputs (K, m), control errors (K,) of the closed loop."""
-    plant, delay = flow.plant, round(loop.computing_delay / loop.control_step)
+    delay = round(loop.computing_delay / loop.control_step)
     substeps = round(loop.control_step / loop.plant_step)
     states, inputs, error = np.empty((len(t), plant.n)), np.empty((len(t) + delay, plant.m)), np.empty(len(t))
     inputs[:delay] = flow.u

@@ -7,8 +7,8 @@ A control step of the real controller and its plant is a map of (x, u) onto itse
 (position counted from the reference) by central differences has the spectral radius that the maps show.
 """
 
+import math
 from collections.abc import Callable, Iterator
-from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -20,12 +20,11 @@ from robofleet.control.flow import FlowError, FlowSettings, Integrator, NewtonRa
 from robofleet.control.prediction import compile_plant
 from robofleet.core.arrays import Array
 from robofleet.core.settings import Positive
+from robofleet.experiments.delay_borders import DelayParameters, Range, delay_borders
 from robofleet.experiments.results import Cell, Curve, Figure, Map, Panel, Result, Table
 from robofleet.vehicles.bicycle import FALCONE_2007
 
-Range = Annotated[tuple[Positive, Positive], Field(strict=False)]
-
-_DIFFERENCE = 1e-5
+_GRAVITY, _LENGTH, _DAMPING = 9.81, 0.5, 0.2  # of the pendulum [m/s^2, m, 1/s]
 _INTEGRATORS: tuple[Integrator, ...] = ("exact", "euler")
 
 
@@ -41,6 +40,7 @@ class StabilityParameters(Parameters):
     boundary_alpha_step: float = Field(gt=0, lt=1)
     simulated_alpha_t: Positive
     bicycle_speeds_m_s: tuple[Positive, ...] = Field(min_length=1, strict=False)
+    unknown_delay: DelayParameters
 
     def complaints(self) -> Iterator[Complaint]:
         for name in ("alpha_1_s", "horizon_s", "step_s"):
@@ -60,31 +60,22 @@ def _double_output(x: Array) -> Array:
 DOUBLE_INTEGRATOR = Plant(_double_slope, _double_output, 2, 1)
 
 
+def _pendulum_slope(x: Array, u: Array) -> Array:
+    return np.array([x[1], _GRAVITY / _LENGTH * math.sin(x[0]) - _DAMPING * x[1] + u[0]])
+
+
+INVERTED_PENDULUM = Plant(_pendulum_slope, _double_output, 2, 1)  # angle from upright [rad], its rate; u [rad/s^2]
+
+
 def spectral_radius(plant: Plant, settings: FlowSettings, x: Array) -> float:
     """Return the spectral radius of a control step about straight motion from x (n,); infinite where it is refused.
 
-    x must move straight with u = 0, its velocity being f(x, 0); h is linear.
+    x must move straight with u = 0, its velocity being f(x, 0).
     """
-    n, m = plant.n, plant.m
     try:
-        flow = NewtonRaphsonFlow(plant, settings, np.zeros(m))
+        return NewtonRaphsonFlow(plant, settings, np.zeros(plant.m)).loop(x, np.zeros(plant.m)).spectral_radius()
     except FlowError:
         return np.inf
-    ahead = plant.h(x + settings.horizon * plant.f(x, np.zeros(m)))
-    rollout, none, base = compile_plant(plant).rollout, np.zeros(n), np.concatenate([x, np.zeros(m)])
-
-    def after(z: Array) -> Array:
-        flow.applied(z[n:])
-        u, end = flow.update(z[:n], ahead), np.empty(n)
-        rollout(z[:n], u, none, settings.step, end)
-        return np.concatenate([end, u])
-
-    steps = _DIFFERENCE * np.eye(n + m)
-    try:
-        jacobian = np.stack([after(base + e) - after(base - e) for e in steps], axis=1) / (2.0 * _DIFFERENCE)
-    except FlowError:
-        return np.inf
-    return float(np.abs(np.linalg.eigvals(jacobian)).max())
 
 
 def boundary(radius: Callable[[float], float], low: float, high: float) -> float:
@@ -123,8 +114,11 @@ def run(parameters: StabilityParameters) -> Result:
     horizons = _boundaries(p, systems)
     steps, found_steps = _step_limits(p, systems)
     deviation = max(abs(float(row[3] or np.nan) - 1.0) for row in horizons.rows if row[0] == systems[0][0])
-    figures = (_horizon_maps(p, systems), _step_maps(p, systems, found_steps))
-    return Result((horizons, _simulated(p), steps), figures, {"double_integrator_deviation": deviation})
+    delays, delay_map = delay_borders(
+        p.unknown_delay, [("inverted pendulum", INVERTED_PENDULUM, np.zeros(2)), systems[-1]]
+    )
+    figures = (_horizon_maps(p, systems), _step_maps(p, systems, found_steps), delay_map)
+    return Result((horizons, _simulated(p), steps, delays), figures, {"double_integrator_deviation": deviation})
 
 
 def _boundaries(p: StabilityParameters, systems: list[tuple[str, Plant, Array]]) -> Table:

@@ -16,7 +16,8 @@ def paper(
     experiment: Annotated[
         str,
         typer.Argument(
-            metavar="NAME", help="memoryless, stability, closed-curve, lane-change, platoon, comparison, or all."
+            metavar="NAME",
+            help="memoryless, stability, closed-curve, lane-change, platoon, model-free, comparison, or all.",
         ),
     ] = "all",
     out: Annotated[

@@ -34,6 +34,7 @@ from robofleet.runs import folder as folders
 from robofleet.runs.check import load_checked, proofs, start_warnings
 from robofleet.runs.companion import PageWanted
 from robofleet.runs.folder import DEFAULT_FOLDER
+from robofleet.runs.margins import margin_warnings
 
 _GOAL = re.compile(r"([a-z][a-z0-9_-]*)=([^,=]+),([^,=]+),([^,=]+)")
 _PATIENCE_S = 600.0  # a robot crosses any shipped arena in 20 s; many of them wait for each other
@@ -217,6 +218,8 @@ def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 
     console.print(proofs_table(printable(f"{config} can run. What was proved:"), rows))
     for warning in start_warnings(tree):
         print(f"This may take long: {warning}")
+    for warning in margin_warnings(tree):
+        print(f"This may not work: {warning}")
     print("Next:", shlex.join(["robofleet", "run", str(config), *(f"--set={change}" for change in overrides)]))
 
 

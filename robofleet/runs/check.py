@@ -21,6 +21,7 @@ from robofleet.core.plugins import PluginError, load
 from robofleet.nodes import views
 from robofleet.nodes.pose_sources import POSES
 from robofleet.runs import check_drivers, check_faults
+from robofleet.runs.margins import margin_rows
 from robofleet.safety.distances import least_room_m
 from robofleet.safety.gate import VALID_NS
 from robofleet.safety.supervisor import Phase
@@ -129,7 +130,7 @@ def proofs(config: Config) -> list[tuple[str, str, str, str]]:
             f"{b.tightness:.0%}",
         )
         for b in tightest.values()
-    ] + start_rows(config)
+    ] + [*start_rows(config), *margin_rows(config)]
 
 
 def _worst(broken: Iterable[Bound]) -> list[Bound]:

@@ -15,6 +15,7 @@ from robofleet.config.load import ConfigError, load_config
 from robofleet.config.tree import Config
 from robofleet.control.path import Path
 from robofleet.runs.check import load_checked, proofs, refusals, start_warnings
+from robofleet.runs.margins import margin_warnings
 from tests.shipped import PLATOON
 
 
@@ -226,6 +227,20 @@ def test_the_table_says_how_far_each_is_and_what_takes_long_is_said() -> None:
     assert re.match(r"r4 starts 1\.\d\d m from its place and needs about \d+ s to it", line)
     table = {what: row for what, *row in proofs(far)}
     assert table["the time until every robot is in its place"][2] == "slow"
+
+
+def test_check_says_what_the_loop_bears_that_nobody_knows_of() -> None:
+    def delay_ms(*overrides: str) -> float:
+        table = {what: value for what, value, *_ in proofs(platoon(*overrides))}
+        return float(table["the unknown delay that the loop bears at top speed"].removesuffix(" ms"))
+
+    assert 200.0 < delay_ms() < 260.0
+    assert delay_ms("controller.horizon_s=0.3") < 0.7 * delay_ms()
+    assert list(margin_warnings(platoon())) == []
+    (line,) = margin_warnings(platoon("controller.horizon_s=0.02"))
+    assert line.startswith("the loop of r1 is unstable at its top speed, 0.2 m/s: raise controller.horizon_s")
+    by_no_flow = load_config(PLATOON.with_name("consensus.yaml"))
+    assert not any("unknown" in what for what, *_ in proofs(by_no_flow))
 
 
 def test_every_robot_has_room_for_its_wheels_to_be_tried() -> None:
