@@ -73,7 +73,6 @@ class Identification:
     told: tuple[str, ...]
     weakest: str  # the combination of parameters that is told least, in words
     left_out: int  # poses that were outliers
-    refused: int  # poses of shots in which the gate did not pass what was commanded
     poses: int
     chi_square: float  # mean square of the whitened residuals
     correlation: float  # of each residual with the next one; 0: white
@@ -134,13 +133,8 @@ class _Fit:
         self._wheels, self._noise = prior.values, _AT_FIRST
         self._threshold_sigma = {name: prior.sigma[name] for name in THRESHOLDS}
         self._fixed: set[str] = set()
-        held_out = [shots.shot % _HELD_OUT == _HELD_OUT - 1 for shots in recordings]
-        self._held_out = [own & shots.obeyed for own, shots in zip(held_out, recordings, strict=True)]
-        self._training = [~own & shots.obeyed for own, shots in zip(held_out, recordings, strict=True)]
-        if sum(int(own.sum()) for own in self._training) < _FEWEST_POSES:
-            raise CalibrationError(
-                f"{self._robot}: its gate passed its commands for too short a time: record a drive without holds"
-            )
+        self._held_out = [shots.shot % _HELD_OUT == _HELD_OUT - 1 for shots in recordings]
+        self._training = [~own for own in self._held_out]
 
     def run(self) -> None:
         self._start()
@@ -327,7 +321,6 @@ class _Fit:
             told=tuple(name for name in PARAMETERS if name not in self._fixed),
             weakest=self._weakest(covariance),
             left_out=sum(int((~shots.kept).sum()) for shots in self._recordings),
-            refused=sum(int((~shots.obeyed).sum()) for shots in self._recordings),
             poses=sum(len(shots.at_s) for shots in self._recordings),
             chi_square=float((white**2).mean()),
             correlation=float((white[1:] * white[:-1]).mean() / (white**2).mean()),

@@ -19,6 +19,7 @@ from robofleet.safety.gate import RAMP_NS
 _FEWEST_SAMPLES = 3  # of an angle
 _OUTLIER_SHARE = 0.2  # of the poses, at most
 _SHORTEST_LAG_S = 1e-6
+_SAME_RAD = 1e-6
 _RAMP_S = RAMP_NS * 1e-9
 _SPIKE_SIGMA = 6.0  # of a pose that is left out
 _SEEN_SHARE = 0.6  # of the images, at least
@@ -109,6 +110,22 @@ def through_gate(drive: RobotDrive) -> tuple[Array, Array]:
             rows.append(output)
             last_s, at_s = at_s, at_s + _RAMP_S
     return np.array(instants), np.array(rows)
+
+
+def as_told(drive: RobotDrive, at_s: Array, outputs: Array) -> tuple[Array, Array]:
+    """Return outputs (K, 2) that begin at instants (K,), as ``through_gate``, corrected by what the gate told.
+
+    Between two statuses it told its wheels to turn by so much: commands came late, it was stepped more often than its
+    ramp needs, or it was closed. The difference is spread over the time between the statuses.
+    """
+    told_s = drive.told_s
+    short = np.diff(drive.told_rad - wheel_travel(at_s, outputs, 0.0, 0.0, told_s), axis=0)
+    speeds = np.where(np.abs(short) > _SAME_RAD, short, 0.0) / np.diff(told_s)[:, None]
+    every_s = np.union1d(at_s, told_s)
+    k = np.searchsorted(at_s, every_s, side="right") - 1
+    between = np.searchsorted(told_s, every_s, side="right") - 1
+    corrections = np.vstack([speeds, np.zeros((1, 2))])[np.clip(between, -1, len(speeds))]
+    return every_s, np.where(k[:, None] >= 0, outputs[k], 0.0) + corrections
 
 
 def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: float, at_s: Array) -> Array:

@@ -66,7 +66,7 @@ class Shots:
         self.drive = drive
         self._life_s = battery_life_s
         self._loop_ns = round(loop_period_s * S)
-        outputs_s, self._outputs = increments.through_gate(drive)
+        outputs_s, self._outputs = increments.as_told(drive, *increments.through_gate(drive))
         self._outputs_ns = np.round(outputs_s * S).astype(np.int64)
         self.at_s, self.poses = drive.poses_s, drive.poses
         self._poses_ns = np.round(self.at_s * S).astype(np.int64)
@@ -143,20 +143,6 @@ class Shots:
     def _noise_covariances(self, noise: Noise) -> Array:
         scale = np.array([noise.position, noise.position, noise.heading])
         return self._covariances * scale[:, None] * scale + np.diag(_LEAST_VARIANCE)
-
-    @cached_property
-    def obeyed(self) -> NDArray[np.bool_]:
-        """Which shots' poses (M,) are of time in which the gate passed the commands: it says how far it told the wheels
-        to turn.
-        """
-        asked = increments.wheel_travel(self._outputs_ns / S, self._outputs, 0.0, 0.0, self.drive.told_s)
-        apart = (asked - asked[0]) - (self.drive.told_rad - self.drive.told_rad[0])
-        shot_of = ((self.drive.told_s - self.at_s[0]) / SHOT_S).astype(np.int64)
-        refused = [k for k in np.unique(shot_of) if np.ptp(apart[shot_of == k], axis=0).max() > _REFUSED_RAD]
-        return ~np.isin(self.shot, refused)
-
-
-_REFUSED_RAD = 0.3  # turned less or more than was asked for in a shot: the gate was closed for a while
 
 
 def relative(start: Array, end: Array) -> Array:
