@@ -124,7 +124,7 @@ def _drive(
         raise CalibrationError(f"--out: {folder}: {error.strerror}") from error
     print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s", file=sys.stderr)
     run = drives.run(tree, folder, lambda text: print(text, file=sys.stderr), lockstep=lockstep)
-    driven = drives.extract(run, count)
+    driven = drives.extract(run, range(count))
     drive_file.save(folder / drive_file.FILE, driven)
     print(folder / drive_file.FILE)
     for drive in (drive for drive in driven if drive.held_s):

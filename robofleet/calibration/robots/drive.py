@@ -109,8 +109,8 @@ def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, st
         raise CalibrationError(str(error)) from error
 
 
-def extract(recording: Recording, count: int) -> list[RobotDrive]:
-    """Return what the first ``count`` robots of the group did and what was seen of them."""
+def extract(recording: Recording, rows: Sequence[int]) -> list[RobotDrive]:
+    """Return what robots of the groups did, and what was seen of them."""
     config = recording.config
     arena, robots = config.arena.name, config.members
     dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups, len(config.camera_names)))
@@ -133,7 +133,8 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
                 seen[pose.tag].append(((exposure_ns + pose.after_ns) / S, *pose[3:]))
     by_size, by_parallax = heights.by_size(recording), heights.by_parallax(recording)
     drives = []
-    for row, robot in enumerate(robots[:count]):
+    for row in rows:
+        robot = robots[row]
         offset = robot.tag_offset
         poses = [
             (at_s, *tag_from_centre(x, y, psi, offset), *tag_covariance(tuple(covariance), psi, offset))

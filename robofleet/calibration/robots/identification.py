@@ -7,8 +7,8 @@ grid, all others by Gauss-Newton steps (``scipy.optimize.least_squares``). The n
 that make the residuals likeliest. Every fifth shot is held out: it takes no part in the fit.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ _STEPS = {  # of numerical derivatives
 }  # fmt: skip
 _LEAST = {"motor_lag_s": 1e-4, "deadband_rad_s": 0.0, "breakaway_rad_s": 0.0, "delay_s": -0.02, "slip_s_per_rad": -0.5}
 _MOST = {"motor_lag_s": 2.0, "delay_s": 1.0, "slip_s_per_rad": 0.5}
+# Commands act, and images are exposed, at instants that are known to a millisecond: of a firmware's loop, of a camera's
+# exposure, of the simulated truth between two samples. That adds to what the residuals say of the two.
+_CLOCK_SIGMA_S = {"motor_lag_s": 5e-4, "delay_s": 5e-4}
 _DELAYS_S, _LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3), (0.01, 0.04, 0.08, 0.15, 0.3)
 _AT_FIRST = Noise(position=5.0, heading=5.0, way=3e-3)
 _ROUNDS = 4
@@ -40,7 +43,7 @@ _HELD_OUT = 5  # of so many shots one
 _COARSE, _FINE = np.linspace(0.0, 2.5, 51), np.linspace(-0.075, 0.075, 31)  # of thresholds [rad/s]
 _FEWEST_POSES = 100
 _LEAST_WAY_M, _LEAST_TURN_RAD = 0.2, 1.0
-_LEAST_SPEED_RAD_S = 0.5
+_LEAST_SLOW_S = 1.0  # of commands that are no more than twice a threshold: else it is not told
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Identification:
     noise: Noise
     covariance: Array  # (p, p) of PARAMETERS
     told: tuple[str, ...]
-    weakest: str  # the combination of parameters that is told least, in words
+    weakest: tuple[str, ...]  # the combination of parameters that is told least
     left_out: int  # poses that were outliers
     poses: int
     chi_square: float  # mean square of the whitened residuals
@@ -280,6 +283,8 @@ class _Fit:
             weights, step = posterior(grid), _FINE[1] - _FINE[0]
         mean = float(weights @ grid)
         sigma = float(np.sqrt(weights @ (grid - mean) ** 2 + step**2 / 12.0))
+        if sum(shots.slow_s(2.0 * mean) for shots in self._recordings) < _LEAST_SLOW_S:
+            mean, sigma = getattr(self._prior.values, name), self._prior.sigma[name]
         self._wheels = replace(self._wheels, **{name: mean})
         self._threshold_sigma[name] = sigma
 
@@ -291,19 +296,22 @@ class _Fit:
         j = self._jacobian(self._wheels, free)
         rows = [PARAMETERS.index(name) for name in free]
         covariance = np.diag([self._threshold_sigma.get(name, 0.0) ** 2 for name in PARAMETERS])
-        covariance[np.ix_(rows, rows)] = np.linalg.inv(j.T @ j + np.eye(len(free))) * np.outer(self._sigma[rows], self._sigma[rows])
-        return np.asarray(covariance)
+        covariance[np.ix_(rows, rows)] = np.linalg.inv(j.T @ j + np.eye(len(free))) * np.outer(
+            self._sigma[rows], self._sigma[rows]
+        )
+        clock = np.array([_CLOCK_SIGMA_S.get(name, 0.0) for name in PARAMETERS])
+        return np.asarray(covariance + np.diag(clock**2))
 
     def _told(self, covariance: Array) -> tuple[str, ...]:
         share = np.sqrt(np.diag(covariance)) / self._sigma
         return tuple(name for name, own in zip(PARAMETERS, share.tolist(), strict=True) if own < _TOLD)
 
-    def _weakest(self, covariance: Array) -> str:
-        """Return in words which combination of told parameters is told least."""
+    def _weakest(self, covariance: Array) -> tuple[str, ...]:
+        """Return which combination of told parameters is told least."""
         told = [k for k, name in enumerate(PARAMETERS) if name not in self._fixed]
         _, vectors = np.linalg.eigh(covariance[np.ix_(told, told)] / np.outer(self._sigma[told], self._sigma[told]))
         parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), told, strict=True), reverse=True)
-        return " with ".join(PARAMETERS[k] for part, k in parts[:3] if part > 0.3)
+        return tuple(PARAMETERS[k] for part, k in parts[:3] if part > 0.3)
 
     def found(self) -> Identification:
         everything = [np.ones(len(shots.at_s), dtype=np.bool_) for shots in self._recordings]

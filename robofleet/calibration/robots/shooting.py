@@ -24,6 +24,7 @@ from robofleet.vehicles import plant
 
 SHOT_S = 2.0
 
+_STANDS_RAD_S = 0.02  # slower is meant to stand
 _UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covariance of poses that have none
 _LEAST_VARIANCE = np.array([1e-6**2, 1e-6**2, 1e-5**2])  # of a simulated pose without noise [m^2, m^2, rad^2]
 _QUIET = np.zeros(8192)  # the plant's random numbers: none
@@ -70,7 +71,9 @@ class Shots:
         self._outputs_ns = np.round(outputs_s * S).astype(np.int64)
         self.at_s, self.poses = drive.poses_s, drive.poses
         self._poses_ns = np.round(self.at_s * S).astype(np.int64)
-        covariances = drive.pose_covariances if len(drive.pose_covariances) else np.tile(_UNKNOWN_POSE, (len(self.at_s), 1))
+        covariances = (
+            drive.pose_covariances if len(drive.pose_covariances) else np.tile(_UNKNOWN_POSE, (len(self.at_s), 1))
+        )
         self._covariances = covariances[:, [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(-1, 3, 3)
         self.shot = ((self.at_s - self.at_s[0]) / SHOT_S).astype(np.int64)
         self.kept = np.ones(len(self.at_s), dtype=np.bool_)  # poses that are no outliers
@@ -79,6 +82,11 @@ class Shots:
     def used_s(self) -> float:
         """How long the battery had been used when the recording began, as it told then."""
         return (1.0 - float(self.drive.battery[0])) * self._life_s if len(self.drive.battery) else 0.0
+
+    def slow_s(self, speed_rad_s: float) -> float:
+        """Return how long wheels were commanded to turn, but not faster than that [s]."""
+        slow = (np.abs(self._outputs[:-1]) > _STANDS_RAD_S) & (np.abs(self._outputs[:-1]) < speed_rad_s)
+        return float((slow * (np.diff(self._outputs_ns) / S)[:, None]).sum())
 
     def motion(self, wheels: Wheels) -> Array:
         """Return the model's motion from each pose to the next in the frame of the former (M - 1, 3) [m, m, rad]."""
@@ -169,7 +177,9 @@ def accumulated(motion: Array) -> Array:
     heading = np.concatenate([[0.0], np.cumsum(motion[:, 2])])
     c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
     x, y = motion[:, 0], motion[:, 1]
-    return np.column_stack([*(np.concatenate([[0.0], np.cumsum(way)]) for way in (c * x - s * y, s * x + c * y)), heading])
+    return np.column_stack(
+        [*(np.concatenate([[0.0], np.cumsum(way)]) for way in (c * x - s * y, s * x + c * y)), heading]
+    )
 
 
 def wrapped(angle: Array) -> Array:

@@ -52,7 +52,7 @@ def recording(late_platoon: Path) -> Recording:
 @pytest.fixture(scope="module")
 def kept(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("kept") / drive_file.FILE
-    drive_file.save(file, drive.extract(recording, 1))
+    drive_file.save(file, drive.extract(recording, [0]))
     return file
 
 
@@ -71,7 +71,7 @@ def test_only_those_that_were_asked_drive_and_nobody_is_touched(recording: Recor
 
 
 def test_what_is_kept_is_what_was_driven(recording: Recording, kept: Path) -> None:
-    (driven,), (read,) = drive.extract(recording, 1), drive_file.load(kept)
+    (driven,), (read,) = drive.extract(recording, [0]), drive_file.load(kept)
     for name, value in vars(driven).items():
         assert np.array_equal(getattr(read, name), value), name
     assert len(read.poses_s) > 0.85 * len(read.commands_s) > 1000
@@ -96,7 +96,7 @@ def test_poses_are_measured_ones_at_their_own_instants_and_of_the_tag(recording:
         since_ns = frame.since_tick_ns - 5_000_000
         changed.append(FLEET_POSES.encode(frame._replace(since_tick_ns=since_ns, poses=poses)))
     other.messages[full] = changed
-    (whole,), (part,) = drive.extract(recording, 1), drive.extract(other, 1)
+    (whole,), (part,) = drive.extract(recording, [0]), drive.extract(other, [0])
     assert len(part.poses_s) == pytest.approx(0.75 * len(whole.poses_s), rel=0.02)
     at = np.searchsorted(whole.poses_s, part.poses_s - 1e-7)
     assert part.poses_s == pytest.approx(whole.poses_s[at], abs=1e-9)
