@@ -17,7 +17,11 @@ class SimulatedRobot:
         s = context.simulation
         assert s is not None, "a robot that does not exist is refused without one"
         self._now_ns = context.now_ns
-        self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=context.now_ns(), trouble=s.trouble)
+        self._plant = (
+            Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=context.now_ns(), trouble=s.trouble)
+            if s.plant is None
+            else s.plant.robot(context.robot, s.trouble)
+        )
         own = s.sensing  # it sees walls alone: it knows of no other robot
         self._sensors = None if own is None else SimulatedSensors([0], [own])
         self._sensed: SensorReading | None = None

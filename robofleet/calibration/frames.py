@@ -60,7 +60,7 @@ def camera_of(config: Config, name: str) -> Config:
 
 def from_camera(config: Config, count: int) -> list[Named]:
     """Return the next images of a configuration's camera. Of a simulated one only the floor: no robot runs."""
-    if config.camera.source == "simulated" and config.camera.model.T_world_camera is None:
+    if config.camera.rendered and config.camera.model.T_world_camera is None:
         raise CalibrationError("camera.model: a simulated camera must hang somewhere: give it a T_world_camera")
     camera = open_camera(config)
     calibrated = config.camera.model.camera

@@ -267,7 +267,8 @@ class CameraSettings(Model):
     name: Name = OVERHEAD
     """Name of the camera: of its poses, pictures and process. Each of several cameras has its own."""
     source: Named = "simulated"
-    """Source of the images: ``simulated``, ``v4l2``, ``files``, ``basler``, or a class as ``module:Class``."""
+    """Source of the images: ``simulated``, ``mujoco``, ``v4l2``, ``files``, ``basler``, or a class as
+    ``module:Class``. ``mujoco``: as ``simulated``, but MuJoCo's renderer draws floor, robots and tags."""
     model: CameraModel
     """Calibration of the camera: its lens and its pose."""
     width: Pixels
@@ -304,6 +305,11 @@ class CameraSettings(Model):
     """Settings for recorded images."""
     basler: BaslerSettings = BaslerSettings()
     """Settings of a Basler camera."""
+
+    @property
+    def rendered(self) -> bool:
+        """Whether the images are of simulated robots."""
+        return self.source in ("simulated", "mujoco")
 
     @property
     def adjusts_exposure(self) -> bool:

@@ -14,12 +14,17 @@ from robofleet.config import obstacles
 from robofleet.config.obstacles import Arena
 from robofleet.config.robots import Robot, Vehicle
 from robofleet.config.sensors import Distances
-from robofleet.config.tree import Config
+from robofleet.config.tree import OWN_PLANT, Config, PlantSettings
 from robofleet.core.clock import S
 from robofleet.core.patterns import OVERHEAD
+from robofleet.core.plugins import load
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import BodyTrouble, Imperfections, Simulation, World, WorldObstacle, WorldRobot
+from robofleet.vehicles.plant import built
+from robofleet.vehicles.plants import PlantContext, PlantRobot, SharedPlant
 from robofleet.vehicles.sensors import DistanceSensors, Errors, Sensing, SensorKind
+
+PLANTS = "robofleet.plants"
 
 _UT = 1e-6  # [T]
 
@@ -95,7 +100,7 @@ def build(config: Config) -> int:
 
 def _unused(config: Config) -> dict[str, Any]:
     """Return the keys that change nothing in this run, for ``build`` to leave out: unread sensors, unseen walls,
-    empty lists of obstacles, settings of an exposure or a light that stays, a camera's default name."""
+    empty lists of obstacles, settings of an exposure or a light that stays, a camera's default name, the own plant."""
     camera: dict[str, Any] = {} if config.camera.adjusts_exposure else {"exposure_control": True, "exposure": True}
     if config.camera.name == OVERHEAD:
         camera["name"] = True
@@ -105,7 +110,8 @@ def _unused(config: Config) -> dict[str, Any]:
     arena = {key for key in ("floor_m", "obstacles", "moving") if not getattr(config.arena, key)}
     if config.arena.walls is None or not config.sensing:
         arena.add("walls")
-    return {"robots": robots, "arena": arena, "camera": camera}
+    unused: dict[str, Any] = {"robots": robots, "arena": arena, "camera": camera}
+    return unused if config.plant != PlantSettings() else {**unused, "plant": True}
 
 
 def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] | None) -> Simulation:
@@ -122,6 +128,36 @@ def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] 
         radius=robot.vehicle.body_radius_m,
         sensing=_sensing(config, robot),
     )
+
+
+def plant_settings(config: Config) -> Any:
+    """Return ``plant.settings`` as the plant's own model; None where it takes none.
+
+    Raises:
+        PluginError: there is no such plant.
+        ValidationError: the settings are wrong.
+    """
+    kind = getattr(load(PLANTS, config.plant.model), "Settings", None)
+    return None if kind is None else kind.model_validate(config.plant.settings)
+
+
+def shared_plant(config: Config, robots: Sequence[str], now_ns: int) -> SharedPlant | None:
+    """Return the plant that the simulated robots of a process share; None where each is moved by the own equations.
+
+    Raises as ``plant_settings`` does, and what the plant raises.
+    """
+    if config.plant.model == OWN_PLANT:
+        return None
+    planted = tuple(_plant_robot(config, config.robot(robot)) for robot in robots)
+    rng = generator(config.run.seed, "plant", *robots)
+    context = PlantContext(robots=planted, world=world(config), settings=plant_settings(config), rng=rng)
+    return SharedPlant(load(PLANTS, config.plant.model)(context), planted, now_ns)
+
+
+def _plant_robot(config: Config, robot: Robot) -> PlantRobot:
+    s = simulation(config, robot, None)
+    build, height = built(s.drive, s.imperfections, s.rng), tag_height_m(config, robot)
+    return PlantRobot(robot=robot.id, build=build, start=s.start, radius=s.radius, height=height)
 
 
 def world(config: Config) -> World:

@@ -141,6 +141,20 @@ class DriverSettings(Model):
     computer of its own, on which ``robofleet node driver --unit UNIT`` waits for this configuration."""
 
 
+OWN_PLANT = "own"
+
+
+class PlantSettings(Model):
+    """The physics of the simulated robots, and of the robots in whose place twins answer. The robots of one process
+    share a world: ``drivers`` and ``robots[].unit`` say which these are; all twins are in one."""
+
+    model: Named = OWN_PLANT
+    """``own``: the equations of ``robofleet/vehicles/plant.py``. Else an entry point of ``robofleet.plants``, or a
+    class as ``module:Class``; ``mujoco``: wheels in contact with the floor, and bodies that collide."""
+    settings: Annotated[dict[Text, JsonValue], Field(max_length=MANY)] = Field(default={})
+    """Settings of that plant. ``robofleet/simulation/PLANTS.md`` lists them."""
+
+
 class LockstepSettings(Model):
     """Simulated times of a lockstep run, where computing takes no simulated time by itself."""
 
@@ -226,6 +240,8 @@ class Config(Model):
     """Length, seed, start and judgement of a run."""
     drivers: DriverSettings = DriverSettings()
     """How the drivers share processes, and who starts them."""
+    plant: PlantSettings = PlantSettings()
+    """The physics of simulated robots and twins."""
     lockstep: LockstepSettings = LockstepSettings()
     """Simulated times of bus and tracker in ``robofleet run CONFIG --lockstep``."""
     faults: Annotated[tuple[InjectedFault, ...], Field(max_length=MANY, strict=False)] = ()
@@ -302,7 +318,7 @@ class Config(Model):
     @property
     def poses_simulated(self) -> bool:
         """Whether poses come from a simulation: its truth, its motion capture or its camera."""
-        rendered = all(camera.source == "simulated" for _, camera in self.camera_keys)
+        rendered = all(camera.rendered for _, camera in self.camera_keys)
         return self.tracker.simulated or (self.tracker.source == "camera" and rendered)
 
     @property

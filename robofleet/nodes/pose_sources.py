@@ -55,7 +55,7 @@ def compiling(config: Config, say: Say) -> AbstractContextManager[None]:
     from robofleet.tracking.tags import fit as tag_fit  # noqa: PLC0415
     from robofleet.tracking.tags import motion  # noqa: PLC0415
 
-    simulated = draw.KERNELS if config.camera.source == "simulated" else ()
+    simulated = draw.KERNELS if config.camera.rendered else ()
     return told((*arena.KERNELS, *simulated, *motion.KERNELS, *tag_fit.KERNELS), say)
 
 

@@ -306,7 +306,7 @@ def unreachable(config: Config) -> list[Complaint]:
 def reality_complaints(config: Config) -> Iterator[Complaint]:
     """Yield the robots whose poses could never come."""
     source, cameras = config.tracker.source, [camera.source for _, camera in config.camera_keys]
-    real = [camera for camera in cameras if camera != "simulated"]
+    real = [camera for _, camera in config.camera_keys if not camera.rendered]
     capture = config.tracker.mocap.system if source == "mocap" else ""
     if source == "camera" and not config.seen:
         yield "tracker.source", "there is no robot that the camera could see, all are simulated: take truth"

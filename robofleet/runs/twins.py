@@ -7,6 +7,7 @@ from robofleet.bus.arena_file import twin_port
 from robofleet.bus.bus import Bus
 from robofleet.bus.keys import STATE, TRUTH
 from robofleet.bus.messages import UNIT_TRUTH, Truth, UnitTruth
+from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.nodes.node import LineWaker
@@ -25,10 +26,11 @@ class Twins:
         self._waker, self._faults = waker, faults
         self._state = bus.newest(STATE)  # what the faults' times count from is said there
         self._twins: dict[str, Twin] = {}
+        plant = slices.shared_plant(config, [robot.id for robot in config.twins], now_ns)
         try:
             for robot in config.twins:
-                port = twin_port(config.arena.name, robot.id)
-                self._twins[robot.id] = Twin(config, robot.id, port, now_ns, faults, partial(self._others, robot.id))
+                port, others = twin_port(config.arena.name, robot.id), partial(self._others, robot.id)
+                self._twins[robot.id] = Twin(config, robot.id, port, now_ns, faults, others, plant)
         except BaseException:
             self.close()
             raise

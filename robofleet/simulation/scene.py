@@ -10,6 +10,7 @@ from robofleet.config import obstacles
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.camera import Cover, Knock, Outage, SimulatedCameraSettings, TruePrint
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.simulation.camera import Print, SceneRenderer
 from robofleet.simulation.effects import shade
 from robofleet.tracking.camera import CameraGeometry
@@ -23,7 +24,6 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
     """Return what draws the configuration's robots, floor tags, posters and obstacles."""
     camera, simulated = config.camera, config.camera.simulated
     true = [_true_print(simulated, robot.id) for robot in config.seen]
-    lying = [*config.tracker.floor_tags, *simulated.posters]
     return SceneRenderer(
         CameraGeometry.from_model(camera.model),
         (camera.width, camera.height),
@@ -32,11 +32,8 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
         rng,
         exposure_s=camera.exposure_s,
         line_time_s=camera.model.line_time_s,
-        prints=[
-            Print(target, tag.x_m, tag.y_m, math.radians(tag.heading_deg))
-            for target, tag in zip(floor_targets(config, lying), lying, strict=True)
-        ],
-        offsets=np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in true_offsets(config)]),
+        prints=lying_prints(config),
+        offsets=true_offset_rows(config),
         light=light_at(simulated, 0.0),
         obstacles=[solid.outline for solid in obstacles.standing(config.arena)],
         lens_sigma_px=simulated.lens_sigma_px,
@@ -44,6 +41,20 @@ def scene_renderer(config: Config, rng: np.random.Generator) -> SceneRenderer:
         stretches=np.array([tag.stretch for tag in true]).reshape(-1, 2),
         bows=np.array([tag.bow_m for tag in true]),
     )
+
+
+def lying_prints(config: Config) -> list[Print]:
+    """Return the floor tags and posters."""
+    lying = [*config.tracker.floor_tags, *config.camera.simulated.posters]
+    return [
+        Print(target, tag.x_m, tag.y_m, math.radians(tag.heading_deg))
+        for target, tag in zip(floor_targets(config, lying), lying, strict=True)
+    ]
+
+
+def true_offset_rows(config: Config) -> Array:
+    """Return ``true_offsets`` (N, 3): forward, left [m], turn [rad]."""
+    return np.array([(o.forward_m, o.left_m, math.radians(o.heading_deg)) for o in true_offsets(config)])
 
 
 def true_offsets(config: Config) -> list[TagOffset]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,12 @@ from robofleet.bus.ticks import TickFollower
 from robofleet.config.faults import Complaint
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array, Image
 from robofleet.core.clock import MS, Clock, S
 from robofleet.simulation.arena import World
 from robofleet.simulation.effects import effects
 from robofleet.simulation.scene import ScenePlay, scene_renderer
+from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.cameras.exposure import nothing_left
 from robofleet.tracking.sources import CameraContext, Exposure, ExposureLimits, Frame
 
@@ -54,6 +57,20 @@ _POLL_NS = S // 1000
 _EXPOSURE_LIMITS = ExposureLimits(Exposure(1e-5, 0.0), Exposure(1.0, 24.0), Exposure(1e-5, 0.1), 1.0)
 
 
+class Renderer(Protocol):
+    """Draws what a calibrated camera sees of N robots: as ``SceneRenderer``."""
+
+    looks: NDArray[np.int64]
+
+    def moved(self, geometry: CameraGeometry) -> None: ...
+
+    def expose(self, exposure_s: float, light: float, noise: float) -> None: ...
+
+    def render(self, poses: Array, velocities: Array | None = None) -> Image: ...
+
+    def rows(self, poses: Array) -> Array: ...
+
+
 class SimulatedCamera:
     """Renders what an overhead camera would see. A camera like any other: what reads it cannot tell."""
 
@@ -71,9 +88,14 @@ class SimulatedCamera:
             camera.exposure_s, 0.0
         )  # of the next image, and of those after it
         self._play = ScenePlay(config)
-        self._renderer = scene_renderer(config, context.rng)
+        self._renderer = self.renderer(config, context.rng)
         self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
         self._image: NDArray[np.uint8] | None = None
+
+    @staticmethod
+    def renderer(config: Config, rng: np.random.Generator) -> Renderer:
+        """Return what draws the images."""
+        return scene_renderer(config, rng)
 
     @staticmethod
     def refusals(config: Config) -> Iterator[Complaint]:

@@ -13,6 +13,7 @@ from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.simulation.serial_line import SerialLine, Wire
 from robofleet.vehicles.interface import STOP
 from robofleet.vehicles.plant import Plant
+from robofleet.vehicles.plants import SharedPlant
 from robofleet.vehicles.readings import SensorReading, TruePose
 from robofleet.vehicles.sensors import SimulatedSensors
 
@@ -27,12 +28,16 @@ class Twin:
 
     def __init__(
         self, config: Config, robot: str, port: Path, now_ns: int, faults: Schedule | None = None,
-        others: Others = lambda: (),
+        others: Others = lambda: (), plant: SharedPlant | None = None,
     ) -> None:  # fmt: skip
-        """Put it there; ``others`` tells the bodies that its distance sensors see."""
+        """Put it there; ``others`` tells the bodies that its distance sensors see; ``plant``: that it shares."""
         kind = config.robot(robot)
         s = slices.simulation(config, kind, None if faults is None else faults.body_trouble(robot))
-        self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=now_ns, trouble=s.trouble)
+        self._plant = (
+            Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=now_ns, trouble=s.trouble)
+            if plant is None
+            else plant.robot(robot, s.trouble)
+        )
         self.truth = self._plant.truth  # at the last step
         self.hardware, spare = (Hardware(s.drive, s.imperfections, self._plant) for _ in range(2))
         self.radius, self.others = s.radius, others

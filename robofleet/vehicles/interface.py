@@ -15,6 +15,7 @@ from robofleet.vehicles.readings import SensorReading, TruePose
 if TYPE_CHECKING:  # the gate's own types stand here, and `robofleet stop` must not wait for numpy
     import numpy as np
 
+    from robofleet.vehicles.plants import SharedPlant
     from robofleet.vehicles.sensors import Sensing, SensorKind
 
 Wiring = Literal["straight", "swapped", "left_reversed", "right_reversed", "both_reversed"]
@@ -146,6 +147,7 @@ class Simulation:
         rng: Its random numbers.
         radius: Radius of the disc that others' distance sensors see [m].
         sensing: Its sensors. None: its wheels alone.
+        plant: The plant that it shares with the other robots of its process. None: this project's own.
     """
 
     drive: DifferentialDrive
@@ -155,6 +157,7 @@ class Simulation:
     rng: "np.random.Generator"
     radius: float = 0.0
     sensing: "Sensing | None" = None
+    plant: "SharedPlant | None" = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -166,10 +166,7 @@ def advance(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float],
 
 def _pass(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float], now_ns: int) -> None:
     while b.reached_ns < now_ns and b.drawn + DRAWS <= len(noise):
-        while b.waiting > 0 and coming[b.first].at_ns <= b.reached_ns:
-            b.left_command, b.right_command = coming[b.first].left, coming[b.first].right
-            b.first = (b.first + 1) % len(coming)
-            b.waiting -= 1
+        act(b, coming)
         step_ns = min(now_ns - b.reached_ns, p.longest_step_ns)
         if b.waiting > 0:
             step_ns = min(step_ns, coming[b.first].at_ns - b.reached_ns)
@@ -180,6 +177,14 @@ def _pass(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float], n
         b.reached_ns += step_ns
 
 
+def act(b: Body, coming: Sequence[Coming]) -> None:
+    """Let the commands act that are due at the instant that was reached."""
+    while b.waiting > 0 and coming[b.first].at_ns <= b.reached_ns:
+        b.left_command, b.right_command = coming[b.first].left, coming[b.first].right
+        b.first = (b.first + 1) % len(coming)
+        b.waiting -= 1
+
+
 def step(b: Body, p: Build, noise: Sequence[float], duration: float) -> None:
     """Advance by ``duration`` > 0 [s] with constant commands."""
     b.used += duration
@@ -188,11 +193,7 @@ def step(b: Body, p: Build, noise: Sequence[float], duration: float) -> None:
         return
     used = min(1.0, b.used / p.battery_life)
     top = p.max_wheel_speed * (1.0 - p.top_speed_sag * used)
-    left, right = _through_wires(p, b.left_command, b.right_command)
-    if not math.isnan(b.left_runs):
-        left = b.left_runs
-    if not math.isnan(b.right_runs):
-        right = b.right_runs
+    left, right = setpoints(b, p)
     mean, b.left_angle, b.left_speed, b.left_counted = _turn(
         p, b.left_angle, b.left_speed, b.left_counted, left, top, duration
     )
@@ -212,6 +213,16 @@ def step(b: Body, p: Build, noise: Sequence[float], duration: float) -> None:
     left, right = (1.0 - b.slip) * left, (1.0 - b.slip) * right
     b.v, b.omega = body_from_wheels(left, right, p.wheel_radius, p.wheel_base)
     b.x, b.y, b.psi = arc(b.x, b.y, b.psi, b.v, b.omega, duration)
+
+
+def setpoints(b: Body, p: Build) -> tuple[float, float]:
+    """Return what the speed loops of the wheels aim at [rad/s]: commands, unless a wheel runs away."""
+    left, right = _through_wires(p, b.left_command, b.right_command)
+    if not math.isnan(b.left_runs):
+        left = b.left_runs
+    if not math.isnan(b.right_runs):
+        right = b.right_runs
+    return left, right
 
 
 def measured(b: Body, p: Build) -> tuple[float, float, float, float, float]:

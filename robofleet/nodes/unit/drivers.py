@@ -2,22 +2,24 @@
 
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from robofleet.config import slices
-from robofleet.config.tree import Config
+from robofleet.config.tree import OWN_PLANT, Config
 from robofleet.core.plugins import load
 from robofleet.nodes.unit import driver_settings
 from robofleet.nodes.unit.gated_robot import GatedRobots, Probe, Robots
 from robofleet.nodes.unit.reconnecting_driver import ReconnectingDriver
 from robofleet.nodes.unit.state_store import StateStore
 from robofleet.vehicles.interface import Driver, DriverContext, DriverError, SimulatedDriver, is_concurrent
+from robofleet.vehicles.plants import SharedPlant
 
 if TYPE_CHECKING:
     from robofleet.simulation.bodies import Bodies
 
-_ARRAYS = "simulated"  # the driver whose robots are simulated all at once
+OWN_DRIVER = "simulated"  # whose robots share a plant; those of the own plant are simulated all at once
 
 
 class Drivers(Protocol):
@@ -39,16 +41,27 @@ class ConfiguredDrivers:
     def __init__(self, config: Config, now_ns: Callable[[], int]) -> None:
         self._config, self._now_ns, self._world = config, now_ns, slices.world(config)
         self._constructing = threading.Lock()
+        self._plants: dict[str, SharedPlant | None] = {}  # by units
 
     def context(self, robot: str) -> DriverContext:
         return driver_settings.context(self._config, self._config.robot(robot), self._now_ns, self._world)
 
     def driver(self, context: DriverContext) -> Driver:
         kind = load("robofleet.drivers", self._config.robot(context.robot).driver)
+        if context.simulation is not None and self._config.robot(context.robot).driver == OWN_DRIVER:
+            context = replace(context, simulation=replace(context.simulation, plant=self._plant(context.robot)))
         make: Callable[[], Driver] = partial(kind, context)
         if not is_concurrent(kind):
             make = partial(self._alone, make)
         return make() if issubclass(kind, SimulatedDriver) else ReconnectingDriver(make, context.now_ns)
+
+    def _plant(self, robot: str) -> SharedPlant | None:
+        """Return the plant that a robot shares with all simulated ones of its unit."""
+        unit = self._config.unit_of[robot]
+        if unit not in self._plants:
+            robots = [name for name in self._config.units[unit] if self._config.robot(name).driver == OWN_DRIVER]
+            self._plants[unit] = slices.shared_plant(self._config, robots, self._now_ns())
+        return self._plants[unit]
 
     def _alone(self, make: Callable[[], Driver]) -> Driver:
         """Construct a driver while no other is: several that failed at once are made again one after the other."""
@@ -64,7 +77,7 @@ class ConfiguredDrivers:
 
 
 def in_arrays(config: Config, robots: Sequence[str]) -> bool:
-    return all(config.robot(robot).driver == _ARRAYS for robot in robots)
+    return config.plant.model == OWN_PLANT and all(config.robot(robot).driver == OWN_DRIVER for robot in robots)
 
 
 def behind_gates(
