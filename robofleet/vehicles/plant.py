@@ -105,8 +105,9 @@ def built(drive: DifferentialDrive, imperfections: Imperfections, rng: np.random
     return Build(
         wheel_radius=drive.wheel_radius,
         wheel_base=drive.wheel_base * (1.0 + p.wheel_base_error + p.wheel_base_spread * base),
-        max_wheel_speed=drive.max_wheel_speed * (1.0 + p.top_speed_error), motor_lag=p.motor_lag, speed_quantum=p.speed_quantum,
-        loop_period=p.loop_period, deadband=p.deadband, breakaway=p.breakaway, slip=p.slip, slip_noise=p.slip_noise,
+        max_wheel_speed=drive.max_wheel_speed * (1.0 + p.top_speed_error), motor_lag=p.motor_lag,
+        speed_quantum=p.speed_quantum, loop_period=p.loop_period, deadband=p.deadband, breakaway=p.breakaway,
+        slip=p.slip, slip_noise=p.slip_noise,
         top_speed_sag=p.top_speed_sag, battery_life=p.battery_life,
         left_gain=1.0 + p.wheel_gain_error - p.wheel_gain_difference / 2.0 + p.wheel_gain_spread * left,
         right_gain=1.0 + p.wheel_gain_error + p.wheel_gain_difference / 2.0 + p.wheel_gain_spread * right,

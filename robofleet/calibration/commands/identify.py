@@ -16,6 +16,7 @@ from robofleet.calibration.commands.shared import ReportFile, report_file
 from robofleet.calibration.robots import drive as drives
 from robofleet.calibration.robots import identified
 from robofleet.calibration.robots import results as robot_files
+from robofleet.calibration.robots.identification import Identification
 from robofleet.calibration.robots.identification import identify as fit
 from robofleet.calibration.robots.shooting import Shots
 from robofleet.calibration.store import CalibrationError, save
@@ -44,7 +45,8 @@ def identify(runs: Runs, robots: Robots = "", configs: Configs = Path("configs")
     chosen = _chosen(recordings, [name.strip() for name in robots.split(",") if name.strip()], runs)
     shots = [_shots(recordings, name) for name in chosen]
     config_of = {name: next(r.config for r in recordings if name in _ids(r.config)) for name in chosen}
-    found, faults = [], []
+    found: list[Identification] = []
+    faults: list[str] = []
     for name, own in zip(chosen, shots, strict=True):
         try:
             found.append(fit(own, identified.prior(config_of[name], config_of[name].robot(name))))

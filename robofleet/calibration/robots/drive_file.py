@@ -2,10 +2,11 @@
 
 ``version`` (): 3. ``robots`` (N,): names. For each robot, under its name and a slash: ``commands_s`` (K,) and
 ``commands_rad_s`` (K, 2; left, right): its commands and their ticks; ``poses_s`` (M,) and ``poses`` (M, 3; x, y [m],
-psi [rad]; world): its TAG as measured, and the mid-exposures; ``pose_covariances`` (M, 6; xx, xy, yy [m^2], x psi, y psi [m rad],
-psi psi [rad^2]): of these poses, zeros: unknown; ``told_s`` (T,) and ``told_rad`` (T, 2): how far its gate
-has told its wheels to turn; ``battery`` (T,): its charge then, T = 0 if it tells none; ``encoders_s`` (E,) and ``encoders_rad`` (E, 2): its wheels' angles, E = 0 if its driver
-knows none; ``held_s`` (): how long it was held; ``acceleration_rad_s2`` (): with which its gate lets the wheels follow.
+psi [rad]; world): its TAG as measured, and the mid-exposures; ``pose_covariances`` (M, 6; xx, xy, yy [m^2], x psi,
+y psi [m rad], psi psi [rad^2]), M = 0: unknown; ``told_s`` (T,) and ``told_rad`` (T, 2): how far its gate has told its
+wheels to turn; ``battery`` (T,): its charge then, T = 0 if unknown; ``encoders_s`` (E,) and ``encoders_rad`` (E, 2):
+its wheels' angles, E = 0 if its driver knows none; ``held_s`` (): how long it was held; ``acceleration_rad_s2`` ():
+with which its gate lets the wheels follow.
 ``higher_by_size`` and ``higher_by_parallax`` (H, 2): how much higher than configured its tag lies by its size, if the
 side is right, and by two cameras, each with its standard deviation [m]; H = 0 where that is not known.
 All instants are of the controller's clock, counted from the drive's first tick [s].

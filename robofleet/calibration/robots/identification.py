@@ -122,8 +122,8 @@ def refuse_unusable(recordings: Sequence[Shots]) -> None:
         turn += float(np.abs(step[:, 2]).sum())
     if way_m < _LEAST_WAY_M or turn < _LEAST_TURN_RAD:
         raise CalibrationError(
-            f"{robot}: it drove {way_m:.2f} m and turned {turn:.1f} rad, {_LEAST_WAY_M:g} m and {_LEAST_TURN_RAD:g} rad "
-            "are needed: let it drive further, with curves"
+            f"{robot}: it drove {way_m:.2f} m and turned {turn:.1f} rad, {_LEAST_WAY_M:g} m and {_LEAST_TURN_RAD:g} "
+            "rad are needed: let it drive further, with curves"
         )
 
 
@@ -201,10 +201,11 @@ class _Fit:
 
     def _descend(self, *, must_converge: bool = False) -> None:
         names = [name for name in PARAMETERS if name not in self._fixed and name not in THRESHOLDS]
+        rows = [PARAMETERS.index(name) for name in names]
         low, high = (
-            np.array([(limits.get(name, far) - getattr(self._prior.values, name)) / self._prior.sigma[name] for name in names])
+            (np.array([limits.get(name, far) for name in names]) - self._centre[rows]) / self._sigma[rows]
             for limits, far in ((_LEAST, -1e9), (_MOST, 1e9))
-        )  # fmt: skip
+        )
 
         def residuals(x: Array) -> Array:
             return np.concatenate([self._residuals(self._moved(x, names)), x])
@@ -212,7 +213,7 @@ class _Fit:
         def jacobian(x: Array) -> Array:
             return np.vstack([self._jacobian(self._moved(x, names), names), np.eye(len(names))])
 
-        start = np.clip(self._scaled(self._wheels)[[PARAMETERS.index(name) for name in names]], low + 1e-9, high - 1e-9)
+        start = np.clip(self._scaled(self._wheels)[rows], low + 1e-9, high - 1e-9)
         solved = least_squares(
             residuals, start, jacobian, bounds=(low, high), loss="soft_l1", f_scale=_LOSS_SCALE, max_nfev=30, xtol=1e-7,
             ftol=1e-7,
@@ -259,8 +260,8 @@ class _Fit:
         share = np.mean([not kept for shots in self._recordings for kept in shots.kept])
         if share > _OUTLIER_SHARE:
             raise CalibrationError(
-                f"{self._robot}: {100 * share:.0f} % of its poses do not fit any motion: did something else move it, or "
-                "is its tag hard to see?"
+                f"{self._robot}: {100 * share:.0f} % of its poses do not fit any motion: did something else move it, "
+                "or is its tag hard to see?"
             )
 
     def _threshold(self, name: str) -> None:

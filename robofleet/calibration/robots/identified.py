@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from robofleet.calibration.report import Report
 from robofleet.calibration.robots.identification import PARAMETERS, Identification, Prior
 from robofleet.calibration.robots.results import Rows
-from robofleet.calibration.robots.shooting import Shots, Wheels, between
+from robofleet.calibration.robots.shooting import Shots, Wheels, relative
 from robofleet.calibration.store import provenance
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration, TagOffset
@@ -219,10 +219,10 @@ def page(
         ],
     )  # fmt: skip
     report.note(
-        "A residual is what the model and all poses before leave of a measured pose, divided by its standard deviation: "
-        "its mean square is 1, and it does not depend on the one before. The errors are those of open-loop predictions "
-        "by the commands alone, on every fifth piece of two seconds, which took no part in the fit; they contain the "
-        "noise of one measured pose."
+        "A residual is what the model and all poses before leave of a measured pose, divided by its standard "
+        "deviation: its mean square is 1, and it does not depend on the one before. The errors are those of open-loop "
+        "predictions by the commands alone, on every fifth piece of two seconds, which took no part in the fit; they "
+        "contain the noise of one measured pose."
     )
     report.section("Camera", "")
     report.table(("camera", "exposure to message, median", "99 % below"), [tuple(row) for row in latency])
@@ -248,7 +248,7 @@ def page(
         count = counts(np.concatenate([one.drive.encoders_rad for one in shots]))
         encoders = (
             f"; its encoders count {100 * left:.2f} and {100 * right:.2f} % of what they were told"
-            if left == left
+            if math.isfinite(left)
             else ""
         )
         whole = f", in steps of {1e3 * count:.2f} mrad" if count else ""
@@ -265,7 +265,7 @@ def page(
 
 def _motion_figure(found: Identification, shots: Shots) -> Figure:
     h = np.diff(shots.at_s)
-    seen, model = between(shots.poses) / h[:, None], shots.motion(found.wheels) / h[:, None]
+    seen, model = relative(shots.poses[:-1], shots.poses[1:]) / h[:, None], shots.motion(found.wheels) / h[:, None]
     c, s = math.cos(found.wheels.tag_heading_rad), math.sin(found.wheels.tag_heading_rad)
     # the tag's way is that of the centre, and of its arm while the robot turns
     along = c * seen[:, 0] - s * seen[:, 1] + seen[:, 2] * found.wheels.tag_left_m

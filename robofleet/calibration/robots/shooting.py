@@ -105,10 +105,10 @@ class Shots:
         body = replace(plant.placed((0.0, 0.0, 0.0), begin_ns), used=self.used_s)
         poses = np.empty((len(self._poses_ns), 3))
         _follow(
-            np.array([astuple(body)], BODY), np.array([astuple(build)], BUILD), np.zeros((1, plant.capacity(0)), COMING),
-            _QUIET, acts_ns, self._outputs, self._poses_ns, poses,
+            np.array([astuple(body)], BODY), np.array([astuple(build)], BUILD),
+            np.zeros((1, plant.capacity(0)), COMING), _QUIET, acts_ns, self._outputs, self._poses_ns, poses,
         )  # fmt: skip
-        return between(poses)
+        return relative(poses[:-1], poses[1:])
 
     def residuals(self, wheels: Wheels, noise: Noise, motion: Array, chosen: NDArray[np.bool_]) -> tuple[Array, float]:
         """Return the whitened residuals (M, 3) of the poses of ``chosen`` shots, 0 where there is none, and their
@@ -150,14 +150,15 @@ class Shots:
 
     def _noise_covariances(self, noise: Noise) -> Array:
         scale = np.array([noise.position, noise.position, noise.heading])
-        return self._covariances * scale[:, None] * scale + np.diag(_LEAST_VARIANCE)
+        return np.asarray(self._covariances * scale[:, None] * scale + np.diag(_LEAST_VARIANCE))
 
 
 def relative(start: Array, end: Array) -> Array:
     """Return poses (n, 3) in the frames of others (n, 3)."""
     c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
     x, y = (end - start)[:, :2].T
-    return np.column_stack([c * x + s * y, c * y - s * x, wrapped(end[:, 2] - start[:, 2])])
+    poses: Array = np.column_stack([c * x + s * y, c * y - s * x, wrapped(end[:, 2] - start[:, 2])])
+    return poses
 
 
 def compose(start: Array, step: Array) -> Array:
@@ -165,11 +166,6 @@ def compose(start: Array, step: Array) -> Array:
     c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
     x, y, psi = np.broadcast_to(step, start.shape).T
     return np.column_stack([start[:, 0] + c * x - s * y, start[:, 1] + s * x + c * y, wrapped(start[:, 2] + psi)])
-
-
-def between(poses: Array) -> Array:
-    """Return the motion from each pose to the next, in the frame of the former."""
-    return relative(poses[:-1], poses[1:])
 
 
 def accumulated(motion: Array) -> Array:
@@ -209,7 +205,7 @@ def _pass_until(b, p, coming, noise, until_ns):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _filter(  # type: ignore[no-untyped-def]
+def _filter(  # type: ignore[no-untyped-def]  # noqa: PLR0915
     motion, duration, measured, weights, offset, base, slip, way, first, kept, chosen, residuals, estimates
 ):
     """Carry the pose of a robot's centre along its motion, and correct it by the tag's poses where they are ``kept``.

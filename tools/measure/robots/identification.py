@@ -41,7 +41,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--first", type=int, default=1, help="seed of the first run")
     given = parser.parse_args()
-    errors, sigmas, missing = defaultdict(list), defaultdict(list), defaultdict(int)
+    errors: dict[str, list[float]] = defaultdict(list)
+    sigmas: dict[str, list[float]] = defaultdict(list)
+    missing: dict[str, int] = defaultdict(int)
     for seed in range(given.first, given.first + given.runs):
         recording = driven(given.drive, seed)
         for found, truth in results(recording):
@@ -63,8 +65,9 @@ def main() -> None:
     for name in PARAMETERS:
         if errors[name]:
             inside = np.mean(np.abs(sigmas[name]) <= 2.0)
+            worst = np.abs(errors[name]).max()
             print(
-                f"{name:18} {len(errors[name]):3} {missing[name]:3} {inside:6.0%} {np.abs(errors[name]).max():.2g} {ALLOWED.get(name, '')}"
+                f"{name:18} {len(errors[name]):3} {missing[name]:3} {inside:6.0%} {worst:.2g} {ALLOWED.get(name, '')}"
             )
         else:
             print(f"{name:18}   0 {missing[name]:3}")
