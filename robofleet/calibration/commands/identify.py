@@ -12,7 +12,7 @@ from rich.text import Text
 
 from robofleet.bus.keys import POSES, key
 from robofleet.bus.messages import FLEET_POSES
-from robofleet.calibration.commands.shared import ReportFile, report_file
+from robofleet.calibration.commands.shared import ConfigsRobots, ReportFile, report_file
 from robofleet.calibration.robots import drive as drives
 from robofleet.calibration.robots import identified
 from robofleet.calibration.robots import results as robot_files
@@ -26,12 +26,11 @@ from robofleet.recording.run import Recording
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or their run.mcap.")]
 Robots = Annotated[str, typer.Option("--robots", metavar="r1,r2", help="Which robots. Default: all that were driven.")]
-Configs = Annotated[
-    Path, typer.Option("--configs", metavar="DIR", help="Folder of the configuration; robots/ in it gets the files.")
-]
 
 
-def identify(runs: Runs, robots: Robots = "", configs: Configs = Path("configs"), report: ReportFile = None) -> None:
+def identify(
+    runs: Runs, robots: Robots = "", configs: ConfigsRobots = Path("configs"), report: ReportFile = None
+) -> None:
     """Identify each robot's model from recordings.
 
     Wheels, motor lag, delay, dead band, slip, top speed and the tag's place are fitted to commands and poses. What the
