@@ -19,10 +19,11 @@ from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import Config
-from robofleet.core.arrays import Array
+from robofleet.core.arrays import Array, Indices
 from robofleet.core.clock import S
 from robofleet.recording.measures import exposure_to_tick_ms, exposure_to_wheel_ms, status_at_ticks
 from robofleet.recording.run import Recording, Run
+from robofleet.reports.bounds import JUDGED_KEYS
 from robofleet.reports.predicted import GapFigure
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.plant import built
@@ -47,7 +48,7 @@ class _Pieces:
     weights: Array
     squared: bool = False
 
-    def value(self, chosen: Array | slice = slice(None)) -> float:
+    def value(self, chosen: Indices | slice = slice(None)) -> float:
         mean = float((self.values[chosen] * self.weights[chosen]).sum() / self.weights[chosen].sum())
         return math.sqrt(mean) if self.squared else mean
 
@@ -93,7 +94,7 @@ def _starts(recording: Recording) -> dict[str, StartPose]:
             (own,) = drive.extract(recording, [row])
         except CalibrationError:
             continue  # it never moved
-        x, y, psi = centre_from_tag(*np.median(own.poses[:3], axis=0).tolist(), robot.tag_offset)
+        x, y, psi = centre_from_tag(own.poses[0, 0], own.poses[0, 1], own.poses[0, 2], robot.tag_offset)
         found[robot.id] = StartPose(x_m=x, y_m=y, heading_deg=math.degrees(psi))
     return found
 
@@ -126,9 +127,9 @@ def figures(recorded: Recording, simulation: Recording, seed: int = 0) -> list[G
     return found
 
 
-def _drawn(pieces: _Pieces, rng: np.random.Generator) -> Array:
+def _drawn(pieces: _Pieces, rng: np.random.Generator) -> Indices:
     while True:
-        drawn: Array = rng.integers(len(pieces.values), size=len(pieces.values))
+        drawn: Indices = rng.integers(len(pieces.values), size=len(pieces.values))
         if pieces.weights[drawn].sum():
             return drawn
 
@@ -146,7 +147,7 @@ def _pieces(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_Pie
         return
     t = run.t
     for part in run.parts:
-        for curve in part.curves:
+        for curve in (each for each in part.curves if each.key in JUDGED_KEYS or not each.is_figure):
             counts = run.counts if curve.counts is None else curve.counts
             values = np.abs(curve.values - (curve.asked or 0.0))
             yield _cut(_named(curve.name, curve.asked), curve.unit, t, np.where(counts[:, None], values, np.nan))
@@ -221,7 +222,7 @@ def _cut(name: str, unit: str, at_s: Array, values: Array, *, squared: bool = Fa
     known = np.isfinite(values)
     used = np.where(known, values**2 if squared else values, 0.0).sum(axis=1)
     piece = ((at_s - at_s.min()) / _PIECE_S).astype(np.int64)
-    weights = np.bincount(piece, known.sum(axis=1))
+    weights = np.bincount(piece, known.sum(axis=1)).astype(np.float64)
     sums = np.bincount(piece, used)
     there = weights > 0
     return _Pieces(name, unit, sums[there] / weights[there], weights[there], squared=squared)
