@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.robots import increments
+from robofleet.calibration.robots import inputs
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.core.arrays import Array
 from robofleet.core.clock import S
@@ -24,6 +24,8 @@ from robofleet.vehicles import plant
 
 SHOT_S = 2.0
 
+_NOBODY = np.zeros(0, dtype=np.bool_)
+_WRONG_BEGINNINGS, _WRONG_SHARE = 3, 0.5
 _STANDS_RAD_S = 0.02  # slower is meant to stand
 _UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covariance of poses that have none
 _LEAST_VARIANCE = np.array([1e-6**2, 1e-6**2, 1e-5**2])  # of a simulated pose without noise [m^2, m^2, rad^2]
@@ -67,7 +69,7 @@ class Shots:
         self.drive = drive
         self._life_s = battery_life_s
         self._loop_ns = round(loop_period_s * S)
-        outputs_s, self._outputs = increments.as_told(drive, *increments.through_gate(drive))
+        outputs_s, self._outputs = inputs.as_told(drive, *inputs.through_gate(drive))
         self._outputs_ns = np.round(outputs_s * S).astype(np.int64)
         self.at_s, self.poses = drive.poses_s, drive.poses
         self._poses_ns = np.round(self.at_s * S).astype(np.int64)
@@ -120,9 +122,33 @@ class Shots:
         offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
         log_determinant = _filter(
             motion, np.diff(self.at_s), self.poses, weights, offset, wheels.wheel_base_m, noise.slip, noise.way,
-            first, chosen & self.kept, chosen, residuals, np.empty((0, 3)),
+            first, chosen & self.kept, chosen, residuals, np.empty((0, 3)), np.inf, _NOBODY,
         )  # fmt: skip
         return residuals, float(log_determinant)
+
+    def outliers(self, wheels: Wheels, noise: Noise, gate: float) -> NDArray[np.bool_]:
+        """Return which poses (M,) are further than so many standard deviations from where the others put the robot.
+
+        Where a shot begins with one, all others would be: it is the first one then.
+        """
+        motion, first = self.motion(wheels), np.concatenate([[True], np.diff(self.shot) > 0])
+        offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
+        found, everything = np.zeros(len(self.at_s), dtype=np.bool_), np.ones(len(self.at_s), dtype=np.bool_)
+        beginnings = np.zeros(len(self.at_s), dtype=np.bool_)
+        for _ in range(_WRONG_BEGINNINGS):
+            found[:] = False
+            _filter(
+                motion, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset, wheels.wheel_base_m,
+                noise.slip, noise.way, first, ~beginnings, everything, np.zeros((len(self.at_s), 3)), np.empty((0, 3)),
+                gate, found,
+            )  # fmt: skip
+            share = np.bincount(self.shot, found) / np.maximum(1, np.bincount(self.shot, ~beginnings))
+            wrong = np.flatnonzero(share > _WRONG_SHARE)
+            if not len(wrong):
+                break
+            for shot in wrong.tolist():
+                beginnings[np.flatnonzero((self.shot == shot) & ~beginnings)[:1]] = True
+        return found | beginnings
 
     def ahead(self, wheels: Wheels, noise: Noise, horizon_s: float) -> tuple[Array, Array, Array]:
         """Return open-loop predictions: instants (P,) [s], predicted and measured poses (P, 3) of the tag.
@@ -135,7 +161,8 @@ class Shots:
         estimates = np.empty((len(self.at_s), 3))
         _filter(
             motion, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset, wheels.wheel_base_m,
-            noise.slip, noise.way, first, self.kept, everything, np.zeros((len(self.at_s), 3)), estimates,
+            noise.slip, noise.way, first, self.kept, everything, np.zeros((len(self.at_s), 3)), estimates, np.inf,
+            _NOBODY,
         )  # fmt: skip
         ends = np.searchsorted(self.at_s, self.at_s + horizon_s - self._half_interval_s)
         start = np.flatnonzero((ends < len(self.at_s)) & (self.at_s > self.at_s[0] + SHOT_S / 2.0))
@@ -205,13 +232,28 @@ def _pass_until(b, p, coming, noise, until_ns):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _filter(  # type: ignore[no-untyped-def]  # noqa: PLR0915
-    motion, duration, measured, weights, offset, base, slip, way, first, kept, chosen, residuals, estimates
+def _filter(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915
+    motion,
+    duration,
+    measured,
+    weights,
+    offset,
+    base,
+    slip,
+    way,
+    first,
+    kept,
+    chosen,
+    residuals,
+    estimates,
+    gate,
+    outliers,
 ):
     """Carry the pose of a robot's centre along its motion, and correct it by the tag's poses where they are ``kept``.
 
     At ``first`` it begins anew. Fill in whitened residuals of those that are ``chosen`` and kept; and, where there is
-    room for them, the estimates. Return half the log-determinant of the residuals' covariances.
+    room for them, the estimates, and which are outliers: further off than ``gate``, they correct nothing. Return half
+    the log-determinant of the residuals' covariances.
     """
     forward, left, turned = offset
     x = y = psi = total = 0.0
@@ -263,6 +305,9 @@ def _filter(  # type: ignore[no-untyped-def]  # noqa: PLR0915
             w0 = e0 / l00
             w1 = (e1 - l10 * w0) / l11
             w2 = (e2 - l20 * w0 - l21 * w1) / l22
+            if len(outliers) and w0 * w0 + w1 * w1 + w2 * w2 > gate * gate:
+                outliers[k] = True
+                continue
             if chosen[k]:
                 residuals[k, 0], residuals[k, 1], residuals[k, 2] = w0, w1, w2
                 total += math.log(l00 * l11 * l22)

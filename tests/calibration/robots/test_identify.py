@@ -11,10 +11,9 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.calibration.robots import gap, identified, increments
+from robofleet.calibration.robots import gap, identified, inputs
 from robofleet.calibration.robots.drive_file import RobotDrive
-from robofleet.calibration.robots.identification import identify
-from robofleet.calibration.robots.shooting import Noise, Shots, Wheels
+from robofleet.calibration.robots.shooting import Noise, Wheels
 from robofleet.calibration.store import CalibrationError, load, save
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
@@ -23,18 +22,14 @@ from robofleet.config.plant_errors import PlantErrors
 from robofleet.recording.reading import read
 from robofleet.vehicles.plant import built
 from tests.robots import GTERNAL
+from tests.shipped import PLATOON
 
-from .conftest import LATE, OFFSET, Make
+from .conftest import LATE, OFFSET, Make, shots
+from .conftest import found as found_in
 
-ROOT = Path(__file__).parents[3]
-PLATOON = ROOT / "configs" / "platoon.yaml"
-RECORDED = ROOT / "tests" / "recordings"
+RECORDED = Path(__file__).parents[2] / "recordings"
 
 NOISE = Noise(position=0.1, heading=math.radians(0.05) / 0.004)  # of conftest's poses, against an unknown covariance
-
-
-def shots(drive: RobotDrive) -> Shots:
-    return Shots(drive, loop_period_s=LATE.loop_period, battery_life_s=LATE.battery_life)
 
 
 def true(seed: int) -> Wheels:
@@ -55,11 +50,6 @@ def true(seed: int) -> Wheels:
         tag_left_m=OFFSET.left_m,
         tag_heading_rad=math.radians(OFFSET.heading_deg),
     )
-
-
-def prior() -> identified.Prior:
-    config = load_config(PLATOON)
-    return identified.prior(config, config.robots[0])
 
 
 def mean_square(drive: RobotDrive, model: Wheels) -> float:
@@ -84,15 +74,15 @@ def test_inputs_turn_as_far_as_the_gate_told(worn: RobotDrive) -> None:
         (worn.told_s[601:] - worn.told_s[600]) / (worn.told_s[700] - worn.told_s[600]), 0.0, 1.0
     )[:, None]
     stopped = replace(worn, told_rad=told)
-    at_s, outputs = increments.as_told(stopped, *increments.through_gate(stopped))
-    travel = increments.wheel_travel(at_s, outputs, 0.0, 0.0, stopped.told_s)
+    at_s, outputs = inputs.as_told(stopped, *inputs.through_gate(stopped))
+    travel = inputs.wheel_travel(at_s, outputs, 0.0, 0.0, stopped.told_s)
     assert np.abs((travel - travel[0]) - (told - told[0])).max() < 1e-3
 
 
 @pytest.mark.slow
 def test_an_excitation_tells_the_model(driven: Make) -> None:
     drive = driven()
-    found, right = identify([shots(drive)], prior()), true(1)
+    found, right = found_in(drive), true(1)
     for name in ("left_radius_m", "right_radius_m", "wheel_base_m"):
         assert getattr(found.wheels, name) == pytest.approx(getattr(right, name), rel=0.002)
     assert found.wheels.motor_lag_s == pytest.approx(right.motor_lag_s, abs=0.001)
@@ -111,7 +101,7 @@ def test_outliers_are_left_out(worn: RobotDrive) -> None:
     rng, poses = np.random.default_rng(3), worn.poses.copy()
     wrong = rng.choice(len(poses), 25, replace=False)
     poses[wrong] += rng.normal(size=(25, 3)) * (0.02, 0.02, 0.5)
-    found = identify([shots(replace(worn, poses=poses))], prior())
+    found = found_in(replace(worn, poses=poses))
     assert 20 <= found.left_out <= 40
     assert found.wheels.left_radius_m == pytest.approx(true(1).left_radius_m, rel=0.002)
 
@@ -119,10 +109,10 @@ def test_outliers_are_left_out(worn: RobotDrive) -> None:
 def test_a_recording_that_says_too_little_is_refused(worn: RobotDrive) -> None:
     short = replace(worn, poses_s=worn.poses_s[:50], poses=worn.poses[:50])
     with pytest.raises(CalibrationError, match=r"r1: it was seen in 50 images .* 100 are needed: record longer"):
-        identify([shots(short)], prior())
+        found_in(short)
     still = replace(worn, poses=np.tile(worn.poses[0], (len(worn.poses), 1)))
     with pytest.raises(CalibrationError, match=r"r1: it drove 0.00 m and turned 0.0 rad, .* with curves"):
-        identify([shots(still)], prior())
+        found_in(still)
 
 
 def test_counts_of_an_encoder_are_found() -> None:
