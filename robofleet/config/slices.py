@@ -90,6 +90,7 @@ def imperfections(robot: Robot) -> Imperfections:
         top_speed_error=p.top_speed_error,
         wiring=p.wiring,
         actuation_delay=p.actuation_delay_s,
+        stop_lag=p.stop_lag_s,
     )
 
 

@@ -95,6 +95,7 @@ class Imperfections:
         wheel_base_error: Error of the wheel base, relative.
         top_speed_error: Error of the top speed, relative.
         wiring: How motors and encoders are connected.
+        stop_lag: Time constant of a wheel that is commanded to stand [s]. None: as ``motor_lag``.
         actuation_delay: Time from a command's arrival until the wheels begin to follow it [s].
     """
 
@@ -115,6 +116,7 @@ class Imperfections:
     top_speed_error: float = 0.0
     wiring: Wiring = "straight"
     actuation_delay: float = 0.0
+    stop_lag: float | None = None
 
 
 class BodyTrouble(NamedTuple):

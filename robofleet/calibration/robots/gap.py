@@ -192,6 +192,7 @@ def _model(config: Config, robot: Robot, *, drawn: bool = False) -> Wheels:
         right_radius_m=build.wheel_radius * build.right_gain,
         wheel_base_m=build.wheel_base,
         motor_lag_s=build.motor_lag,
+        stop_lag_s=build.stop_lag,
         delay_s=config.lockstep.bus_delay_s + build.delay_ns / S,
     )
 

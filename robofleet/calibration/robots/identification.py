@@ -23,20 +23,28 @@ THRESHOLDS = "deadband_rad_s", "breakaway_rad_s"
 HORIZONS_S = 1.0, 2.0, 5.0
 
 _STEPS = {  # of numerical derivatives
-    "left_radius_m": 1e-6, "right_radius_m": 1e-6, "wheel_base_m": 1e-5, "motor_lag_s": 2e-4, "delay_s": 2e-4,
-    "deadband_rad_s": 0.05, "breakaway_rad_s": 0.05, "top_speed_rad_s": 0.01, "top_speed_sag": 1e-2,
+    "left_radius_m": 1e-6, "right_radius_m": 1e-6, "wheel_base_m": 1e-5, "motor_lag_s": 2e-4, "stop_lag_s": 2e-4,
+    "delay_s": 2e-4, "deadband_rad_s": 0.05, "breakaway_rad_s": 0.05, "top_speed_rad_s": 0.01, "top_speed_sag": 1e-2,
     "slip_s_per_rad": 1e-4, "tag_forward_m": 1e-5, "tag_left_m": 1e-5, "tag_heading_rad": 1e-4,
 }  # fmt: skip
-_LEAST = {"motor_lag_s": 1e-4, "deadband_rad_s": 0.0, "breakaway_rad_s": 0.0, "delay_s": -0.02, "slip_s_per_rad": -0.5}
-_MOST = {"motor_lag_s": 2.0, "delay_s": 1.0, "slip_s_per_rad": 0.5}
+_LEAST = {
+    "motor_lag_s": 1e-4,
+    "stop_lag_s": 1e-4,
+    "deadband_rad_s": 0.0,
+    "breakaway_rad_s": 0.0,
+    "delay_s": -0.02,
+    "slip_s_per_rad": -0.5,
+}
+_MOST = {"motor_lag_s": 2.0, "stop_lag_s": 2.0, "delay_s": 1.0, "slip_s_per_rad": 0.5}
 # What the residuals do not show. Commands act, and images are exposed, at instants that are known to a millisecond: of
 # a firmware's loop, an exposure, the simulated truth between two samples. Poses bend over the arena by some hundredths
 # of a millimetre and of a degree: measured on simulated platoons through the tracker.
 _SYSTEMATIC = {
-    "left_radius_m": 1.5e-6, "right_radius_m": 1.5e-6, "wheel_base_m": 3e-5, "motor_lag_s": 5e-4, "delay_s": 5e-4,
-    "slip_s_per_rad": 5e-4, "tag_forward_m": 3e-5, "tag_left_m": 1e-4, "tag_heading_rad": 5e-5,
+    "left_radius_m": 1.5e-6, "right_radius_m": 1.5e-6, "wheel_base_m": 3e-5, "motor_lag_s": 5e-4, "stop_lag_s": 1e-3,
+    "delay_s": 5e-4, "slip_s_per_rad": 5e-4, "tag_forward_m": 3e-5, "tag_left_m": 1e-4, "tag_heading_rad": 5e-5,
 }  # fmt: skip
 _DELAYS_S, _LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3), (0.01, 0.04, 0.08, 0.15, 0.3)
+_SPLITS_S = np.geomspace(0.005, 0.4, 16).tolist()
 _AT_FIRST = Noise(position=5.0, heading=5.0, way=3e-3)
 _ROUNDS = 4
 _LOSS_SCALE = 3.0  # from so many sigmas on a residual counts less
@@ -47,7 +55,7 @@ _HELD_OUT = 5  # of so many shots one
 _COARSE, _FINE = np.linspace(0.0, 2.5, 51), np.linspace(-0.075, 0.075, 21)  # of thresholds [rad/s]
 _FEWEST_POSES = 100
 _LEAST_WAY_M, _LEAST_TURN_RAD = 0.2, 1.0
-_LEAST_SLOW_S = 1.0  # of commands that are no more than twice a threshold: else it is not told
+_LEAST_NEAR_S = 1.0  # of commands about as fast as a threshold: with less it is not told
 
 
 @dataclass(frozen=True)
@@ -65,6 +73,7 @@ class HeldOut:
     horizon_s: float
     position_rms_mm: float
     heading_rms_deg: float
+    believed_rms_mm: float  # position, by what was believed before
     count: int
 
 
@@ -146,15 +155,17 @@ class _Fit:
     def run(self) -> None:
         self._start()
         for k in range(_ROUNDS):
+            self._follow_valley()
             self._descend()
-            self._estimate_noise()
-            self._leave_out()
+            self._estimate_noise(_OUTLIER_SIGMA if k else np.inf)  # at first what does not fit is no outlier yet
+            if k:
+                self._leave_out()
             for name in THRESHOLDS:
                 self._threshold(name, coarse=k in (0, _ROUNDS - 2))
         self._fixed = set(PARAMETERS) - set(self._told(self._covariance()))
         self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
         self._descend(must_converge=True)
-        self._estimate_noise()
+        self._estimate_noise(_OUTLIER_SIGMA)
 
     # what is minimised
 
@@ -200,8 +211,19 @@ class _Fit:
             e = self._residuals(wheels)
             return float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum())
 
-        grid = (replace(self._wheels, delay_s=delay, motor_lag_s=lag) for delay in _DELAYS_S for lag in _LAGS_S)
+        grid = (
+            replace(self._wheels, delay_s=delay, motor_lag_s=lag, stop_lag_s=lag)
+            for delay in _DELAYS_S
+            for lag in _LAGS_S
+        )
         self._wheels = min(grid, key=cost)
+
+    def _follow_valley(self) -> None:
+        """Take the best split of delay and lag: their sum is told by every drive, each of them by quick changes."""
+        together_s = self._wheels.delay_s + self._wheels.motor_lag_s
+        splits = [lag_s for lag_s in _SPLITS_S if together_s - lag_s > _LEAST["delay_s"]]
+        models = [replace(self._wheels, motor_lag_s=lag_s, delay_s=together_s - lag_s) for lag_s in splits]
+        self._wheels = min([self._wheels, *models], key=lambda model: float((self._residuals(model) ** 2).sum()))
 
     def _descend(self, *, must_converge: bool = False) -> None:
         names = [name for name in PARAMETERS if name not in self._fixed and name not in THRESHOLDS]
@@ -228,7 +250,7 @@ class _Fit:
             )
         self._wheels = self._moved(solved.x, names)
 
-    def _estimate_noise(self) -> None:
+    def _estimate_noise(self, outlier_sigma: float) -> None:
         """Take the noise that makes the residuals likeliest; outliers count as what they are at most."""
         motions = [shots.motion(self._wheels) for shots in self._recordings]
 
@@ -237,7 +259,7 @@ class _Fit:
             total = 0.0
             for shots, motion, own in zip(self._recordings, motions, self._training, strict=True):
                 e, log_determinant = shots.residuals(self._wheels, noise, motion, own)
-                total += 0.5 * float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum()) + log_determinant
+                total += 0.5 * float(np.minimum(e * e, outlier_sigma**2).sum()) + log_determinant
             return total
 
         start = np.log(np.array(astuple(self._noise)))
@@ -286,7 +308,7 @@ class _Fit:
             weights = posterior(grid)
         mean = float(weights @ grid)
         sigma = float(np.sqrt(weights @ (grid - mean) ** 2 + step**2 / 12.0))
-        if sum(shots.slow_s(2.0 * mean) for shots in self._recordings) < _LEAST_SLOW_S:
+        if sum(shots.near_s(mean) for shots in self._recordings) < _LEAST_NEAR_S:
             mean, sigma = getattr(self._prior.values, name), self._prior.sigma[name]
         self._wheels = replace(self._wheels, **{name: mean})
         self._threshold_sigma[name] = sigma
@@ -341,17 +363,22 @@ class _Fit:
         )
 
     def _ahead(self, horizon_s: float) -> HeldOut:
-        errors = [np.empty((0, 3))]
-        for shots, held_out in zip(self._recordings, self._held_out, strict=True):
-            at_s, predicted, measured = shots.ahead(self._wheels, self._noise, horizon_s)
-            chosen = held_out[np.searchsorted(shots.at_s, at_s)]
-            errors.append(relative(measured[chosen], predicted[chosen]))
-        e = np.concatenate(errors)
-        rms = np.sqrt((e**2).mean(axis=0)) if len(e) else np.full(3, np.nan)
+        found, believed = self._errors(self._wheels, horizon_s), self._errors(self._prior.values, horizon_s)
+        rms = np.sqrt((found**2).mean(axis=0)) if len(found) else np.full(3, np.nan)
+        before = np.sqrt((believed[:, :2] ** 2).sum(axis=1).mean()) if len(believed) else np.nan
         return HeldOut(
             horizon_s=horizon_s, position_rms_mm=1e3 * float(np.hypot(*rms[:2])),
-            heading_rms_deg=float(np.rad2deg(rms[2])), count=len(e),
+            heading_rms_deg=float(np.rad2deg(rms[2])), believed_rms_mm=1e3 * float(before), count=len(found),
         )  # fmt: skip
+
+    def _errors(self, wheels: Wheels, horizon_s: float) -> Array:
+        """Return how far open-loop predictions over held-out shots are off (P, 3), in the tag's frame."""
+        errors = [np.empty((0, 3))]
+        for shots, held_out in zip(self._recordings, self._held_out, strict=True):
+            at_s, predicted, measured = shots.ahead(wheels, self._noise, horizon_s)
+            chosen = held_out[np.searchsorted(shots.at_s, at_s)]
+            errors.append(relative(measured[chosen], predicted[chosen]))
+        return np.concatenate(errors)
 
 
 def _ways(shots: Shots, wheels: Wheels) -> Array:

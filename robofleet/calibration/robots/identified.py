@@ -26,6 +26,7 @@ _SHOWN = {  # of a parameter: in words, its unit, by what it is multiplied, digi
     "right_radius_m": ("right wheel's radius", "mm", 1e3, 4),
     "wheel_base_m": ("wheel base", "mm", 1e3, 2),
     "motor_lag_s": ("motor lag", "ms", 1e3, 1),
+    "stop_lag_s": ("motor lag of a stop", "ms", 1e3, 1),
     "delay_s": ("delay, tick to wheels", "ms", 1e3, 1),
     "deadband_rad_s": ("dead band", "rad/s", 1.0, 3),
     "breakaway_rad_s": ("breakaway", "rad/s", 1.0, 3),
@@ -38,7 +39,8 @@ _SHOWN = {  # of a parameter: in words, its unit, by what it is multiplied, digi
 }
 _MISSING = {  # what a drive needs for a parameter
     "wheel_base_m": "turns", "motor_lag_s": "quick changes of speed", "delay_s": "quick changes of speed",
-    "deadband_rad_s": "wheels that slow down through it", "breakaway_rad_s": "slow starts from rest",
+    "stop_lag_s": "stops", "deadband_rad_s": "wheels that slow down through it",
+    "breakaway_rad_s": "slow starts from rest",
     "top_speed_rad_s": "wheels at their top speed", "top_speed_sag": "top speed at several charges of the battery",
     "slip_s_per_rad": "turns at several rates",
 }  # fmt: skip
@@ -66,6 +68,7 @@ def prior(config: Config, robot: Robot) -> Prior:
         right_radius_m=believed.wheel_radius * (1.0 + difference),
         wheel_base_m=believed.wheel_base,
         motor_lag_s=believed.motor_lag,
+        stop_lag_s=believed.motor_lag if errors.stop_lag_s is None else errors.stop_lag_s,
         delay_s=slices.delay_ns(config, robot) / S,
         deadband_rad_s=errors.deadband_rad_s,
         breakaway_rad_s=errors.breakaway_rad_s,
@@ -78,8 +81,8 @@ def prior(config: Config, robot: Robot) -> Prior:
     )
     sigma = {
         "left_radius_m": 0.1 * nominal.wheel_radius, "right_radius_m": 0.1 * nominal.wheel_radius,
-        "wheel_base_m": 0.1 * nominal.wheel_base, "motor_lag_s": 0.05, "delay_s": 0.05, "deadband_rad_s": 0.4,
-        "breakaway_rad_s": 0.4, "top_speed_rad_s": 0.1 * nominal.max_wheel_speed, "top_speed_sag": 0.1,
+        "wheel_base_m": 0.1 * nominal.wheel_base, "motor_lag_s": 0.05, "stop_lag_s": 0.05, "delay_s": 0.05,
+        "deadband_rad_s": 0.4, "breakaway_rad_s": 0.4, "top_speed_rad_s": 0.1 * nominal.max_wheel_speed, "top_speed_sag": 0.1,
         "slip_s_per_rad": 0.03, "tag_forward_m": 0.05, "tag_left_m": 0.05, _ANGLES: 2.0,
     }  # fmt: skip
     return Prior(values, sigma)
@@ -136,6 +139,7 @@ def with_identified(
     slip_noise = found.noise.slip / (slip * math.sqrt(errors.loop_period_s)) if slip > _LEAST_SLIP else 0.0
     update["simulated"] = PlantErrors(
         motor_lag_s=round(w.motor_lag_s, 6),
+        stop_lag_s=round(w.stop_lag_s, 6),
         speed_quantum_rad_s=round(count / errors.loop_period_s, 6) if count else errors.speed_quantum_rad_s,
         loop_period_s=errors.loop_period_s,
         deadband_rad_s=round(w.deadband_rad_s, 4),
@@ -206,18 +210,19 @@ def page(
     report.table(*table(found))
     report.table(
         ("robot", "mean square of residuals", "the same, held out", "correlation with the next", *(
-            f"error after {e.horizon_s:g} s, mm" for e in found[0].held_out), "outliers"),
+            f"error after {e.horizon_s:g} s, mm (before)" for e in found[0].held_out), "outliers"),
         [
             (each.robot, each.chi_square, each.held_out_chi_square, f"{each.correlation:.3f}",
-             *(e.position_rms_mm if e.count else None for e in each.held_out), f"{each.left_out} of {each.poses}")
+             *(f"{e.position_rms_mm:.3g} ({e.believed_rms_mm:.3g})" if e.count else None for e in each.held_out),
+             f"{each.left_out} of {each.poses}")
             for each in found
         ],
     )  # fmt: skip
     report.note(
         "A residual is what the model and all poses before leave of a measured pose, divided by its standard "
         "deviation: its mean square is 1, and it does not depend on the one before. The errors are those of open-loop "
-        "predictions by the commands alone, on every fifth piece of two seconds, which took no part in the fit; they "
-        "contain the noise of one measured pose."
+        "predictions by the commands alone (before: by what was believed before), on every fifth piece of two seconds, "
+        "which took no part in the fit; they contain the noise of one measured pose."
     )
     report.section("Camera", "")
     report.table(("camera", "exposure to message, median", "99 % below"), [tuple(row) for row in latency])

@@ -26,7 +26,7 @@ SHOT_S = 2.0
 
 _NOBODY = np.zeros(0, dtype=np.bool_)
 _WRONG_BEGINNINGS, _WRONG_SHARE = 3, 0.5
-_STANDS_RAD_S = 0.02  # slower is meant to stand
+_NEAR = 0.7  # of a speed: about as fast
 _UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covariance of poses that have none
 _LEAST_VARIANCE = np.array([1e-6**2, 1e-6**2, 1e-5**2])  # of a simulated pose without noise [m^2, m^2, rad^2]
 _QUIET = np.zeros(8192)  # the plant's random numbers: none
@@ -41,6 +41,7 @@ class Wheels:
     right_radius_m: float
     wheel_base_m: float
     motor_lag_s: float
+    stop_lag_s: float  # of a wheel that is commanded to stand
     delay_s: float  # from a tick to the wheels
     deadband_rad_s: float
     breakaway_rad_s: float
@@ -85,17 +86,18 @@ class Shots:
         """How long the battery had been used when the recording began, as it told then."""
         return (1.0 - float(self.drive.battery[0])) * self._life_s if len(self.drive.battery) else 0.0
 
-    def slow_s(self, speed_rad_s: float) -> float:
-        """Return how long wheels were commanded to turn, but not faster than that [s]."""
-        slow = (np.abs(self._outputs[:-1]) > _STANDS_RAD_S) & (np.abs(self._outputs[:-1]) < speed_rad_s)
-        return float((slow * (np.diff(self._outputs_ns) / S)[:, None]).sum())
+    def near_s(self, speed_rad_s: float) -> float:
+        """Return how long wheels were commanded to turn about so fast, either way [s]."""
+        near = np.abs(np.abs(self._outputs[:-1]) - speed_rad_s) < _NEAR * speed_rad_s
+        return float((near * (np.diff(self._outputs_ns) / S)[:, None]).sum())
 
     def motion(self, wheels: Wheels) -> Array:
         """Return the model's motion from each pose to the next in the frame of the former (M - 1, 3) [m, m, rad]."""
         w = wheels
         radius = (w.left_radius_m + w.right_radius_m) / 2.0
         build = plant.Build(
-            wheel_radius=radius, wheel_base=w.wheel_base_m, max_wheel_speed=w.top_speed_rad_s, motor_lag=w.motor_lag_s,
+            wheel_radius=radius, wheel_base=w.wheel_base_m, max_wheel_speed=w.top_speed_rad_s,
+            motor_lag=w.motor_lag_s, stop_lag=w.stop_lag_s,
             speed_quantum=0.0, loop_period=self._loop_ns / S, deadband=w.deadband_rad_s,
             breakaway=max(w.deadband_rad_s, w.breakaway_rad_s), slip=w.slip_s_per_rad, slip_noise=0.0,
             top_speed_sag=w.top_speed_sag, battery_life=self._life_s, left_gain=w.left_radius_m / radius,

@@ -126,6 +126,7 @@ def true(config: Config, robot: Robot) -> dict[str, float]:
         "right_radius_m": build.wheel_radius * build.right_gain,
         "wheel_base_m": build.wheel_base,
         "motor_lag_s": build.motor_lag,
+        "stop_lag_s": build.stop_lag,
         "delay_s": config.lockstep.bus_delay_s + build.delay_ns * 1e-9,
         "deadband_rad_s": build.deadband,
         "breakaway_rad_s": build.breakaway,
