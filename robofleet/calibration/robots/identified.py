@@ -82,7 +82,8 @@ def prior(config: Config, robot: Robot) -> Prior:
     sigma = {
         "left_radius_m": 0.1 * nominal.wheel_radius, "right_radius_m": 0.1 * nominal.wheel_radius,
         "wheel_base_m": 0.1 * nominal.wheel_base, "motor_lag_s": 0.05, "stop_lag_s": 0.05, "delay_s": 0.05,
-        "deadband_rad_s": 0.4, "breakaway_rad_s": 0.4, "top_speed_rad_s": 0.1 * nominal.max_wheel_speed, "top_speed_sag": 0.1,
+        "deadband_rad_s": 0.4, "breakaway_rad_s": 0.4, "top_speed_rad_s": 0.1 * nominal.max_wheel_speed,
+        "top_speed_sag": 0.1,
         "slip_s_per_rad": 0.03, "tag_forward_m": 0.05, "tag_left_m": 0.05, _ANGLES: 2.0,
     }  # fmt: skip
     return Prior(values, sigma)
