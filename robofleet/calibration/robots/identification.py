@@ -50,6 +50,7 @@ _ROUNDS = 4
 _LOSS_SCALE = 3.0  # from so many sigmas on a residual counts less
 _OUTLIER_SIGMA = 6.0
 _OUTLIER_SHARE = 0.2
+_OUTLIER_PASSES = 2
 _TOLD = 0.3  # a parameter is told where its standard deviation is so much less than its prior's
 _HELD_OUT = 5  # of so many shots one
 _COARSE, _FINE = np.linspace(0.0, 2.5, 51), np.linspace(-0.075, 0.075, 21)  # of thresholds [rad/s]
@@ -157,15 +158,16 @@ class _Fit:
         for k in range(_ROUNDS):
             self._follow_valley()
             self._descend()
-            self._estimate_noise(_OUTLIER_SIGMA if k else np.inf)  # at first what does not fit is no outlier yet
-            if k:
+            self._estimate_noise()  # at first what does not fit is no outlier yet
+            for _ in range(_OUTLIER_PASSES if k else 0):
                 self._leave_out()
+                self._estimate_noise()
             for name in THRESHOLDS:
                 self._threshold(name, coarse=k in (0, _ROUNDS - 2))
         self._fixed = set(PARAMETERS) - set(self._told(self._covariance()))
         self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
         self._descend(must_converge=True)
-        self._estimate_noise(_OUTLIER_SIGMA)
+        self._estimate_noise()
 
     # what is minimised
 
@@ -250,8 +252,8 @@ class _Fit:
             )
         self._wheels = self._moved(solved.x, names)
 
-    def _estimate_noise(self, outlier_sigma: float) -> None:
-        """Take the noise that makes the residuals likeliest; outliers count as what they are at most."""
+    def _estimate_noise(self) -> None:
+        """Take the noise that makes the residuals likeliest."""
         motions = [shots.motion(self._wheels) for shots in self._recordings]
 
         def minus_log_likelihood(logs: Array) -> float:
@@ -259,7 +261,7 @@ class _Fit:
             total = 0.0
             for shots, motion, own in zip(self._recordings, motions, self._training, strict=True):
                 e, log_determinant = shots.residuals(self._wheels, noise, motion, own)
-                total += 0.5 * float(np.minimum(e * e, outlier_sigma**2).sum()) + log_determinant
+                total += 0.5 * float((e * e).sum()) + log_determinant
             return total
 
         start = np.log(np.array(astuple(self._noise)))

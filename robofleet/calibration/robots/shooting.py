@@ -26,6 +26,7 @@ SHOT_S = 2.0
 
 _NOBODY = np.zeros(0, dtype=np.bool_)
 _WRONG_BEGINNINGS, _WRONG_SHARE = 3, 0.5
+_LONGEST_OUTLIER = 3  # poses
 _NEAR = 0.7  # of a speed: about as fast
 _UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covariance of poses that have none
 _LEAST_VARIANCE = np.array([1e-6**2, 1e-6**2, 1e-5**2])  # of a simulated pose without noise [m^2, m^2, rad^2]
@@ -150,7 +151,12 @@ class Shots:
                 break
             for shot in wrong.tolist():
                 beginnings[np.flatnonzero((self.shot == shot) & ~beginnings)[:1]] = True
-        return found | beginnings
+        found |= beginnings
+        change = np.flatnonzero(np.diff(found, prepend=False, append=False))
+        for start, end in change.reshape(-1, 2).tolist():
+            if end - start > _LONGEST_OUTLIER:
+                found[start:end] = False  # so many together are no noise: the model is wrong there
+        return found
 
     def ahead(self, wheels: Wheels, noise: Noise, horizon_s: float) -> tuple[Array, Array, Array]:
         """Return open-loop predictions: instants (P,) [s], predicted and measured poses (P, 3) of the tag.
