@@ -1,4 +1,5 @@
-"""A drive that shows what a robot is: spins, straights, and pseudo-random wheel speeds, one robot after the other.
+"""A drive that shows what a robot is, one robot after the other: spins, straights, wheels that creep through the dead
+band, wheels as fast as they go, and pseudo-random wheel speeds.
 
 The wheel speeds follow a script, not the poses: what a robot does with them is what is measured. Poses keep it safe
 and within reach: it goes along the freest line, random motion is mirrored where it would leave a small disc, and a
@@ -22,7 +23,9 @@ _SPIN_SHARE, _STRAIGHT_SHARE = 0.4, 0.5  # of what the wheels can do
 _SLOWEST, _FASTEST = 0.25, 0.6  # random wheel speeds, of the highest; slow ones would be lost in the dead band
 _SPIN_ANGLE = 1.1 * math.tau  # [rad]
 _REST_S = 0.5
-_RANDOM_S = 20.0
+_RANDOM_S = 10.0
+_CREEP_SHARE, _CREEP_S = 0.12, 1.5  # up to a speed above the dead band, and how long that takes; as long down again
+_TOP_S = 0.7
 _LONGEST_LINE = 0.3  # [m]
 _LINE_STEP = 0.02
 _RANDOM_DISC = 0.08  # random motion stays so near [m]
@@ -39,6 +42,7 @@ class Act(Enum):
     TURN = 2  # towards the freest line
     LINE = 3  # along it
     RANDOM = 4
+    CREEP = 5  # a spin that speeds up slowly from rest, and slows down again
 
 
 class Spell(NamedTuple):
@@ -93,6 +97,9 @@ class Excitation(Behaviour):
             self._part += 1
         part, since = script[self._part], script[self._part - 1].until if self._part else 0.0
         left, right = part.left, part.right
+        if part.act is Act.CREEP:
+            rise = max(0.0, 1.0 - abs((local - since) / _CREEP_S - 1.0))
+            return rise * left, rise * right, False
         if part.act is Act.TURN:
             return *self._turn(pose, around, vehicle), False
         if part.act is Act.LINE and (local - since) * abs(left) * vehicle.wheel_radius >= self._length:
@@ -165,11 +172,14 @@ class _Surroundings(NamedTuple):
 def _script(vehicle: DifferentialDrive, tick: float, rng: np.random.Generator) -> Iterator[Spell]:
     """Give the parts of one robot's script in their order."""
     radius, base, highest = vehicle.wheel_radius, vehicle.wheel_base, vehicle.max_wheel_speed
+    creep = _CREEP_SHARE * highest
     spin, straight = _SPIN_SHARE * highest, _STRAIGHT_SHARE * min(highest, vehicle.max_speed / radius)
     omega = body_from_wheels(-spin, spin, radius, base)[1]
     plan = [(Act.SPIN, _SPIN_ANGLE / omega, -spin, spin), (Act.SPIN, _SPIN_ANGLE / omega, spin, -spin)]
     plan.append((Act.TURN, math.pi / omega + 1.0, 0.0, 0.0))
-    plan += [(Act.LINE, _LONGEST_LINE / (straight * radius), way * straight, way * straight) for way in (1.0, -1.0) * 2]
+    plan += [(Act.LINE, _LONGEST_LINE / (straight * radius), way * straight, way * straight) for way in (1.0, -1.0)]
+    plan += [(Act.CREEP, 2.0 * _CREEP_S, -way * creep, way * creep) for way in (1.0, -1.0)]
+    plan += [(Act.SPIN, _TOP_S, -way * highest, way * highest) for way in (1.0, -1.0)]
     until = _REST_S
     yield Spell(until, Act.REST)
     for act, duration, left, right in plan:

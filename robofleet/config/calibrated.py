@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from robofleet.config.plant_errors import PlantErrors
 from robofleet.core.settings import (
     LAST_TAG,
     MANY,
@@ -72,10 +73,14 @@ class RobotCalibration(Model):
     """Time from a tick until its command acts on the wheels; null: ``controller.command_delay_s``."""
     motor_lag_s: Lag | None = None
     """Time constant of the wheel-speed loop; null: the vehicle's."""
+    simulated: PlantErrors | None = None
+    """How a simulated robot must be to move as this one; null: as its vehicle's."""
     offsets: Provenance | None = None
     """How tag and wheels were measured."""
     latency: Provenance | None = None
     """How delay and motor lag were measured."""
+    identified: Provenance | None = None
+    """How ``robofleet identify`` measured them and ``simulated``."""
 
 
 class FloorTag(Model):

@@ -11,7 +11,8 @@ from itertools import count
 
 from robofleet.config import groups
 from robofleet.config.obstacles import Moving
-from robofleet.config.robots import UNTAGGED, PlantErrors, Robot, StartPose, Vehicle
+from robofleet.config.plant_errors import PlantErrors
+from robofleet.config.robots import UNTAGGED, Robot, StartPose, Vehicle
 from robofleet.config.tree import Config
 
 CART = "robofleet.drivers.cart:Cart"

@@ -66,9 +66,10 @@ def vehicle_drive(vehicle: Vehicle) -> DifferentialDrive:
     )
 
 
-def imperfections(vehicle: Vehicle) -> Imperfections:
-    """Return how bad the simulated robot is; ValueError where nothing says it."""
-    p = vehicle.simulated
+def imperfections(robot: Robot) -> Imperfections:
+    """Return how bad the simulated robot is, as identified or as its vehicle says; ValueError where nothing says it."""
+    p = None if robot.calibration is None else robot.calibration.simulated
+    p = p or robot.vehicle.simulated
     if p is None:
         raise ValueError("a simulated robot needs its vehicle's `simulated`")
     return Imperfections(
@@ -84,8 +85,12 @@ def imperfections(vehicle: Vehicle) -> Imperfections:
         top_speed_sag=p.top_speed_sag,
         battery_life=p.battery_life_s,
         wheel_gain_error=p.wheel_gain_error,
+        wheel_gain_difference=p.wheel_gain_difference,
+        wheel_base_error=p.wheel_base_error,
+        top_speed_error=p.top_speed_error,
         wiring=p.wiring,
         actuation_delay=p.actuation_delay_s,
+        stop_lag=p.stop_lag_s,
     )
 
 
@@ -117,7 +122,7 @@ def simulation(config: Config, robot: Robot, trouble: Callable[[], BodyTrouble] 
     """
     return Simulation(
         drive=vehicle_drive(robot.vehicle),
-        imperfections=imperfections(robot.vehicle),
+        imperfections=imperfections(robot),
         start=start_pose(robot),
         trouble=trouble,
         rng=generator(config.run.seed, "plant", robot.id),

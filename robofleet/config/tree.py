@@ -188,6 +188,9 @@ class Bounds(Model):
     """Upper limit of the 99th percentile of the time from mid-exposure to the wheels."""
     stops: Count | None = None
     """Upper limit of the number of unrequested stops. Each robot counts: a stop of four robots is four."""
+    gap: Annotated[float, within(1, 1e6)] | None = None
+    """Upper limit of the worst ratio between the run and its simulation with the identified robots, which
+    ``robofleet gap`` measures."""
 
 
 class RunSettings(Model):

@@ -22,6 +22,7 @@ LAB_MODULES = (
     "mcap",
     "mcap_protobuf",
     "numba",
+    "scipy",
     *WEB_PACKAGES,
     "zstandard",
 )

@@ -13,7 +13,7 @@ from robofleet.core.files import read_plain
 from robofleet.recording.columns import CSV, write_csv
 from robofleet.recording.reading import Imports, nothing_imported
 from robofleet.recording.run import Recording, Run
-from robofleet.reports import comparison, metrics
+from robofleet.reports import comparison, metrics, predicted
 from robofleet.reports import report as pages
 from robofleet.reports.canvas import RunView
 from robofleet.reports.sampled import Sampled, look, looks
@@ -99,7 +99,11 @@ def _summary(run: Path, columns: Run) -> Summary:
     mode = recording.provenance.mode if recording.provenance else ending.mode
     name = _name(run) if ending.config is None else ending.config
     began = ending.began or _began(recording, columns)
-    return metrics.summary(recording, name=name, mode=mode, outcome=outcome, cause=cause, began=began, run=columns)
+    gap = predicted.load(_folder(run))
+    return metrics.summary(
+        recording, name=name, mode=mode, outcome=outcome, cause=cause, began=began, run=columns,
+        gap=None if gap is None else predicted.figures(gap),
+    )  # fmt: skip
 
 
 def _began(recording: Recording, run: Run) -> str | None:

@@ -21,6 +21,7 @@ class Judged(NamedTuple):
     value_of: Callable[[Figures], float | None]  # the summary's value; None: not measured
     at_least: bool = False
     own: bool = False  # whether it is a group's own, which not every behaviour has
+    later: bool = False  # whether it is measured after the run: nobody judges it before
 
     @property
     def title(self) -> str:
@@ -66,6 +67,7 @@ JUDGED = {  # by the keys of run.bounds
     "overruns": Judged("ticks overrun", "", part("tick", "overruns")),
     "exposure_to_wheel_p99_ms": Judged("exposure to wheel, p99", "ms", part("latency_ms", "exposure_to_wheel", "p99")),
     "stops": Judged("unrequested stops of robots", "", _own_stops),
+    "gap": Judged("gap to the simulation, worst ratio", "", part("gap", "worst"), later=True),
 }
 JUDGED_KEYS = frozenset(figure.key for figure in JUDGED_FIGURES)  # of groups' figures
 
@@ -76,6 +78,8 @@ def judged(figures: Figures, bounds: Bounds) -> list[Figures]:
     for name, limit in bounds.model_dump(exclude_none=True).items():
         figure = JUDGED[name]
         value = figure.value_of(figures)
+        if value is None and figure.later:
+            continue
         met = value is not None and (value >= limit if figure.at_least else value <= limit)
         verdicts.append({"figure": name, "value": value, "limit": limit, "pass": met})
     return verdicts

@@ -36,11 +36,12 @@ VERSION = 1  # of summary.json
 
 def summary(
     recording: Recording, *, name: str, mode: str, outcome: str, cause: str | None, began: str | None = None,
-    run: Run | None = None,
+    run: Run | None = None, gap: Figures | None = None,
 ) -> Figures:  # fmt: skip
     """Return the figures of a run as ``summary.json`` has them.
 
-    ``began``: when, UTC, ISO 8601; ``run``: the recording in columns, where somebody has it.
+    ``began``: when, UTC, ISO 8601; ``run``: the recording in columns, where somebody has it; ``gap``: to its
+    simulation, where somebody measured it.
     """
     run, config = run or Run(recording), recording.config
     whole = run.reduced or reduced(run)
@@ -81,6 +82,7 @@ def summary(
             for robot, counted in zip(config.members, whole.rejected, strict=True)
         },
     }
+    figures |= {} if gap is None else {"gap": gap}
     return figures | {"bounds": judged(figures, config.run.bounds)}
 
 

@@ -22,7 +22,7 @@ from robofleet.core.files import write_bytes
 from robofleet.recording.columns import CSV
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.run_clock import time_words
-from robofleet.reports import sensors
+from robofleet.reports import predicted, sensors
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.reports.canvas import Legend, RunView
 from robofleet.reports.own_figures import as_asked, heading, own_figures
@@ -93,6 +93,8 @@ def write(run: Run, summary: Summary, folder: Path, figures: Path | None = None)
             f"This run is long. Curves, and the means of the groups' own figures, use every {every}th tick. "
             "All other figures, and the largest values, use every tick."
         )
+    if (gap := predicted.load(folder)) is not None:
+        predicted.section(page, gap)
     with mpl.rc_context(STYLE):
         _plots(page, view, None if figures is None else partial(_figure_files, figures, folder / PAGE))
     _stops(page, summary)
@@ -154,7 +156,7 @@ def tiles(summary: Summary) -> list[Tile]:
     found = []
     for name, figure in JUDGED.items():
         value, bound = figure.value_of(summary), verdicts.get(name)
-        if figure.own and value is None and bound is None:
+        if (figure.own or figure.later) and value is None and bound is None:
             continue
         note = Marked("no bound", None)
         if bound is not None:

@@ -40,3 +40,8 @@ def tag_from_centre(x: float, y: float, psi: float, offset: TagOffset) -> tuple[
     c, s = math.cos(psi), math.sin(psi)
     heading = math.remainder(psi + math.radians(offset.heading_deg), math.tau)
     return x + c * offset.forward_m - s * offset.left_m, y + s * offset.forward_m + c * offset.left_m, heading
+
+
+def tag_covariance(of_centre: Covariance, psi: float, offset: TagOffset) -> Covariance:
+    """Return the covariance of a tag from that of its robot's centre's pose with heading ``psi``."""
+    return centre_covariance(of_centre, psi, TagOffset(forward_m=-offset.forward_m, left_m=-offset.left_m))

@@ -91,7 +91,11 @@ class Imperfections:
         top_speed_sag: Share of the top speed that is lost when the battery is empty.
         battery_life: Time from a full battery to an empty one [s].
         wheel_gain_error: Error of both wheels' travel, relative.
+        wheel_gain_difference: Travel of the right wheel minus that of the left one, relative.
+        wheel_base_error: Error of the wheel base, relative.
+        top_speed_error: Error of the top speed, relative.
         wiring: How motors and encoders are connected.
+        stop_lag: Time constant of a wheel that is commanded to stand [s]. None: as ``motor_lag``.
         actuation_delay: Time from a command's arrival until the wheels begin to follow it [s].
     """
 
@@ -107,8 +111,12 @@ class Imperfections:
     top_speed_sag: float
     battery_life: float
     wheel_gain_error: float = 0.0
+    wheel_gain_difference: float = 0.0
+    wheel_base_error: float = 0.0
+    top_speed_error: float = 0.0
     wiring: Wiring = "straight"
     actuation_delay: float = 0.0
+    stop_lag: float | None = None
 
 
 class BodyTrouble(NamedTuple):

@@ -36,6 +36,7 @@ class Build:
     wheel_base: float
     max_wheel_speed: float
     motor_lag: float
+    stop_lag: float
     speed_quantum: float
     loop_period: float
     deadband: float
@@ -103,12 +104,15 @@ def built(drive: DifferentialDrive, imperfections: Imperfections, rng: np.random
     p = imperfections
     left, right, base = rng.uniform(-1.0, 1.0, 3).tolist()
     return Build(
-        wheel_radius=drive.wheel_radius, wheel_base=drive.wheel_base * (1.0 + p.wheel_base_spread * base),
-        max_wheel_speed=drive.max_wheel_speed, motor_lag=p.motor_lag, speed_quantum=p.speed_quantum,
-        loop_period=p.loop_period, deadband=p.deadband, breakaway=p.breakaway, slip=p.slip, slip_noise=p.slip_noise,
+        wheel_radius=drive.wheel_radius,
+        wheel_base=drive.wheel_base * (1.0 + p.wheel_base_error + p.wheel_base_spread * base),
+        max_wheel_speed=drive.max_wheel_speed * (1.0 + p.top_speed_error), motor_lag=p.motor_lag,
+        stop_lag=p.motor_lag if p.stop_lag is None else p.stop_lag,
+        speed_quantum=p.speed_quantum, loop_period=p.loop_period, deadband=p.deadband, breakaway=p.breakaway,
+        slip=p.slip, slip_noise=p.slip_noise,
         top_speed_sag=p.top_speed_sag, battery_life=p.battery_life,
-        left_gain=1.0 + p.wheel_gain_error + p.wheel_gain_spread * left,
-        right_gain=1.0 + p.wheel_gain_error + p.wheel_gain_spread * right,
+        left_gain=1.0 + p.wheel_gain_error - p.wheel_gain_difference / 2.0 + p.wheel_gain_spread * left,
+        right_gain=1.0 + p.wheel_gain_error + p.wheel_gain_difference / 2.0 + p.wheel_gain_spread * right,
         left_sign=-1.0 if p.wiring in ("left_reversed", "both_reversed") else 1.0,
         right_sign=-1.0 if p.wiring in ("right_reversed", "both_reversed") else 1.0,
         swapped=p.wiring == "swapped", longest_step_ns=round(p.loop_period / _NS),
@@ -247,9 +251,10 @@ def _turn(
             speed = 0.0
     else:
         target = command if -top <= command <= top else math.copysign(top, command)
-    if p.motor_lag:
-        decay, ahead = math.exp(-duration / p.motor_lag), speed - target
-        mean, speed = target + ahead * (1.0 - decay) * p.motor_lag / duration, target + ahead * decay
+    lag = p.motor_lag if target else p.stop_lag
+    if lag:
+        decay, ahead = math.exp(-duration / lag), speed - target
+        mean, speed = target + ahead * (1.0 - decay) * lag / duration, target + ahead * decay
     else:
         mean = speed = target
     travelled = angle + mean * duration

@@ -68,6 +68,7 @@ def test_an_ideal_robot_has_gternals_geometry_and_no_error() -> None:
     errors = ideal.simulated.model_dump(exclude={"loop_period_s", "battery_life_s"})
     assert errors.pop("wiring") == "straight"
     assert ideal.motor_lag_s == 0
+    assert errors.pop("stop_lag_s") is None
     assert set(errors.values()) == {0}
     assert ideal.simulated.battery_life_s == 1e9
 

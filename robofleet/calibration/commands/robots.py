@@ -1,7 +1,7 @@
 """``robofleet calibrate offsets`` and ``latency``: what a drive tells of each robot."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -12,12 +12,16 @@ from rich.text import Text
 
 from robofleet.calibration.commands.shared import Overrides, report_file
 from robofleet.calibration.robots import drive as drives
-from robofleet.calibration.robots import drive_file, heights
+from robofleet.calibration.robots import drive_file, heights, identified, inputs
 from robofleet.calibration.robots import latency as latencies
 from robofleet.calibration.robots import offsets as tag_offsets
 from robofleet.calibration.robots import results as robot_files
 from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.identification import Prior, identify
+from robofleet.calibration.robots.latency import Latency
+from robofleet.calibration.robots.offsets import Offsets
 from robofleet.calibration.robots.results import Rows
+from robofleet.calibration.robots.shooting import Shots
 from robofleet.calibration.store import CalibrationError, save
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
@@ -42,6 +46,7 @@ DriveRecording = Annotated[
     typer.Option("--recording", metavar="FILE", help="Use the drive.npz of an earlier drive; nothing moves."),
 ]
 
+Own = TypeVar("Own")
 Found = TypeVar("Found")
 
 
@@ -63,11 +68,13 @@ def offsets(
     $ robofleet calibrate offsets configs/platoon.yaml --lockstep --robots r1 --set tracker.source=truth
     """
     tree, driven, folder, data = _drive("offsets", config, overrides, lockstep, robots, out, recording)
-    found = _each(driven, lambda drive: tag_offsets.find(drive, slices.drive(tree.robot(drive.robot))))
+    shots = [_shots(tree, drive) for drive in driven]
+    believed = [identified.prior(tree, tree.robot(drive.robot)) for drive in driven]
+    found = _each(zip(shots, believed, strict=True), _offsets)
     before = _each(driven, lambda drive: robot_files.earlier(robot_files.file_of(config, drive.robot), drive.robot))
     high = [heights.find(tree, drive) for drive in driven]
     after = [robot_files.with_offsets(*each, data) for each in zip(before, found, high, strict=True)]
-    page = robot_files.offsets_page(found, high, driven, [tree.robot(drive.robot).vehicle for drive in driven])
+    page = robot_files.offsets_page(found, high, shots, [tree.robot(drive.robot).vehicle for drive in driven])
     page.write(folder / "report.html")
     for height in high:
         print(height.sentence)
@@ -89,13 +96,35 @@ def latency(
     $ robofleet calibrate latency configs/lab.yaml
     """
     tree, driven, folder, data = _drive("latency", config, overrides, lockstep, robots, out, recording)
-    found = _each(driven, latencies.find)
+    shots = [_shots(tree, drive) for drive in driven]
+    believed = [identified.prior(tree, tree.robot(drive.robot)) for drive in driven]
+    found = _each(zip(shots, believed, strict=True), _latency)
     before = _each(driven, lambda drive: robot_files.earlier(robot_files.file_of(config, drive.robot), drive.robot))
     after = [robot_files.with_latency(b, f, data) for b, f in zip(before, found, strict=True)]
     known = [tree.robot(drive.robot) for drive in driven]
-    page = robot_files.latency_page(found, [(slices.delay_ns(tree, robot) / S, slices.drive(robot)) for robot in known])
+    before_it = [(slices.delay_ns(tree, robot) / S, slices.drive(robot)) for robot in known]
+    page = robot_files.latency_page(found, shots, before_it)
     page.write(folder / "report.html")
     _keep(config, tree, after, robot_files.latency_table(found), folder)
+
+
+def _shots(tree: Config, drive: RobotDrive) -> Shots:
+    errors = identified.believed_errors(tree.robot(drive.robot))
+    return Shots(drive, loop_period_s=errors.loop_period_s, battery_life_s=errors.battery_life_s)
+
+
+def _offsets(part: tuple[Shots, Prior]) -> Offsets:
+    shots, believed = part
+    inputs.refuse_unusable(shots.drive)
+    tag_offsets.refuse_unusable(shots, believed.values)
+    return tag_offsets.of(identify([shots], believed))
+
+
+def _latency(part: tuple[Shots, Prior]) -> Latency:
+    shots, believed = part
+    inputs.refuse_unusable(shots.drive)
+    latencies.refuse_unusable(shots.drive)
+    return latencies.of(identify([shots], believed))
 
 
 def _drive(
@@ -124,7 +153,7 @@ def _drive(
         raise CalibrationError(f"--out: {folder}: {error.strerror}") from error
     print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s", file=sys.stderr)
     run = drives.run(tree, folder, lambda text: print(text, file=sys.stderr), lockstep=lockstep)
-    driven = drives.extract(run, count)
+    driven = drives.extract(run, range(count))
     drive_file.save(folder / drive_file.FILE, driven)
     print(folder / drive_file.FILE)
     for drive in (drive for drive in driven if drive.held_s):
@@ -132,7 +161,7 @@ def _drive(
     return tree, driven, folder, (folder / drive_file.FILE).read_bytes()
 
 
-def _each(driven: Sequence[RobotDrive], find: Callable[[RobotDrive], Found]) -> list[Found]:
+def _each(driven: Iterable[Own], find: Callable[[Own], Found]) -> list[Found]:
     """Return what is found for every robot; CalibrationError with all that is refused."""
     found: list[Found] = []
     faults: list[str] = []

@@ -31,6 +31,10 @@ ConfigsFolder = Annotated[
         "--configs", metavar="DIR", help="Folder that contains cameras/. Default: the folder of --live, else configs."
     ),
 ]
+ConfigsRobots = Annotated[
+    Path,
+    typer.Option("--configs", metavar="DIR", help="Folder of the configuration; the robots' files are in robots/."),
+]
 Live = Annotated[
     Path | None, typer.Option(metavar="CONFIG", help="Take images now, with the camera of this configuration.")
 ]

@@ -32,10 +32,10 @@ from robofleet.recording.state_words import state_words
 from robofleet.runs.check import load_checked
 from robofleet.runs.launcher import Launcher
 from robofleet.runs.lockstep import Lockstep
-from robofleet.tracking.offset import tag_from_centre
+from robofleet.tracking.offset import tag_covariance, tag_from_centre
 
 Timed = tuple[Array, Array]  # at (n,) [s], values (n, ...)
-Seen = tuple[float, float, float, float]  # at [s], x, y [m], psi [rad]
+Seen = tuple[float, ...]  # at [s], x, y [m], psi [rad], and the six numbers of their covariance
 
 _GROUP = "excitation"
 _REST_AROUND_S = 0.5  # kept before the first and after the last motion
@@ -109,8 +109,8 @@ def _with_processes(config: Config, folder: Path, watch: Watch) -> tuple[str, st
         raise CalibrationError(str(error)) from error
 
 
-def extract(recording: Recording, count: int) -> list[RobotDrive]:
-    """Return what the first ``count`` robots of the group did and what was seen of them."""
+def extract(recording: Recording, rows: Sequence[int]) -> list[RobotDrive]:
+    """Return what robots of the groups did, and what was seen of them."""
     config = recording.config
     arena, robots = config.arena.name, config.members
     dtype = TICK_RECORD.dtype(len(robots), described.size(recording.groups, len(config.camera_names)))
@@ -118,8 +118,7 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
     ticks = np.frombuffer(b"".join(p for p in payloads if len(p) == dtype.itemsize), dtype=dtype)
     if not len(ticks):
         raise CalibrationError("the drive has no tick of the controller: is it running?")
-    (recorded,) = described.told(recording.groups, ticks["figures"])
-    held = np.nan_to_num(recorded.figures["held"])
+    held = np.nan_to_num(_held(recording, ticks))
     start_ns, tick_ns = int(ticks["stamp_ns"][0]), round(config.controller.tick_s * S)
     first = int(ticks["tick"][0])
     seen: dict[int, list[Seen]] = {robot.tag: [] for robot in robots}
@@ -131,39 +130,54 @@ def extract(recording: Recording, count: int) -> list[RobotDrive]:
         exposure_ns = (message.echo_tick - first) * tick_ns + message.since_tick_ns
         for pose in message.poses:
             if pose.coasted_ns == 0 and pose.tag in seen:
-                seen[pose.tag].append(((exposure_ns + pose.after_ns) / S, pose.x_m, pose.y_m, pose.psi_rad))
+                seen[pose.tag].append(((exposure_ns + pose.after_ns) / S, *pose[3:]))
     by_size, by_parallax = heights.by_size(recording), heights.by_parallax(recording)
     drives = []
-    for row, robot in enumerate(robots[:count]):
+    for row in rows:
+        robot = robots[row]
         offset = robot.tag_offset
-        poses = [(at_s, *tag_from_centre(x, y, psi, offset)) for at_s, x, y, psi in seen[robot.tag]]
-        measured = np.array(sorted(poses)).reshape(-1, 4)
+        poses = [
+            (at_s, *tag_from_centre(x, y, psi, offset), *tag_covariance(tuple(covariance), psi, offset))
+            for at_s, x, y, psi, *covariance in seen[robot.tag]
+        ]
+        measured = np.array(sorted(poses)).reshape(-1, 10)
         measured = measured[np.unique(measured[:, 0], return_index=True)[1]]
         wheels = np.column_stack([ticks["items"]["left_rad_s"][:, row], ticks["items"]["right_rad_s"][:, row]])
         series = ((ticks["stamp_ns"] - start_ns) / S, wheels), (measured[:, 0], measured[:, 1:])
         angles = _angles(recording.of_robot(STATUS, robot.id), ticks)
         requested, located, commanded, counted = _cut(robot.id, *series, *angles)
+        known = located[1][:, 3:].any(axis=1).all()
+        charged = commanded[1][:, 2]
         drive = RobotDrive(
             robot=robot.id,
             commands_s=requested[0],
             commands_rad_s=requested[1],
             poses_s=located[0],
-            poses=located[1],
+            poses=located[1][:, :3],
             told_s=commanded[0],
-            told_rad=commanded[1],
+            told_rad=commanded[1][:, :2],
             encoders_s=counted[0],
             encoders_rad=counted[1],
             held_s=float(held[:, row].sum()) * config.controller.tick_s,
             acceleration_rad_s2=robot.vehicle.max_wheel_acceleration_rad_s2,
             higher_by_size=by_size[robot.tag],
             higher_by_parallax=by_parallax[robot.tag],
+            pose_covariances=located[1][:, 3:] if known else np.empty((0, 6)),
+            battery=charged if (charged >= 0.0).all() else np.empty(0),
         )
         drives.append(drive)
     return drives
 
 
+def _held(recording: Recording, ticks: NDArray[Any]) -> Array:
+    """Return which robots (K, N) were held by a calibrating drive; of other drives nothing is."""
+    told = described.told(recording.groups, ticks["figures"])
+    return np.concatenate([group.figures.get("held", np.zeros(group.references.shape[:2])) for group in told], axis=1)
+
+
 def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Timed, Timed]:
-    """Return how far the wheels were told to turn, and how far they did (nothing, where the robot does not know that).
+    """Return how far the wheels were told to turn with the charge, and how far they did (nothing, where the robot does
+    not know that).
 
     Both are on the controller's clock: a status says when the newest command was applied, and by which image that
     command was made. The tick that used this image, if there is one alone, was before by as much as a command takes
@@ -176,14 +190,15 @@ def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Timed, Timed]:
     shifts = [at_ns - stamp_of[exposure_ns] for exposure_ns, at_ns in applied if exposure_ns in stamp_of]
     nothing = np.empty(0), np.empty((0, 2))
     if not shifts:
-        return nothing, nothing
+        return (np.empty(0), np.empty((0, 3))), nothing
     at_s = (statuses["stamp_ns"] - min(shifts) - int(ticks["stamp_ns"][0])) / S
     at_s, order = np.unique(at_s, return_index=True)
     commanded, counted = (
         np.column_stack([statuses[f"left_{name}_rad"], statuses[f"right_{name}_rad"]])[order]
         for name in ("told", "angle")
     )
-    return (at_s, commanded), (at_s, counted) if np.ptp(counted, axis=0).any() else nothing
+    charged = np.column_stack([commanded, np.nan_to_num(statuses["battery"][order], nan=-1.0)])
+    return (at_s, charged), (at_s, counted) if np.ptp(counted, axis=0).any() else nothing
 
 
 def _cut(robot: str, requested: Timed, *others: Timed) -> Iterator[Timed]:

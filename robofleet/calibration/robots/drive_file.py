@@ -2,9 +2,11 @@
 
 ``version`` (): 3. ``robots`` (N,): names. For each robot, under its name and a slash: ``commands_s`` (K,) and
 ``commands_rad_s`` (K, 2; left, right): its commands and their ticks; ``poses_s`` (M,) and ``poses`` (M, 3; x, y [m],
-psi [rad]; world): its TAG as measured, and the mid-exposures; ``told_s`` (T,) and ``told_rad`` (T, 2): how far its gate
-has told its wheels to turn; ``encoders_s`` (E,) and ``encoders_rad`` (E, 2): its wheels' angles, E = 0 if its driver
-knows none; ``held_s`` (): how long it was held; ``acceleration_rad_s2`` (): with which its gate lets the wheels follow.
+psi [rad]; world): its TAG as measured, and the mid-exposures; ``pose_covariances`` (M, 6; xx, xy, yy [m^2], x psi,
+y psi [m rad], psi psi [rad^2]), M = 0: unknown; ``told_s`` (T,) and ``told_rad`` (T, 2): how far its gate has told its
+wheels to turn; ``battery`` (T,): its charge then, T = 0 if unknown; ``encoders_s`` (E,) and ``encoders_rad`` (E, 2):
+its wheels' angles, E = 0 if its driver knows none; ``held_s`` (): how long it was held; ``acceleration_rad_s2`` ():
+with which its gate lets the wheels follow.
 ``higher_by_size`` and ``higher_by_parallax`` (H, 2): how much higher than configured its tag lies by its size, if the
 side is right, and by two cameras, each with its standard deviation [m]; H = 0 where that is not known.
 All instants are of the controller's clock, counted from the drive's first tick [s].
@@ -30,6 +32,7 @@ _SCALARS = ("held_s", "acceleration_rad_s2")
 _INSTANTS = ("commands_s", "poses_s", "told_s", "encoders_s")
 _WIDTHS = {"commands_rad_s": 2, "poses": 3, "told_rad": 2, "encoders_rad": 2}
 _HEIGHTS = ("higher_by_size", "higher_by_parallax")
+_OPTIONAL = {**dict.fromkeys(_HEIGHTS, (0, 2)), "pose_covariances": (0, 6), "battery": (0,)}  # as they are unknown
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ class RobotDrive:
     acceleration_rad_s2: float
     higher_by_size: Array = field(default_factory=lambda: np.empty((0, 2)))
     higher_by_parallax: Array = field(default_factory=lambda: np.empty((0, 2)))
+    pose_covariances: Array = field(default_factory=lambda: np.empty((0, 6)))
+    battery: Array = field(default_factory=lambda: np.empty(0))
 
 
 def save(file: Path, drives: Sequence[RobotDrive]) -> None:
@@ -86,7 +91,7 @@ def chosen(file: Path, robots: Sequence[str]) -> list[RobotDrive]:
 def _robot_drive(file: Path, robot: str, arrays: dict[str, NDArray[Any]]) -> RobotDrive:
     fields = [name for name in RobotDrive.__dataclass_fields__ if name != "robot"]
     found = {name: arrays.get(f"{robot}/{name}") for name in fields}
-    found |= {name: np.empty((0, 2)) for name in _HEIGHTS if found[name] is None}  # of an earlier version
+    found |= {name: np.empty(shape) for name, shape in _OPTIONAL.items() if found[name] is None}  # an earlier version
     for name, array in found.items():
         if array is None or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
             raise CalibrationError(f"{file}: {robot}/{name} is missing or not a finite number: drive again")
@@ -104,5 +109,8 @@ def _shape(name: str, found: dict[str, Any]) -> tuple[int, ...]:
         return ()
     if name in _HEIGHTS:
         return len(found[name]), 2
+    if name in _OPTIONAL:
+        length = np.size(found["poses_s" if name == "pose_covariances" else "told_s"])
+        return (length if np.size(found[name]) else 0, *_OPTIONAL[name][1:])
     instants = name if name.endswith("s_s") else f"{name.partition('_')[0]}_s"
     return (np.size(found[instants]), *((_WIDTHS[name],) if name in _WIDTHS else ()))

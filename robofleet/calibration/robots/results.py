@@ -13,6 +13,8 @@ from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.heights import TagHeight
 from robofleet.calibration.robots.latency import Latency
 from robofleet.calibration.robots.offsets import Offsets
+from robofleet.calibration.robots.plots import motion_figure, residual_figure
+from robofleet.calibration.robots.shooting import Shots
 from robofleet.calibration.store import CalibrationError, load, provenance
 from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.robots import Vehicle
@@ -21,8 +23,6 @@ from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.differential_drive import DifferentialDrive
 
 Rows = tuple[tuple[str, ...], list[tuple[str, ...]]]  # a table: its head, and its rows
-
-_SHOWN_TURNS_S = 4.0
 
 
 def file_of(config: Path, robot: str) -> Path:
@@ -47,13 +47,14 @@ def earlier(file: Path, robot: str) -> RobotCalibration:
 def with_offsets(before: RobotCalibration, found: Offsets, height: TagHeight, recording: bytes) -> RobotCalibration:
     o, sigma = found.tag_offset, found.sigma.tolist()
     offset = TagOffset(forward_m=round(o.forward_m, 7), left_m=round(o.left_m, 7), heading_deg=round(o.heading_deg, 4))
-    wheels = {"wheel_radius_m": round(found.wheel_radius_m, 7), "wheel_base_m": round(found.wheel_base_m, 7)}
+    radius_m, base_m = found.values[3:].tolist()
+    wheels = {"wheel_radius_m": round(radius_m, 7), "wheel_base_m": round(base_m, 7)}
     figures = {
         "sigma_forward_mm": 1e3 * sigma[0],
         "sigma_left_mm": 1e3 * sigma[1],
         "sigma_heading_deg": sigma[2],
-        "residual_rms_mm": float(np.sqrt((found.residuals_mm**2).mean())),
-        "left_out_poses": float(found.left_out),
+        "chi_square": found.found.chi_square,
+        "left_out_poses": float(found.found.left_out),
     }
     if height.higher is not None:
         figures |= {"tag_higher_mm": 1e3 * height.higher[0], "sigma_tag_higher_mm": 1e3 * height.higher[1]}
@@ -70,8 +71,8 @@ def with_latency(before: RobotCalibration, found: Latency, recording: bytes) -> 
     figures = {
         "sigma_delay_ms": 1e3 * sigma[0],
         "sigma_motor_lag_ms": 1e3 * sigma[1],
-        "residual_rms_rad_s": float(np.sqrt(((found.turn_rad_s - found.modelled_rad_s) ** 2).mean())),
-        "left_out_poses": float(found.left_out),
+        "chi_square": found.found.chi_square,
+        "left_out_poses": float(found.found.left_out),
     }
     covariance = found.covariance.tolist()
     source = provenance("latency", {"drive.npz": recording}, figures, latency.PARAMETERS, covariance)
@@ -79,13 +80,13 @@ def with_latency(before: RobotCalibration, found: Latency, recording: bytes) -> 
 
 
 def offsets_table(found: Sequence[Offsets]) -> Rows:
-    head = ("robot", "tag forward mm", "tag left mm", "tag heading deg", "wheel radius mm", "wheel base mm", "by")
+    head = ("robot", "tag forward mm", "tag left mm", "tag heading deg", "wheel radius mm", "wheel base mm")
     scales, digits = (1e3, 1e3, 1.0, 1e3, 1e3), (3, 3, 3, 4, 2)
     rows = []
     for robot_offsets in found:
         numbers = zip(robot_offsets.values, robot_offsets.sigma, scales, digits, strict=True)
         cells = [f"{scale * value:.{n}f} ± {scale * sigma:.{n}f}" for value, sigma, scale, n in numbers]
-        rows.append((robot_offsets.robot, *cells, "encoders" if robot_offsets.by_encoders else "commands"))
+        rows.append((robot_offsets.robot, *cells))
     return head, rows
 
 
@@ -98,59 +99,60 @@ def latency_table(found: Sequence[Latency]) -> Rows:
 
 
 def offsets_page(
-    found: Sequence[Offsets], heights: Sequence[TagHeight], drives: Sequence[RobotDrive], vehicles: Sequence[Vehicle]
+    found: Sequence[Offsets], heights: Sequence[TagHeight], recordings: Sequence[Shots], vehicles: Sequence[Vehicle]
 ) -> Report:
     page = Report("Where the tags sit on their robots")
     page.verdict("Measured, and good enough to use.", good=True)
     page.table(*offsets_table(found))
-    for robot_offsets, height, drive, vehicle in zip(found, heights, drives, vehicles, strict=True):
+    for robot_offsets, height, shots, vehicle in zip(found, heights, recordings, vehicles, strict=True):
         about = (
             f"Its vehicle's wheel radius is {1e3 * vehicle.wheel_radius_m:g} mm, its base "
-            f"{1e3 * vehicle.wheel_base_m:g} mm. {robot_offsets.left_out} of {len(drive.poses)} poses were outliers; "
-            f"it was held for {drive.held_s:.1f} s, as another robot or the edge was near. "
+            f"{1e3 * vehicle.wheel_base_m:g} mm. {robot_offsets.found.left_out} of {robot_offsets.found.poses} poses "
+            f"were outliers; it was held for {shots.drive.held_s:.1f} s, as another robot or the edge was near. "
             f"{height.sentence}."
         )
         page.section(robot_offsets.robot, about)
-        page.figure(_drive_figure(robot_offsets, drive), "The drive, and what is left of each step from pose to pose.")
+        page.figure(_path_figure(robot_offsets, shots.drive), "The drive.")
+        page.figure(residual_figure(robot_offsets.found, shots), "What is left of each pose, and its autocorrelation.")
     return page
 
 
-def latency_page(found: Sequence[Latency], believed: Sequence[tuple[float, DifferentialDrive]]) -> Report:
+def latency_page(
+    found: Sequence[Latency], recordings: Sequence[Shots], believed: Sequence[tuple[float, DifferentialDrive]]
+) -> Report:
     """Return the page of ``robofleet calibrate latency``; ``believed``: delay [s] and drive before."""
     page = Report("How late the wheels follow")
     page.verdict("Measured, and good enough to use.", good=True)
     page.table(*latency_table(found))
-    for robot_latency, (delay_s, drive) in zip(found, believed, strict=True):
+    for robot_latency, shots, (delay_s, drive) in zip(found, recordings, believed, strict=True):
         page.section(
             robot_latency.robot,
             f"Believed before: {1e3 * delay_s:.1f} ms and {1e3 * drive.motor_lag:.1f} ms. "
-            f"{robot_latency.left_out} of {len(robot_latency.at_s) + 1 + robot_latency.left_out} poses were outliers.",
+            f"{robot_latency.found.left_out} of {robot_latency.found.poses} poses were outliers.",
         )
-        figure = _latency_figure(robot_latency, delay_s, drive.motor_lag)
-        page.figure(figure, "A wheel's answer to a step of its command at 0; the turns of the drive, beside the fit's.")
+        page.figure(
+            _step_figure(robot_latency, delay_s, drive.motor_lag), "A wheel's answer to a step of its command at 0."
+        )
+        page.figure(motion_figure(robot_latency.found, shots), "Some seconds of the drive, observed and predicted.")
     return page
 
 
-def _drive_figure(robot_offsets: Offsets, drive: RobotDrive) -> Figure:
+def _path_figure(robot_offsets: Offsets, drive: RobotDrive) -> Figure:
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 3.0), layout="constrained")
-        path, left = figure.subplots(1, 2, width_ratios=(1, 2))
+        figure = Figure(figsize=(4.0, 3.0), layout="constrained")
+        path = figure.subplots()
         centres = np.array([centre_from_tag(x, y, psi, robot_offsets.tag_offset) for x, y, psi in drive.poses.tolist()])
         path.plot(drive.poses[:, 0], drive.poses[:, 1], color=QUIET, lw=0.6, label="tag")
         path.plot(centres[:, 0], centres[:, 1], color=COLOURS[0], lw=1.0, label="centre")
         path.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         path.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-        for k, name in enumerate(("along x", "along y")):
-            left.plot(robot_offsets.at_s, robot_offsets.residuals_mm[:, k], ".", ms=2, color=COLOURS[k], label=name)
-        left.set(xlabel="time [s]", ylabel="residual [mm]")
-        left.legend()
     return figure
 
 
-def _latency_figure(found: Latency, delay_s: float, lag_s: float) -> Figure:
+def _step_figure(found: Latency, delay_s: float, lag_s: float) -> Figure:
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(8.0, 3.0), layout="constrained")
-        step, turns = figure.subplots(1, 2, width_ratios=(1, 2))
+        figure = Figure(figsize=(4.0, 2.6), layout="constrained")
+        step = figure.subplots()
         t = np.linspace(0.0, found.delay_s + 5.0 * found.motor_lag_s + 0.05, 300)
         for delay, lag, colour, name in (
             (delay_s, lag_s, QUIET, "believed before"),
@@ -160,10 +162,4 @@ def _latency_figure(found: Latency, delay_s: float, lag_s: float) -> Figure:
             step.plot(1e3 * t, answer, color=colour, label=name)
         step.set(xlabel="after the tick [ms]", ylabel="of the commanded speed")
         step.legend()
-        middle = found.at_s[int(0.8 * len(found.at_s))]
-        shown = np.abs(found.at_s - middle) < _SHOWN_TURNS_S / 2
-        turns.plot(found.at_s[shown], found.turn_rad_s[shown], ".", ms=3, color=COLOURS[1], label="measured")
-        turns.plot(found.at_s[shown], found.modelled_rad_s[shown], color=COLOURS[0], lw=1.0, label="fit")
-        turns.set(xlabel="time [s]", ylabel="rate of turning [rad/s]")
-        turns.legend()
     return figure

@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 
 from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.identification import Identification, Prior, identify
+from robofleet.calibration.robots.identified import prior
+from robofleet.calibration.robots.shooting import Shots
 from robofleet.config.calibrated import TagOffset
+from robofleet.config.load import load_config
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.tracking.offset import tag_from_centre
 from robofleet.vehicles.interface import DriverContext, Imperfections, Simulation, WheelSpeeds
 from tests.behaviours.excited import Excited
 from tests.robots import GTERNAL, WORN
+from tests.shipped import PLATOON
 
 MS, S = 1_000_000, 1_000_000_000
 NO_GATE = 1e9  # rad/s^2: nothing stands between the commands and the wheels
@@ -68,6 +73,22 @@ def drive(
     setpoints, seen_poses, counted, meant = (np.array(rows) for rows in (commands, poses, encoders, measured))
     columns = [part for rows in (setpoints, seen_poses, meant, counted) for part in (rows[:, 0], rows[:, 1:])]
     return RobotDrive("r1", *columns, 0.0, NO_GATE)
+
+
+def shots(drive: RobotDrive) -> Shots:
+    """Return a drive as the identification takes it."""
+    return Shots(drive, loop_period_s=LATE.loop_period, battery_life_s=LATE.battery_life)
+
+
+def believed() -> Prior:
+    """Return what the shipped platoon believes of its first robot."""
+    config = load_config(PLATOON)
+    return prior(config, config.robots[0])
+
+
+def found(drive: RobotDrive) -> Identification:
+    """Return what a drive tells of its robot."""
+    return identify([shots(drive)], believed())
 
 
 @pytest.fixture(scope="session")

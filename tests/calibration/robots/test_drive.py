@@ -21,6 +21,8 @@ from robofleet.runs.lockstep import Lockstep
 from robofleet.tracking.offset import tag_from_centre
 from tests.shipped import PLATOON
 
+from .conftest import found as found_in
+
 pytestmark = pytest.mark.slow
 
 LATE_S, LAG_S = 0.031, 0.06
@@ -52,7 +54,7 @@ def recording(late_platoon: Path) -> Recording:
 @pytest.fixture(scope="module")
 def kept(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("kept") / drive_file.FILE
-    drive_file.save(file, drive.extract(recording, 1))
+    drive_file.save(file, drive.extract(recording, [0]))
     return file
 
 
@@ -71,7 +73,7 @@ def test_only_those_that_were_asked_drive_and_nobody_is_touched(recording: Recor
 
 
 def test_what_is_kept_is_what_was_driven(recording: Recording, kept: Path) -> None:
-    (driven,), (read,) = drive.extract(recording, 1), drive_file.load(kept)
+    (driven,), (read,) = drive.extract(recording, [0]), drive_file.load(kept)
     for name, value in vars(driven).items():
         assert np.array_equal(getattr(read, name), value), name
     assert len(read.poses_s) > 0.85 * len(read.commands_s) > 1000
@@ -96,7 +98,7 @@ def test_poses_are_measured_ones_at_their_own_instants_and_of_the_tag(recording:
         since_ns = frame.since_tick_ns - 5_000_000
         changed.append(FLEET_POSES.encode(frame._replace(since_tick_ns=since_ns, poses=poses)))
     other.messages[full] = changed
-    (whole,), (part,) = drive.extract(recording, 1), drive.extract(other, 1)
+    (whole,), (part,) = drive.extract(recording, [0]), drive.extract(other, [0])
     assert len(part.poses_s) == pytest.approx(0.75 * len(whole.poses_s), rel=0.02)
     at = np.searchsorted(whole.poses_s, part.poses_s - 1e-7)
     assert part.poses_s == pytest.approx(whole.poses_s[at], abs=1e-9)
@@ -106,7 +108,7 @@ def test_poses_are_measured_ones_at_their_own_instants_and_of_the_tag(recording:
 
 
 def test_delay_and_lag_are_those_of_the_simulated_robot(late_platoon: Path, kept: Path) -> None:
-    found = latency.find(drive_file.load(kept)[0])
+    found = latency.of(found_in(drive_file.load(kept)[0]))
     bus_s = load_config(late_platoon).lockstep.bus_delay_s
     assert found.delay_s == pytest.approx(bus_s + LATE_S, abs=0.001)
     assert found.motor_lag_s == pytest.approx(LAG_S, abs=0.001)
@@ -115,15 +117,15 @@ def test_delay_and_lag_are_those_of_the_simulated_robot(late_platoon: Path, kept
 def test_offsets_are_those_of_the_simulated_robot(late_platoon: Path, kept: Path) -> None:
     config = load_config(late_platoon)
     robot = config.robot("r3")
-    found = offsets.find(drive_file.load(kept)[0], slices.drive(robot))
+    found = offsets.of(found_in(drive_file.load(kept)[0]))
     assert np.abs(found.values[:2]).max() < 0.00004  # its tag is in the middle
     assert abs(found.values[2]) < 0.03
     left, right, base = slices.generator(config.run.seed, "plant", "r3").uniform(-1.0, 1.0, 3)
     spread = robot.vehicle.simulated
     radius_m = robot.vehicle.wheel_radius_m * (1 + spread.wheel_gain_spread * (left + right) / 2)
-    assert found.wheel_radius_m == pytest.approx(radius_m, rel=0.001)
+    assert found.values[3] == pytest.approx(radius_m, rel=0.001)
     base_m = robot.vehicle.wheel_base_m * (1 + spread.wheel_base_spread * base)
-    assert found.wheel_base_m == pytest.approx(base_m, rel=0.005)
+    assert found.values[4] == pytest.approx(base_m, rel=0.005)
 
 
 def _unlimited(config: Config) -> Config:
@@ -139,7 +141,7 @@ def test_with_its_calibration_the_filter_knows_where_the_robot_is(late_platoon: 
 
     def pose_error_mm(*overrides: str) -> float:
         config: Config = _unlimited(
-            load_config(late_platoon, [*EXCITED, "run.seed=5", "run.duration_s=48", *overrides])
+            load_config(late_platoon, [*EXCITED, "run.seed=5", "run.duration_s=40", *overrides])
         )
         run = Lockstep(config)
         outcome, cause = run.run()
@@ -148,7 +150,7 @@ def test_with_its_calibration_the_filter_knows_where_the_robot_is(late_platoon: 
         rms: float = figures["pose_error"]["rms_mm"]
         return rms
 
-    found = latency.find(drive_file.load(kept)[0])
+    found = latency.of(found_in(drive_file.load(kept)[0]))
     measured = f"{{robot: r3, delay_s: {found.delay_s:.6f}, motor_lag_s: {found.motor_lag_s:.6f}}}"
     believed, calibrated = pose_error_mm(), pose_error_mm(f"robots.2.calibration={measured}")
     assert calibrated < 0.1

@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robofleet.calibration.robots import offsets
+from robofleet.calibration.robots import inputs, offsets
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
 from tests.robots import GTERNAL
 
-from .conftest import LATE, OFFSET, Make
+from .conftest import LATE, OFFSET, Make, believed, shots
+from .conftest import found as identified
 
 pytestmark = pytest.mark.long
 
@@ -28,26 +29,26 @@ def true_wheels(seed: int) -> tuple[float, float]:
     )
 
 
-def without_encoders(drive: RobotDrive) -> RobotDrive:
-    return replace(drive, encoders_s=np.empty(0), encoders_rad=np.empty((0, 2)))
+def find(drive: RobotDrive) -> offsets.Offsets:
+    inputs.refuse_unusable(drive)
+    offsets.refuse_unusable(shots(drive), believed().values)
+    return offsets.of(identified(drive))
 
 
-@pytest.mark.parametrize("encoders", [True, False])
-def test_the_tag_is_placed_and_the_wheels_are_measured(worn: RobotDrive, encoders: bool) -> None:
-    found = offsets.find(worn if encoders else without_encoders(worn), GTERNAL)
-    assert found.by_encoders == encoders
+def test_the_tag_is_placed_and_the_wheels_are_measured(worn: RobotDrive) -> None:
+    found = find(worn)
     error = np.abs(found.values[:3] - TRUE_TAG)
     assert error[:2].max() < 0.00004
     assert error[2] < 0.03
     radius, base = true_wheels(1)
-    assert found.wheel_radius_m == pytest.approx(radius, rel=0.001)
-    assert found.wheel_base_m == pytest.approx(base, rel=0.005)
+    assert found.values[3] == pytest.approx(radius, rel=0.001)
+    assert found.values[4] == pytest.approx(base, rel=0.005)
 
 
 @pytest.mark.parametrize("heading_deg", [90.0, 179.0, -135.0])
 def test_a_tag_may_be_glued_on_any_way_round(driven: Make, heading_deg: float) -> None:
     turned = TagOffset(forward_m=-0.02, left_m=0.03, heading_deg=heading_deg)
-    found = offsets.find(driven(offset=turned), GTERNAL)
+    found = find(driven(offset=turned))
     assert (1e3 * found.tag_offset.forward_m, 1e3 * found.tag_offset.left_m) == pytest.approx((-20, 30), abs=0.06)
     assert found.tag_offset.heading_deg == pytest.approx(heading_deg, abs=0.03)
 
@@ -56,7 +57,7 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
     rng, found = np.random.default_rng(7), []
     for _ in range(8):
         noise = rng.normal(size=smooth.poses.shape) * (3e-4, 3e-4, 0.004)
-        found.append(offsets.find(replace(smooth, poses=smooth.poses + noise), GTERNAL))
+        found.append(find(replace(smooth, poses=smooth.poses + noise)))
     errors = np.array([result.values for result in found]) - [*TRUE_TAG, GTERNAL.wheel_radius, GTERNAL.wheel_base]
     scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([result.sigma for result in found]).mean(axis=0)
     assert (scatter > 0.4).all()
@@ -67,42 +68,24 @@ def test_outliers_change_little_and_are_counted(worn: RobotDrive) -> None:
     rng, poses = np.random.default_rng(3), worn.poses.copy()
     wrong = rng.choice(len(poses), 40, replace=False)
     poses[wrong] += rng.normal(size=(40, 3)) * (0.02, 0.02, 0.5)
-    found = offsets.find(replace(worn, poses=poses), GTERNAL)
-    assert 30 <= found.left_out <= 90
+    found = find(replace(worn, poses=poses))
+    assert 30 <= found.found.left_out <= 90
     assert np.abs(found.values[:2] - TRUE_TAG[:2]).max() < 0.00006
     assert abs(found.values[2] - TRUE_TAG[2]) < 0.04
 
 
 def test_missing_images_do_no_harm(driven: Make) -> None:
-    found = offsets.find(driven(lost=0.2), GTERNAL)
+    found = find(driven(lost=0.2))
     assert np.abs(found.values[:2] - TRUE_TAG[:2]).max() < 0.00005
     assert abs(found.values[2] - TRUE_TAG[2]) < 0.03
 
 
-def test_a_robot_without_encoders_is_measured_by_what_reached_it_and_when(driven: Make) -> None:
+def test_a_robot_is_measured_by_what_reached_it_and_when(driven: Make) -> None:
     """On a busy machine commands come late: a way that was asked for is not one that was told."""
-    found = offsets.find(without_encoders(driven(late=15_000_000)), GTERNAL)
-    assert not found.by_encoders
+    found = find(driven(late=15_000_000))
     radius, base = true_wheels(1)
-    assert found.wheel_radius_m == pytest.approx(radius, rel=0.002)
-    assert found.wheel_base_m == pytest.approx(base, rel=0.005)
-
-
-def test_counts_that_are_old_now_more_now_less_do_no_harm(worn: RobotDrive) -> None:
-    """A robot that is asked for its counts answers when it can: taken as they are, turns would look smaller."""
-    age = np.random.default_rng(1).integers(0, 2, len(worn.encoders_s))  # 20 ms, or none
-    stale = worn.encoders_rad[np.maximum(np.arange(len(age)) - age, 0)]
-    found = offsets.find(replace(worn, encoders_rad=stale), GTERNAL)
-    assert found.by_encoders
-    radius, base = true_wheels(1)
-    assert found.wheel_radius_m == pytest.approx(radius, rel=0.002)
-    assert found.wheel_base_m == pytest.approx(base, rel=0.01)
-
-
-def test_encoders_of_another_clock_are_put_right(worn: RobotDrive) -> None:
-    """What the way to the driver takes is missing from its clock: some milliseconds."""
-    found = offsets.find(replace(worn, encoders_s=worn.encoders_s - 0.012), GTERNAL)
-    assert np.abs(found.values[:2] - TRUE_TAG[:2]).max() < 0.00005
+    assert found.values[3] == pytest.approx(radius, rel=0.002)
+    assert found.values[4] == pytest.approx(base, rel=0.005)
 
 
 def part(drive: RobotDrive, start_s: float, end_s: float) -> RobotDrive:
@@ -121,7 +104,7 @@ def part(drive: RobotDrive, start_s: float, end_s: float) -> RobotDrive:
 
 def refusal(drive: RobotDrive) -> str:
     with pytest.raises(CalibrationError) as refused:
-        offsets.find(drive, GTERNAL)
+        find(drive)
     (line,) = refused.value.faults
     assert line.startswith("r1: ")
     return line

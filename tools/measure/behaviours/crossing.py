@@ -91,7 +91,7 @@ class Arena:
         heading = np.arctan2(-starts[:, 1], -starts[:, 0]) + rng.uniform(-0.3, 0.3, n)
         self._ahead = config.controller.point_ahead_m
         self._plants = [
-            Plant(slices.drive(robot), slices.imperfections(robot.vehicle), (x, y, psi), rng)
+            Plant(slices.drive(robot), slices.imperfections(robot), (x, y, psi), rng)
             for robot, (x, y), psi in zip(config.members, starts.tolist(), heading.tolist(), strict=True)
         ]
         self.stuck = int(rng.integers(n)) if scenario.stalled else -1

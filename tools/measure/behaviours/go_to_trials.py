@@ -71,7 +71,7 @@ def go(config: Config, starts: Array, goals: Array, seed: int, longest_s: float 
     """Drive from starts to goals (N, 3)."""
     rng, c, truth, n = np.random.default_rng([seed, 1]), config.controller, config.tracker.truth, len(starts)
     plants = [
-        Plant(slices.drive(robot), slices.imperfections(robot.vehicle), tuple(pose), rng)
+        Plant(slices.drive(robot), slices.imperfections(robot), tuple(pose), rng)
         for robot, pose in zip(config.members, starts.tolist(), strict=True)
     ]
     named = {

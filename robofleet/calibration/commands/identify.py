@@ -1,0 +1,124 @@
+"""``robofleet identify``: what recordings tell of each robot's model."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from robofleet.bus.keys import POSES, key
+from robofleet.bus.messages import FLEET_POSES
+from robofleet.calibration.commands.shared import ConfigsRobots, ReportFile, report_file
+from robofleet.calibration.robots import drive as drives
+from robofleet.calibration.robots import identified
+from robofleet.calibration.robots import results as robot_files
+from robofleet.calibration.robots.identification import Identification
+from robofleet.calibration.robots.identification import identify as fit
+from robofleet.calibration.robots.shooting import Shots
+from robofleet.calibration.store import CalibrationError, save
+from robofleet.config.tree import Config
+from robofleet.recording.reading import RecordingError, file_of, read
+from robofleet.recording.run import Recording
+
+Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or their run.mcap.")]
+Robots = Annotated[str, typer.Option("--robots", metavar="r1,r2", help="Which robots. Default: all that were driven.")]
+
+
+def identify(
+    runs: Runs, robots: Robots = "", configs: ConfigsRobots = Path("configs"), report: ReportFile = None
+) -> None:
+    """Identify each robot's model from recordings.
+
+    Wheels, motor lag, delay, dead band, slip, top speed and the tag's place are fitted to commands and poses. What the
+    recordings do not tell is named and stays as it is. robots/ID.yaml gets the result; the file before is kept.
+
+    $ robofleet identify runs/20260102T030405Z-platoon --configs configs
+
+    $ robofleet identify runs/*-platoon --robots r1,r3
+    """
+    recordings = [_read(run) for run in runs]
+    chosen = _chosen(recordings, [name.strip() for name in robots.split(",") if name.strip()], runs)
+    shots = [_shots(recordings, name) for name in chosen]
+    config_of = {name: next(r.config for r in recordings if name in _ids(r.config)) for name in chosen}
+    found: list[Identification] = []
+    faults: list[str] = []
+    for name, own in zip(chosen, shots, strict=True):
+        try:
+            found.append(fit(own, identified.prior(config_of[name], config_of[name].robot(name))))
+        except CalibrationError as refused:
+            faults += refused.faults
+    if faults:
+        raise CalibrationError(faults)
+    inputs = {file_of(run).as_posix(): file_of(run).read_bytes() for run in runs}
+    files = {name: configs / "robots" / f"{name}.yaml" for name in chosen}
+    after = [
+        identified.with_identified(
+            config_of[name], config_of[name].robot(name), robot_files.earlier(files[name], name), each, own, inputs
+        )
+        for name, each, own in zip(chosen, found, shots, strict=True)
+    ]
+    page = report_file(report, "identify")
+    identified.page(found, shots, _latencies(recordings)).write(page)
+    head, rows = identified.table(found)
+    shown = Table(*head)
+    for row in rows:
+        shown.add_row(*map(Text, row))
+    Console().print(shown)
+    for line in filter(None, map(identified.untold_line, found)):
+        print(line)
+    print(page)
+    for calibration in after:
+        kept = save(files[calibration.robot], calibration)
+        print(f"{files[calibration.robot]}{f', the one before is {kept}' if kept else ''}")
+
+
+def _read(run: Path) -> Recording:
+    try:
+        return read(run, lambda _: False)
+    except RecordingError as error:
+        raise CalibrationError(str(error)) from error
+
+
+def _ids(config: Config) -> list[str]:
+    return [robot.id for robot in config.members]
+
+
+def _chosen(recordings: Sequence[Recording], names: Sequence[str], runs: Sequence[Path]) -> list[str]:
+    known = list(dict.fromkeys(name for recording in recordings for name in _ids(recording.config)))
+    for unknown in (name for name in names if name not in known):
+        raise CalibrationError(
+            f"--robots: {unknown!r} was not driven in {', '.join(map(str, runs))} ({', '.join(known)} were)"
+        )
+    return list(dict.fromkeys(names)) or known
+
+
+def _shots(recordings: Sequence[Recording], robot: str) -> list[Shots]:
+    """Return a robot's part of each recording in which it was driven."""
+    shots = []
+    for recording in recordings:
+        ids = _ids(recording.config)
+        if robot in ids:
+            (drive,) = drives.extract(recording, [ids.index(robot)])
+            errors = identified.believed_errors(recording.config.robot(robot))
+            shots.append(Shots(drive, loop_period_s=errors.loop_period_s, battery_life_s=errors.battery_life_s))
+    return shots
+
+
+def _latencies(recordings: Sequence[Recording]) -> list[list[str]]:
+    """Return each camera's time from mid-exposure to its message."""
+    rows = []
+    for camera in dict.fromkeys(name for recording in recordings for name in recording.config.camera_names):
+        heads = [
+            message
+            for recording in recordings
+            for payload in recording.messages.get(key(recording.config.arena.name, POSES, camera), ())
+            if (message := FLEET_POSES.decode_head(payload)) is not None
+        ]
+        late_ms = np.array([(head.sent_ns - head.exposure_ns) / 1e6 for head in heads])
+        if len(late_ms):
+            rows.append([camera, f"{np.median(late_ms):.1f} ms", f"{np.percentile(late_ms, 99):.1f} ms"])
+    return rows

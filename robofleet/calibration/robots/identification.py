@@ -1,0 +1,390 @@
+"""Identifies a robot's model from recordings: least squares on the residuals of ``shooting.py``.
+
+Each parameter has a prior, which is what the configuration believes, with a wide standard deviation. What the
+recordings do not tell is found by the Fisher information against these priors, is named, and stays at its prior. The
+two thresholds of a wheel (dead band, breakaway) make the squares a staircase: they are found by their posterior on a
+grid, all others by Gauss-Newton steps (``scipy.optimize.least_squares``). The noise's scales and the wander are those
+that make the residuals likeliest. Every fifth shot is held out: it takes no part in the fit.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize
+
+from robofleet.calibration.robots.shooting import Noise, Shots, Wheels, relative
+from robofleet.calibration.store import CalibrationError
+from robofleet.core.arrays import Array
+
+PARAMETERS = tuple(field.name for field in fields(Wheels))
+THRESHOLDS = "deadband_rad_s", "breakaway_rad_s"
+HORIZONS_S = 1.0, 2.0, 5.0
+
+_STEPS = {  # of numerical derivatives
+    "left_radius_m": 1e-6, "right_radius_m": 1e-6, "wheel_base_m": 1e-5, "motor_lag_s": 2e-4, "stop_lag_s": 2e-4,
+    "delay_s": 2e-4, "deadband_rad_s": 0.05, "breakaway_rad_s": 0.05, "top_speed_rad_s": 0.01, "top_speed_sag": 1e-2,
+    "slip_s_per_rad": 1e-4, "tag_forward_m": 1e-5, "tag_left_m": 1e-5, "tag_heading_rad": 1e-4,
+}  # fmt: skip
+_LEAST = {
+    "motor_lag_s": 1e-4,
+    "stop_lag_s": 1e-4,
+    "deadband_rad_s": 0.0,
+    "breakaway_rad_s": 0.0,
+    "delay_s": -0.02,
+    "slip_s_per_rad": -0.5,
+}
+_MOST = {"motor_lag_s": 2.0, "stop_lag_s": 2.0, "delay_s": 1.0, "slip_s_per_rad": 0.5}
+# What the residuals do not show. Commands act, and images are exposed, at instants that are known to a millisecond: of
+# a firmware's loop, an exposure, the simulated truth between two samples. Poses bend over the arena by some hundredths
+# of a millimetre and of a degree: measured on simulated platoons through the tracker.
+_SYSTEMATIC = {
+    "left_radius_m": 1.5e-6, "right_radius_m": 1.5e-6, "wheel_base_m": 3e-5, "motor_lag_s": 5e-4, "stop_lag_s": 1e-3,
+    "delay_s": 5e-4, "slip_s_per_rad": 5e-4, "tag_forward_m": 3e-5, "tag_left_m": 1e-4, "tag_heading_rad": 5e-5,
+}  # fmt: skip
+_DELAYS_S, _LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3), (0.01, 0.04, 0.08, 0.15, 0.3)
+_SPLITS_S = np.geomspace(0.005, 0.4, 16).tolist()
+_AT_FIRST = Noise(position=5.0, heading=5.0, way=3e-3)
+_ROUNDS = 4
+_LOSS_SCALE = 3.0  # from so many sigmas on a residual counts less
+_OUTLIER_SIGMA = 6.0
+_OUTLIER_SHARE = 0.2
+_OUTLIER_PASSES = 2
+_TOLD = 0.3  # a parameter is told where its standard deviation is so much less than its prior's
+_HELD_OUT = 5  # of so many shots one
+_COARSE, _FINE = np.linspace(0.0, 2.5, 51), np.linspace(-0.075, 0.075, 21)  # of thresholds [rad/s]
+_FEWEST_POSES = 100
+_LEAST_WAY_M, _LEAST_TURN_RAD = 0.2, 1.0
+_LEAST_NEAR_S = 1.0  # of commands about as fast as a threshold: with less it is not told
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of a robot: values, and standard deviations by their names."""
+
+    values: Wheels
+    sigma: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut:
+    """How far the tag was from where it was predicted to be, on the shots that took no part in the fit."""
+
+    horizon_s: float
+    position_rms_mm: float
+    heading_rms_deg: float
+    believed_rms_mm: float  # position, by what was believed before
+    count: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification:
+    """What was found of one robot."""
+
+    robot: str
+    prior: Prior
+    wheels: Wheels
+    noise: Noise
+    covariance: Array  # (p, p) of PARAMETERS
+    told: tuple[str, ...]
+    weakest: tuple[str, ...]  # the combination of parameters that is told least
+    left_out: int  # poses that were outliers
+    poses: int
+    chi_square: float  # mean square of the whitened residuals
+    correlation: float  # of each residual with the next one; 0: white
+    held_out_chi_square: float
+    held_out: tuple[HeldOut, ...]
+    residuals: tuple[Array, ...]  # (M, 3) of each recording, whitened; 0: none
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """The parameters' standard deviations."""
+        return dict(zip(PARAMETERS, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """The parameters that the recordings do not tell, which stayed at their priors."""
+        return tuple(name for name in PARAMETERS if name not in self.told)
+
+
+def identify(recordings: Sequence[Shots], prior: Prior) -> Identification:
+    """Identify one robot from its recordings.
+
+    Raises:
+        CalibrationError: they are too short or too still, or the fit does not converge.
+    """
+    refuse_unusable(recordings)
+    fit = _Fit(recordings, prior)
+    fit.run()
+    return fit.found()
+
+
+def refuse_unusable(recordings: Sequence[Shots]) -> None:
+    """Raise a CalibrationError where too little was seen, or the robot hardly moved."""
+    robot = recordings[0].drive.robot
+    poses = sum(len(shots.at_s) for shots in recordings)
+    if poses < _FEWEST_POSES:
+        raise CalibrationError(
+            f"{robot}: it was seen in {poses} images while it was driven, {_FEWEST_POSES} are needed: record longer"
+        )
+    way_m, turn = 0.0, 0.0
+    for shots in recordings:
+        every = slice(None, None, 15)  # noise adds up over every pose
+        step = relative(shots.poses[every][:-1], shots.poses[every][1:])
+        way_m += float(np.hypot(step[:, 0], step[:, 1]).sum())
+        turn += float(np.abs(step[:, 2]).sum())
+    if way_m < _LEAST_WAY_M or turn < _LEAST_TURN_RAD:
+        raise CalibrationError(
+            f"{robot}: it drove {way_m:.2f} m and turned {turn:.1f} rad, {_LEAST_WAY_M:g} m and {_LEAST_TURN_RAD:g} "
+            "rad are needed: let it drive further, with curves"
+        )
+
+
+class _Fit:
+    def __init__(self, recordings: Sequence[Shots], prior: Prior) -> None:
+        self._recordings, self._prior = recordings, prior
+        self._robot = recordings[0].drive.robot
+        self._sigma = np.array([prior.sigma[name] for name in PARAMETERS])
+        self._centre = np.array(astuple(prior.values))
+        self._wheels, self._noise = prior.values, _AT_FIRST
+        self._threshold_sigma = {name: prior.sigma[name] for name in THRESHOLDS}
+        self._fixed: set[str] = set()
+        self._held_out = [shots.shot % _HELD_OUT == _HELD_OUT - 1 for shots in recordings]
+        self._training = [~own for own in self._held_out]
+
+    def run(self) -> None:
+        self._start()
+        for k in range(_ROUNDS):
+            self._follow_valley()
+            self._descend()
+            self._estimate_noise()  # at first what does not fit is no outlier yet
+            for _ in range(_OUTLIER_PASSES if k else 0):
+                self._leave_out()
+                self._estimate_noise()
+            for name in THRESHOLDS:
+                self._threshold(name, coarse=k in (0, _ROUNDS - 2))
+        self._fixed = set(PARAMETERS) - set(self._told(self._covariance()))
+        self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
+        self._descend(must_converge=True)
+        self._estimate_noise()
+
+    # what is minimised
+
+    def _all(self, wheels: Wheels, chosen: Sequence[NDArray[np.bool_]]) -> list[tuple[Array, float]]:
+        return [
+            shots.residuals(wheels, self._noise, shots.motion(wheels), own)
+            for shots, own in zip(self._recordings, chosen, strict=True)
+        ]
+
+    def _residuals(self, wheels: Wheels) -> Array:
+        return np.concatenate([own.ravel() for own, _ in self._all(wheels, self._training)])
+
+    def _scaled(self, wheels: Wheels) -> Array:
+        return np.asarray((np.array(astuple(wheels)) - self._centre) / self._sigma)
+
+    def _moved(self, x: Array, names: Sequence[str]) -> Wheels:
+        """Return the model with parameters x (p,) of these names, counted from their priors in their sigmas."""
+        rows = [PARAMETERS.index(name) for name in names]
+        values = (self._centre[rows] + x * self._sigma[rows]).tolist()
+        return replace(self._wheels, **dict(zip(names, values, strict=True)))
+
+    def _jacobian(self, wheels: Wheels, names: Sequence[str]) -> Array:
+        """Return the residuals' derivative by parameters in units of their priors' sigmas."""
+        columns = []
+        for name in names:
+            step, value = _STEPS[name], getattr(wheels, name)
+            low = max(value - step, _LEAST.get(name, -np.inf))
+            change = self._residuals(replace(wheels, **{name: value + step})) - self._residuals(
+                replace(wheels, **{name: low})
+            )
+            columns.append(change / (value + step - low) * self._prior.sigma[name])
+        return np.column_stack(columns)
+
+    # how
+
+    def _start(self) -> None:
+        """Take the tag's heading from how it drove, and delay and lag from a grid: the squares have several valleys."""
+        way = np.concatenate([_ways(shots, self._wheels) for shots in self._recordings])
+        turned = -float(np.angle(way.sum()))
+        self._wheels = replace(self._wheels, tag_heading_rad=turned)
+
+        def cost(wheels: Wheels) -> float:
+            e = self._residuals(wheels)
+            return float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum())
+
+        grid = (
+            replace(self._wheels, delay_s=delay, motor_lag_s=lag, stop_lag_s=lag)
+            for delay in _DELAYS_S
+            for lag in _LAGS_S
+        )
+        self._wheels = min(grid, key=cost)
+
+    def _follow_valley(self) -> None:
+        """Take the best split of delay and lag: their sum is told by every drive, each of them by quick changes."""
+        together_s = self._wheels.delay_s + self._wheels.motor_lag_s
+        splits = [lag_s for lag_s in _SPLITS_S if together_s - lag_s > _LEAST["delay_s"]]
+        models = [replace(self._wheels, motor_lag_s=lag_s, delay_s=together_s - lag_s) for lag_s in splits]
+        self._wheels = min([self._wheels, *models], key=lambda model: float((self._residuals(model) ** 2).sum()))
+
+    def _descend(self, *, must_converge: bool = False) -> None:
+        names = [name for name in PARAMETERS if name not in self._fixed and name not in THRESHOLDS]
+        rows = [PARAMETERS.index(name) for name in names]
+        low, high = (
+            (np.array([limits.get(name, far) for name in names]) - self._centre[rows]) / self._sigma[rows]
+            for limits, far in ((_LEAST, -1e9), (_MOST, 1e9))
+        )
+
+        def residuals(x: Array) -> Array:
+            return np.concatenate([self._residuals(self._moved(x, names)), x])
+
+        def jacobian(x: Array) -> Array:
+            return np.vstack([self._jacobian(self._moved(x, names), names), np.eye(len(names))])
+
+        start = np.clip(self._scaled(self._wheels)[rows], low + 1e-9, high - 1e-9)
+        solved = least_squares(
+            residuals, start, jacobian, bounds=(low, high), loss="soft_l1", f_scale=_LOSS_SCALE, max_nfev=30, xtol=1e-7,
+            ftol=1e-7,
+        )  # fmt: skip
+        if must_converge and not (solved.success and np.isfinite(solved.cost)):
+            raise CalibrationError(
+                f"{self._robot}: the fit does not converge: do its tag and its time stamps belong to this drive?"
+            )
+        self._wheels = self._moved(solved.x, names)
+
+    def _estimate_noise(self) -> None:
+        """Take the noise that makes the residuals likeliest."""
+        motions = [shots.motion(self._wheels) for shots in self._recordings]
+
+        def minus_log_likelihood(logs: Array) -> float:
+            noise = Noise(*np.exp(np.clip(logs, -20.0, 5.0)).tolist())
+            total = 0.0
+            for shots, motion, own in zip(self._recordings, motions, self._training, strict=True):
+                e, log_determinant = shots.residuals(self._wheels, noise, motion, own)
+                total += 0.5 * float((e * e).sum()) + log_determinant
+            return total
+
+        start = np.log(np.array(astuple(self._noise)))
+        simplex = start + np.vstack([np.zeros(4), np.eye(4)])
+        found = minimize(
+            minus_log_likelihood, start, method="Nelder-Mead",
+            options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 300},
+        )  # fmt: skip
+        self._noise = Noise(*np.exp(np.clip(found.x, -20.0, 5.0)).tolist())
+
+    def _leave_out(self) -> None:
+        """Leave out poses that are outliers."""
+        for shots in self._recordings:
+            shots.kept = ~shots.outliers(self._wheels, self._noise, _OUTLIER_SIGMA)
+        share = np.mean([not kept for shots in self._recordings for kept in shots.kept])
+        if share > _OUTLIER_SHARE:
+            raise CalibrationError(
+                f"{self._robot}: {100 * share:.0f} % of its poses do not fit any motion: did something else move it, "
+                "or is its tag hard to see?"
+            )
+
+    def _threshold(self, name: str, *, coarse: bool) -> None:
+        """Take the mean of a threshold's posterior on a grid, a coarse one and then a fine one around its best.
+
+        Without ``coarse`` only where a fine one has been enough before.
+        """
+        if not coarse and self._threshold_sigma[name] > _FINE[-1]:
+            return
+
+        def posterior(grid: Array) -> Array:
+            squares = []
+            for value in grid.tolist():
+                e = self._residuals(replace(self._wheels, **{name: value}))
+                x = (value - getattr(self._prior.values, name)) / self._prior.sigma[name]
+                squares.append(float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum()) + x * x)
+            likelihood = np.exp(-0.5 * (np.array(squares) - min(squares)))
+            return np.asarray(likelihood / likelihood.sum())
+
+        best = getattr(self._wheels, name)
+        if coarse:
+            grid, step = _COARSE, _COARSE[1] - _COARSE[0]
+            weights = posterior(grid)
+            best = grid[weights.argmax()]
+        if not coarse or (weights > 0.1 * weights.max()).sum() <= 3:
+            grid, step = np.maximum(0.0, best + _FINE), _FINE[1] - _FINE[0]
+            weights = posterior(grid)
+        mean = float(weights @ grid)
+        sigma = float(np.sqrt(weights @ (grid - mean) ** 2 + step**2 / 12.0))
+        if sum(shots.near_s(mean) for shots in self._recordings) < _LEAST_NEAR_S:
+            mean, sigma = getattr(self._prior.values, name), self._prior.sigma[name]
+        self._wheels = replace(self._wheels, **{name: mean})
+        self._threshold_sigma[name] = sigma
+
+    # what came out
+
+    def _covariance(self) -> Array:
+        """Return the covariance of all parameters: of the fit, with their priors; of thresholds by their posteriors."""
+        free = [name for name in PARAMETERS if name not in THRESHOLDS]
+        j = self._jacobian(self._wheels, free)
+        rows = [PARAMETERS.index(name) for name in free]
+        covariance = np.diag([self._threshold_sigma.get(name, 0.0) ** 2 for name in PARAMETERS])
+        covariance[np.ix_(rows, rows)] = np.linalg.inv(j.T @ j + np.eye(len(free))) * np.outer(
+            self._sigma[rows], self._sigma[rows]
+        )
+        systematic = np.array([_SYSTEMATIC.get(name, 0.0) for name in PARAMETERS])
+        return np.asarray(covariance + np.diag(systematic**2))
+
+    def _told(self, covariance: Array) -> tuple[str, ...]:
+        share = np.sqrt(np.diag(covariance)) / self._sigma
+        return tuple(name for name, own in zip(PARAMETERS, share.tolist(), strict=True) if own < _TOLD)
+
+    def _weakest(self, covariance: Array) -> tuple[str, ...]:
+        """Return which combination of told parameters is told least."""
+        told = [k for k, name in enumerate(PARAMETERS) if name not in self._fixed]
+        _, vectors = np.linalg.eigh(covariance[np.ix_(told, told)] / np.outer(self._sigma[told], self._sigma[told]))
+        parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), told, strict=True), reverse=True)
+        return tuple(PARAMETERS[k] for part, k in parts[:3] if part > 0.3)
+
+    def found(self) -> Identification:
+        everything = [np.ones(len(shots.at_s), dtype=np.bool_) for shots in self._recordings]
+        residuals = tuple(e for e, _ in self._all(self._wheels, everything))
+        covariance = self._covariance()
+        own = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._training, strict=True)]
+        others = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._held_out, strict=True)]
+        white, held_out = np.concatenate(own), np.concatenate(others)
+        return Identification(
+            robot=self._robot,
+            prior=self._prior,
+            wheels=self._wheels,
+            noise=self._noise,
+            covariance=covariance,
+            told=tuple(name for name in PARAMETERS if name not in self._fixed),
+            weakest=self._weakest(covariance),
+            left_out=sum(int((~shots.kept).sum()) for shots in self._recordings),
+            poses=sum(len(shots.at_s) for shots in self._recordings),
+            chi_square=float((white**2).mean()),
+            correlation=float((white[1:] * white[:-1]).mean() / (white**2).mean()),
+            held_out_chi_square=float((held_out**2).mean()) if len(held_out) else float("nan"),
+            held_out=tuple(self._ahead(horizon_s) for horizon_s in HORIZONS_S),
+            residuals=residuals,
+        )
+
+    def _ahead(self, horizon_s: float) -> HeldOut:
+        found, believed = self._errors(self._wheels, horizon_s), self._errors(self._prior.values, horizon_s)
+        rms = np.sqrt((found**2).mean(axis=0)) if len(found) else np.full(3, np.nan)
+        before = np.sqrt((believed[:, :2] ** 2).sum(axis=1).mean()) if len(believed) else np.nan
+        return HeldOut(
+            horizon_s=horizon_s, position_rms_mm=1e3 * float(np.hypot(*rms[:2])),
+            heading_rms_deg=float(np.rad2deg(rms[2])), believed_rms_mm=1e3 * float(before), count=len(found),
+        )  # fmt: skip
+
+    def _errors(self, wheels: Wheels, horizon_s: float) -> Array:
+        """Return how far open-loop predictions over held-out shots are off (P, 3), in the tag's frame."""
+        errors = [np.empty((0, 3))]
+        for shots, held_out in zip(self._recordings, self._held_out, strict=True):
+            at_s, predicted, measured = shots.ahead(wheels, self._noise, horizon_s)
+            chosen = held_out[np.searchsorted(shots.at_s, at_s)]
+            errors.append(relative(measured[chosen], predicted[chosen]))
+        return np.concatenate(errors)
+
+
+def _ways(shots: Shots, wheels: Wheels) -> Array:
+    """Return each step of the tag, in its own frame, times the model's conjugate: complex, its angle is the tag's."""
+    model, seen = shots.motion(wheels), relative(shots.poses[:-1], shots.poses[1:])
+    straight = np.abs(model[:, 2]) < 0.2 * np.abs(model[:, 0]) / wheels.wheel_base_m
+    return np.asarray(((seen[:, 0] + 1j * seen[:, 1]) * (model[:, 0] - 1j * model[:, 1]))[straight])

@@ -1,0 +1,346 @@
+"""Multiple shooting: what a robot's model makes of the commands, from pose to pose, against the poses as measured.
+
+The model is the plant of ``vehicles/plant.py`` itself, without its random parts. A recording is cut into shots of some
+seconds, each of which begins at a pose of its own: what adds up in reality and not in the model stays within a shot.
+In a shot a Kalman filter carries the pose along, so that each residual is the part of a measured pose that nothing
+before it explains: of independent noise of variance 1, where the model, the poses' covariances and the wander are
+right. The wander is what adds to the way of each wheel: by slip, as in the plant, and with the way itself.
+"""
+
+import math
+from dataclasses import astuple, dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robofleet.calibration.robots import inputs
+from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.core.arrays import Array
+from robofleet.core.clock import S
+from robofleet.core.kernels import kernel
+from robofleet.simulation.bodies import BODY, BUILD, COMING, advance, command
+from robofleet.vehicles import plant
+
+SHOT_S = 2.0
+
+_NOBODY = np.zeros(0, dtype=np.bool_)
+_WRONG_BEGINNINGS, _WRONG_SHARE = 3, 0.5
+_LONGEST_OUTLIER = 3  # poses
+_NEAR = 0.7  # of a speed: about as fast
+_UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covariance of poses that have none
+_LEAST_VARIANCE = np.array([1e-6**2, 1e-6**2, 1e-5**2])  # of a simulated pose without noise [m^2, m^2, rad^2]
+_QUIET = np.zeros(8192)  # the plant's random numbers: none
+_LONGEST_STEP_NS = S
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wheels:
+    """A robot's model: what can be told from its commands and poses. Units as in the names."""
+
+    left_radius_m: float
+    right_radius_m: float
+    wheel_base_m: float
+    motor_lag_s: float
+    stop_lag_s: float  # of a wheel that is commanded to stand
+    delay_s: float  # from a tick to the wheels
+    deadband_rad_s: float
+    breakaway_rad_s: float
+    top_speed_rad_s: float
+    top_speed_sag: float
+    slip_s_per_rad: float
+    tag_forward_m: float
+    tag_left_m: float
+    tag_heading_rad: float
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Scales of the poses' noise against their covariances, and the wander of each wheel's way."""
+
+    position: float = 1.0
+    heading: float = 1.0
+    slip: float = 1e-5  # standard deviation of a way of 1 m at 1 rad/s, for 1 s [m s^0.5]
+    way: float = 1e-4  # standard deviation of a way of 1 m [m^0.5]
+
+
+class Shots:
+    """One recording of one robot, cut into shots."""
+
+    def __init__(self, drive: RobotDrive, *, loop_period_s: float, battery_life_s: float) -> None:
+        self.drive = drive
+        self._life_s = battery_life_s
+        self._loop_ns = round(loop_period_s * S)
+        outputs_s, self._outputs = inputs.as_told(drive, *inputs.through_gate(drive))
+        self._outputs_ns = np.round(outputs_s * S).astype(np.int64)
+        self.at_s, self.poses = drive.poses_s, drive.poses
+        self._poses_ns = np.round(self.at_s * S).astype(np.int64)
+        covariances = (
+            drive.pose_covariances if len(drive.pose_covariances) else np.tile(_UNKNOWN_POSE, (len(self.at_s), 1))
+        )
+        self._covariances = covariances[:, [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(-1, 3, 3)
+        self.shot = ((self.at_s - self.at_s[0]) / SHOT_S).astype(np.int64)
+        self.kept = np.ones(len(self.at_s), dtype=np.bool_)  # poses that are no outliers
+
+    @cached_property
+    def used_s(self) -> float:
+        """How long the battery had been used when the recording began, as it told then."""
+        return (1.0 - float(self.drive.battery[0])) * self._life_s if len(self.drive.battery) else 0.0
+
+    def near_s(self, speed_rad_s: float) -> float:
+        """Return how long wheels were commanded to turn about so fast, either way [s]."""
+        near = np.abs(np.abs(self._outputs[:-1]) - speed_rad_s) < _NEAR * speed_rad_s
+        return float((near * (np.diff(self._outputs_ns) / S)[:, None]).sum())
+
+    def motion(self, wheels: Wheels) -> Array:
+        """Return the model's motion from each pose to the next in the frame of the former (M - 1, 3) [m, m, rad]."""
+        w = wheels
+        radius = (w.left_radius_m + w.right_radius_m) / 2.0
+        build = plant.Build(
+            wheel_radius=radius, wheel_base=w.wheel_base_m, max_wheel_speed=w.top_speed_rad_s,
+            motor_lag=w.motor_lag_s, stop_lag=w.stop_lag_s,
+            speed_quantum=0.0, loop_period=self._loop_ns / S, deadband=w.deadband_rad_s,
+            breakaway=max(w.deadband_rad_s, w.breakaway_rad_s), slip=w.slip_s_per_rad, slip_noise=0.0,
+            top_speed_sag=w.top_speed_sag, battery_life=self._life_s, left_gain=w.left_radius_m / radius,
+            right_gain=w.right_radius_m / radius, left_sign=1.0, right_sign=1.0, swapped=False,
+            longest_step_ns=self._loop_ns, delay_ns=0,
+        )  # fmt: skip
+        acts_ns = self._outputs_ns + round(w.delay_s * S)
+        begin_ns = int(min(acts_ns[0], self._poses_ns[0])) - 1
+        body = replace(plant.placed((0.0, 0.0, 0.0), begin_ns), used=self.used_s)
+        poses = np.empty((len(self._poses_ns), 3))
+        _follow(
+            np.array([astuple(body)], BODY), np.array([astuple(build)], BUILD),
+            np.zeros((1, plant.capacity(0)), COMING), _QUIET, acts_ns, self._outputs, self._poses_ns, poses,
+        )  # fmt: skip
+        return relative(poses[:-1], poses[1:])
+
+    def residuals(self, wheels: Wheels, noise: Noise, motion: Array, chosen: NDArray[np.bool_]) -> tuple[Array, float]:
+        """Return the whitened residuals (M, 3) of the poses of ``chosen`` shots, 0 where there is none, and their
+        log-determinant: that of the covariances by which they were whitened.
+        """
+        residuals = np.zeros((len(self.at_s), 3))
+        first = np.concatenate([[True], np.diff(self.shot) > 0])
+        weights = self._noise_covariances(noise)
+        offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
+        log_determinant = _filter(
+            motion, np.diff(self.at_s), self.poses, weights, offset, wheels.wheel_base_m, noise.slip, noise.way,
+            first, chosen & self.kept, chosen, residuals, np.empty((0, 3)), np.inf, _NOBODY,
+        )  # fmt: skip
+        return residuals, float(log_determinant)
+
+    def outliers(self, wheels: Wheels, noise: Noise, gate: float) -> NDArray[np.bool_]:
+        """Return which poses (M,) are further than so many standard deviations from where the others put the robot.
+
+        Where a shot begins with one, all others would be: it is the first one then.
+        """
+        motion, first = self.motion(wheels), np.concatenate([[True], np.diff(self.shot) > 0])
+        offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
+        found, everything = np.zeros(len(self.at_s), dtype=np.bool_), np.ones(len(self.at_s), dtype=np.bool_)
+        beginnings = np.zeros(len(self.at_s), dtype=np.bool_)
+        for _ in range(_WRONG_BEGINNINGS):
+            found[:] = False
+            _filter(
+                motion, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset, wheels.wheel_base_m,
+                noise.slip, noise.way, first, ~beginnings, everything, np.zeros((len(self.at_s), 3)), np.empty((0, 3)),
+                gate, found,
+            )  # fmt: skip
+            share = np.bincount(self.shot, found) / np.maximum(1, np.bincount(self.shot, ~beginnings))
+            wrong = np.flatnonzero(share > _WRONG_SHARE)
+            if not len(wrong):
+                break
+            for shot in wrong.tolist():
+                beginnings[np.flatnonzero((self.shot == shot) & ~beginnings)[:1]] = True
+        found |= beginnings
+        change = np.flatnonzero(np.diff(found, prepend=False, append=False))
+        for start, end in change.reshape(-1, 2).tolist():
+            if end - start > _LONGEST_OUTLIER:
+                found[start:end] = False  # so many together are no noise: the model is wrong there
+        return found
+
+    def ahead(self, wheels: Wheels, noise: Noise, horizon_s: float) -> tuple[Array, Array, Array]:
+        """Return open-loop predictions: instants (P,) [s], predicted and measured poses (P, 3) of the tag.
+
+        Each starts at what the filter knows so far, and ends ``horizon_s`` later, with the commands alone.
+        """
+        motion, everything = self.motion(wheels), np.ones(len(self.at_s), dtype=np.bool_)
+        first = np.concatenate([[True], np.diff(self.at_s) > SHOT_S])
+        offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
+        estimates = np.empty((len(self.at_s), 3))
+        _filter(
+            motion, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset, wheels.wheel_base_m,
+            noise.slip, noise.way, first, self.kept, everything, np.zeros((len(self.at_s), 3)), estimates, np.inf,
+            _NOBODY,
+        )  # fmt: skip
+        ends = np.searchsorted(self.at_s, self.at_s + horizon_s - self._half_interval_s)
+        start = np.flatnonzero((ends < len(self.at_s)) & (self.at_s > self.at_s[0] + SHOT_S / 2.0))
+        start = start[self.kept[ends[start]]]
+        path = accumulated(motion)
+        step = relative(path[start], path[ends[start]])
+        return self.at_s[start], compose(compose(estimates[start], step), offset), self.poses[ends[start]]
+
+    @cached_property
+    def _half_interval_s(self) -> float:
+        return float(np.median(np.diff(self.at_s))) / 2.0
+
+    def _noise_covariances(self, noise: Noise) -> Array:
+        scale = np.array([noise.position, noise.position, noise.heading])
+        return np.asarray(self._covariances * scale[:, None] * scale + np.diag(_LEAST_VARIANCE))
+
+
+def relative(start: Array, end: Array) -> Array:
+    """Return poses (n, 3) in the frames of others (n, 3)."""
+    c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
+    x, y = (end - start)[:, :2].T
+    poses: Array = np.column_stack([c * x + s * y, c * y - s * x, wrapped(end[:, 2] - start[:, 2])])
+    return poses
+
+
+def compose(start: Array, step: Array) -> Array:
+    """Return poses (n, 3) that are given in the frames of others (n, 3); ``step`` may be one for all (3,)."""
+    c, s = np.cos(start[:, 2]), np.sin(start[:, 2])
+    x, y, psi = np.broadcast_to(step, start.shape).T
+    return np.column_stack([start[:, 0] + c * x - s * y, start[:, 1] + s * x + c * y, wrapped(start[:, 2] + psi)])
+
+
+def accumulated(motion: Array) -> Array:
+    """Return the path (M, 3) of motions (M - 1, 3), from the origin on."""
+    heading = np.concatenate([[0.0], np.cumsum(motion[:, 2])])
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    x, y = motion[:, 0], motion[:, 1]
+    return np.column_stack(
+        [*(np.concatenate([[0.0], np.cumsum(way)]) for way in (c * x - s * y, s * x + c * y)), heading]
+    )
+
+
+def wrapped(angle: Array) -> Array:
+    """Return angles within half a turn [rad]."""
+    return np.asarray(angle - math.tau * np.round(angle / math.tau))
+
+
+@kernel
+def _follow(bodies, builds, coming, noise, at_ns, outputs, poses_ns, poses):  # type: ignore[no-untyped-def]
+    """Let a robot follow outputs (K, 2) that begin to act at instants (K,); fill in where it is at others (M,)."""
+    b, p, waiting = bodies[0], builds[0], coming[0]
+    k = 0
+    for row in range(len(poses_ns)):
+        while k < len(at_ns) and at_ns[k] <= poses_ns[row]:
+            _pass_until(b, p, waiting, noise, at_ns[k])
+            command(b, p, waiting, outputs[k, 0], outputs[k, 1], plant.NEVER_NS)
+            k += 1
+        _pass_until(b, p, waiting, noise, poses_ns[row])
+        poses[row, 0], poses[row, 1], poses[row, 2] = b.x, b.y, b.psi
+
+
+@kernel
+def _pass_until(b, p, coming, noise, until_ns):  # type: ignore[no-untyped-def]
+    while b.reached_ns < until_ns:
+        b.drawn = 0
+        advance(b, p, coming, noise, min(until_ns, b.reached_ns + _LONGEST_STEP_NS))
+
+
+@kernel
+def _filter(  # type: ignore[no-untyped-def]  # noqa: PLR0912, PLR0915
+    motion,
+    duration,
+    measured,
+    weights,
+    offset,
+    base,
+    slip,
+    way,
+    first,
+    kept,
+    chosen,
+    residuals,
+    estimates,
+    gate,
+    outliers,
+):
+    """Carry the pose of a robot's centre along its motion, and correct it by the tag's poses where they are ``kept``.
+
+    At ``first`` it begins anew. Fill in whitened residuals of those that are ``chosen`` and kept; and, where there is
+    room for them, the estimates, and which are outliers: further off than ``gate``, they correct nothing. Return half
+    the log-determinant of the residuals' covariances.
+    """
+    forward, left, turned = offset
+    x = y = psi = total = 0.0
+    P, S, moved, K = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    known = False
+    for k in range(len(measured)):
+        if first[k]:
+            known = False
+        elif known:
+            dx, dy, dpsi = motion[k - 1]
+            h = max(duration[k - 1], 1e-9)
+            left_way, right_way = abs(dx - dpsi * base / 2.0), abs(dx + dpsi * base / 2.0)
+            left_variance = (slip * dpsi / h * left_way) ** 2 / h + way * way * left_way + 1e-16
+            right_variance = (slip * dpsi / h * right_way) ** 2 / h + way * way * right_way + 1e-16
+            c, s = math.cos(psi), math.sin(psi)
+            a, b = -s * dx - c * dy, c * dx - s * dy
+            _turned(P, a, b, moved)
+            along = math.cos(psi + dpsi / 2.0), math.sin(psi + dpsi / 2.0), 0.0
+            turn = a / 2.0, b / 2.0, 1.0
+            for i in range(3):
+                of_left, of_right = along[i] / 2.0 - turn[i] / base, along[i] / 2.0 + turn[i] / base
+                for j in range(3):
+                    P[i, j] = (
+                        moved[i, j]
+                        + left_variance * of_left * (along[j] / 2.0 - turn[j] / base)
+                        + right_variance * of_right * (along[j] / 2.0 + turn[j] / base)
+                    )
+            x, y, psi = x + c * dx - s * dy, y + s * dx + c * dy, psi + dpsi
+        if kept[k] and not known:
+            known = True
+            psi = measured[k, 2] - turned
+            c, s = math.cos(psi), math.sin(psi)
+            arm_x, arm_y = c * forward - s * left, s * forward + c * left
+            x, y = measured[k, 0] - arm_x, measured[k, 1] - arm_y
+            _turned(weights[k], arm_y, -arm_x, P)
+        elif kept[k]:
+            c, s = math.cos(psi), math.sin(psi)
+            arm_x, arm_y = c * forward - s * left, s * forward + c * left
+            _turned(P, -arm_y, arm_x, S)
+            S += weights[k]
+            e0, e1 = measured[k, 0] - x - arm_x, measured[k, 1] - y - arm_y
+            e2 = measured[k, 2] - psi - turned
+            e2 -= math.tau * math.floor(e2 / math.tau + 0.5)
+            l00 = math.sqrt(S[0, 0])
+            l10, l20 = S[1, 0] / l00, S[2, 0] / l00
+            l11 = math.sqrt(S[1, 1] - l10 * l10)
+            l21 = (S[2, 1] - l20 * l10) / l11
+            l22 = math.sqrt(S[2, 2] - l20 * l20 - l21 * l21)
+            w0 = e0 / l00
+            w1 = (e1 - l10 * w0) / l11
+            w2 = (e2 - l20 * w0 - l21 * w1) / l22
+            if len(outliers) and w0 * w0 + w1 * w1 + w2 * w2 > gate * gate:
+                outliers[k] = True
+                continue
+            if chosen[k]:
+                residuals[k, 0], residuals[k, 1], residuals[k, 2] = w0, w1, w2
+                total += math.log(l00 * l11 * l22)
+            for i in range(3):  # K = P H' L'^-1: the gain for the whitened residuals
+                K[i, 0] = (P[i, 0] - arm_y * P[i, 2]) / l00
+                K[i, 1] = (P[i, 1] + arm_x * P[i, 2] - l10 * K[i, 0]) / l11
+                K[i, 2] = (P[i, 2] - l20 * K[i, 0] - l21 * K[i, 1]) / l22
+            x += K[0, 0] * w0 + K[0, 1] * w1 + K[0, 2] * w2
+            y += K[1, 0] * w0 + K[1, 1] * w1 + K[1, 2] * w2
+            psi += K[2, 0] * w0 + K[2, 1] * w1 + K[2, 2] * w2
+            for i in range(3):
+                for j in range(3):
+                    P[i, j] -= K[i, 0] * K[j, 0] + K[i, 1] * K[j, 1] + K[i, 2] * K[j, 2]
+        if len(estimates):
+            estimates[k, 0], estimates[k, 1], estimates[k, 2] = x, y, psi
+    return total
+
+
+@kernel
+def _turned(P, a, b, result):  # type: ignore[no-untyped-def]
+    """Fill in J P J' of a covariance (3, 3), where J is 1 but for a and b: by how much a heading moves x and y."""
+    p02, p12, p22 = P[0, 2], P[1, 2], P[2, 2]
+    result[0, 0] = P[0, 0] + 2.0 * a * p02 + a * a * p22
+    result[0, 1] = result[1, 0] = P[0, 1] + a * p12 + b * p02 + a * b * p22
+    result[1, 1] = P[1, 1] + 2.0 * b * p12 + b * b * p22
+    result[0, 2] = result[2, 0] = p02 + a * p22
+    result[1, 2] = result[2, 1] = p12 + b * p22
+    result[2, 2] = p22
