@@ -27,7 +27,7 @@ _PUSH = 1e-5  # of each state, or of a robot's reference to its left [m]
 _START_S = 10.0  # a robot's reference gathers speed, then it is pushed
 _FLOOR = 1e-10  # an error this small has died away: rounding is left
 _RUNAWAY = 1e4  # times the push
-_WIDTHS = (1.2, 2.0)
+_WIDTHS = (1.06, 1.3, 2.0)
 _BORDER_RATIO = 1.004
 _IDEAL_PERIOD_S = 0.005  # steps of a simulated robot
 
