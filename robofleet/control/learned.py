@@ -163,8 +163,8 @@ def _ridge(phi: Array, target: Array, ridge: float, weights: Array) -> Array:
 
 def _polynomial(inputs: int, degree: int) -> _Features:
     products = [p for d in range(degree + 1) for p in combinations_with_replacement(range(inputs), d)]
-    place = {product: k for k, product in enumerate(products)}
-    parent = np.array([place[p[:-1]] if p else 0 for p in products])  # each is its parent times one input
+    index_of = {product: k for k, product in enumerate(products)}
+    parent = np.array([index_of[p[:-1]] if p else 0 for p in products])  # each is its parent times one input
     factor = np.array([p[-1] if p else 0 for p in products])
     return _Features(len(products), _products, _product_slopes, parent, factor)
 

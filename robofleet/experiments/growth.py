@@ -25,8 +25,9 @@ from robofleet.vehicles.interface import Imperfections, WheelSpeeds
 
 _PUSH = 1e-5  # of each state, or of a robot's reference to its left [m]
 _START_S = 10.0  # a robot's reference gathers speed, then it is pushed
-_FLOOR = 1e-12  # an error this small has died away
+_FLOOR = 1e-10  # an error this small has died away: rounding is left
 _RUNAWAY = 1e4  # times the push
+_WIDTHS = (1.06, 1.3, 2.0)
 _BORDER_RATIO = 1.004
 _IDEAL_PERIOD_S = 0.005  # steps of a simulated robot
 
@@ -109,14 +110,19 @@ def _growth(errors: Array) -> float:
 
 
 def delay_border(growth: Callable[[float], float], near: float) -> float:
-    """Return the least delay [s] with which errors grow, by bisection; NaN: it is not within a factor of two."""
-    low, high = near / 2.0, 1.9 * near
-    if not near or growth(low) > 1.0 or growth(high) <= 1.0:
-        return math.nan
-    while high / low > _BORDER_RATIO:
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if growth(middle) > 1.0 else (middle, high)
-    return math.sqrt(low * high)
+    """Return the least delay [s] with which errors grow, by bisection; NaN: it is not within a factor of two.
+
+    A loop may be stable again with a longer delay: the border is sought close by first.
+    """
+    for width in _WIDTHS if near else ():
+        low, high = near / width, 0.99 * width * near  # not symmetric: bisection does not meet ``near``
+        if growth(low) > 1.0 or growth(high) <= 1.0:
+            continue
+        while high / low > _BORDER_RATIO:
+            middle = math.sqrt(low * high)
+            low, high = (low, middle) if growth(middle) > 1.0 else (middle, high)
+        return math.sqrt(low * high)
+    return math.nan
 
 
 def _ideal(motor_lag: float, delay: float) -> Imperfections:

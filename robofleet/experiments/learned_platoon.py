@@ -75,7 +75,7 @@ def learned_robots(run: Run) -> list[list[list[float]]]:
     for i, robot in enumerate(run.config.members):
         drive, h = slices.drive(robot), run.config.controller.tick_s
         wheels = _lagged(commands[:, i], drive.motor_lag, h, slices.delay_ns(run.config, robot) / 1e9)
-        asked = np.column_stack([
+        requested = np.column_stack([
             drive.wheel_radius * wheels.sum(axis=1) / 2.0,
             drive.wheel_radius / drive.wheel_base * (wheels[:, 1] - wheels[:, 0]),
         ])  # fmt: skip
@@ -84,7 +84,7 @@ def learned_robots(run: Run) -> list[list[list[float]]]:
         turned = np.remainder(moved[:, 2] + np.pi, 2.0 * np.pi) - np.pi
         after = np.column_stack([c * moved[:, 0] + s * moved[:, 1], c * moved[:, 1] - s * moved[:, 0], turned])
         use = counted[:-1] & counted[1:]
-        samples = Samples(np.zeros((int(use.sum()), 3)), asked[:-1][use], after[use], h)
+        samples = Samples(np.zeros((int(use.sum()), 3)), requested[:-1][use], after[use], h)
         plant = learned_plant(UNICYCLE, samples, (), (0, 1, 2), Polynomial(1)).plant
         known, x = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3)
         rest = plant.f(x, np.zeros(2))

@@ -6,6 +6,7 @@ rates of both velocities and of the yaw rate are learned, from states and inputs
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Annotated
 
@@ -30,6 +31,7 @@ from robofleet.vehicles.bicycle import FALCONE_2007, ZHOU_2017, BicycleParameter
 
 _STATES = _RATES = (2, 3, 5)  # v_l, v_n, yaw rate
 _SINES = 6
+_DRAWN_M = 160.0  # of a drive
 _LONGEST_PERIOD_S, _SHORTEST_PERIOD_S = 20.0, 0.8
 _STEERING_RAD = 0.12  # at most
 _SPEED_RATE = 1.0  # at which the driver corrects the speed [1/s]
@@ -167,8 +169,8 @@ def _apart(found: Peaks, exact: Peaks) -> float:
 
 
 def _panel(title: str, drives: dict[str, Drive]) -> Panel:
-    curves = (
-        Curve(kind, each.along, 1e2 * each.lateral, "dashed" if kind == "exact" else "solid")
-        for kind, each in drives.items()
-    )
-    return Panel("distance along the curve, m", "lateral error, cm", tuple(curves), title)
+    exact = drives["exact"]
+    curves = [Curve(kind, each.along, 1e2 * each.lateral) for kind, each in drives.items() if each is not exact]
+    curves.append(Curve("exact", exact.along, 1e2 * exact.lateral, "dashed"))
+    shown = tuple(replace(c, x=c.x[c.x <= _DRAWN_M], y=c.y[c.x <= _DRAWN_M]) for c in curves)
+    return Panel("distance along the curve, m", "lateral error, cm", shown, title)

@@ -96,7 +96,7 @@ def printed(table: Table) -> Group:
     title = Text(table.title, "bold")  # of its own, because a table's title is folded to the table's width
     rich = RichTable(box=SIMPLE_HEAD, pad_edge=False)
     for i, column in enumerate(table.columns):
-        rich.add_column(column, justify="left" if i == 0 else "right", vertical="bottom", overflow="fold")
+        rich.add_column(Text(column), justify="left" if i == 0 else "right", vertical="bottom", overflow="fold")
     for row in table.rows:
         rich.add_row(*table.text(row))
     if not table.notes:

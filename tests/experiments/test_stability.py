@@ -68,7 +68,7 @@ def test_the_experiment() -> None:
     shipped: StabilityParameters = parameters_of("stability")
     p = shipped.model_copy(update={"points": 4})
     result = run(p)
-    horizons, simulated, steps = result.tables
+    horizons, simulated, steps, delays = result.tables
     assert result.data["double_integrator_deviation"] < 0.02
     for plant, alpha, _, alpha_t in horizons.rows:
         low, high = (0.98, 1.02) if plant == "double integrator" else (0.98, 1.7)
@@ -76,7 +76,9 @@ def test_the_experiment() -> None:
     assert [row[3] for row in simulated.rows] == ["unstable", "stable"] * len(p.boundary_alphas_1_s)
     for _, integrator, alpha, _, alpha_step in steps.rows:
         assert (alpha_step < 2.0) if integrator == "euler" else (alpha_step > 2.0), alpha
-    (over_t, over_step) = result.figures
+    assert max(abs(float(row[4])) for row in delays.rows) < 1.0
+    (over_t, over_step, over_delay) = result.figures
+    assert len(over_delay.panels) == 3
     assert [panel.field.values.shape for panel in over_t.panels + over_step.panels] == [(4, 4)] * 7
     for panel in over_t.panels:
         stable = panel.field.values
