@@ -186,11 +186,13 @@ class _Loop:
         speed = (angle - self._seen[side]) / p.loop_period
         self._seen[side] = angle
         if abs(setpoint) < (p.deadband if speed else p.breakaway):
-            self._sums[side] = 0.0
-            return 0.0
+            if not speed:
+                self._sums[side] = 0.0
+                return 0.0
+            setpoint = 0.0
         error = math.copysign(min(abs(setpoint), p.max_wheel_speed), setpoint) - speed
         total = self._sums[side] + self._gain * error * p.loop_period / self._motor_s
-        duty = self._gain * error + total + math.copysign(self._friction, setpoint)
+        duty = self._gain * error + total + math.copysign(self._friction, setpoint or speed)
         if abs(duty) <= most or error * duty < 0.0:
             self._sums[side] = total
         return max(-most, min(most, duty))
