@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from robofleet.core.arrays import Array
-from robofleet.vehicles.interface import BodyTrouble, World
+from robofleet.vehicles.interface import BodyTrouble, DriverReading, WheelSpeeds, World
 from robofleet.vehicles.plant import (
     NEVER_NS,
     Build,
@@ -110,10 +110,13 @@ class FleetPlant(Protocol):
 
 
 class SharedPlant:
-    """The robots (N,) of a plant, which share its time: whoever lets it pass lets it pass for all."""
+    """The robots (N,) of a plant, which share its time: whoever lets it pass lets it pass for all.
+
+    The plant is stepped when a robot is commanded or read: twins let time pass with every byte.
+    """
 
     def __init__(self, plant: FleetPlant, robots: Sequence[PlantRobot], now_ns: int) -> None:
-        self._plant, self._reached_ns = plant, now_ns
+        self._plant, self._reached_ns, self._now_ns = plant, now_ns, now_ns
         self._robots = {robot.robot: PlantedRobot(self, robot, now_ns) for robot in robots}
 
     def robot(self, robot: str, trouble: Callable[[], BodyTrouble] | None = None) -> "PlantedRobot":
@@ -127,9 +130,13 @@ class SharedPlant:
         return [(other.truth(), other.radius) for name, other in self._robots.items() if name != robot]
 
     def advance(self, now_ns: int) -> None:
-        """Let time pass until then [ns], cut where commands begin to act; the past changes nothing."""
-        robots = self._robots.values()
-        if now_ns <= self._reached_ns:
+        """Let time pass until then [ns]; the past changes nothing."""
+        self._now_ns = max(self._now_ns, now_ns)
+
+    def catch_up(self) -> None:
+        """Step the plant up to the present, cut where commands begin to act."""
+        robots, now_ns = self._robots.values(), self._now_ns
+        if now_ns == self._reached_ns:
             return
         for robot in robots:
             robot.suffer()
@@ -152,8 +159,20 @@ class PlantedRobot(Plant):
         self._coming = [Coming() for _ in range(capacity(self._p.delay_ns))]
         self.trouble: Callable[[], BodyTrouble] | None = None
 
+    def write(self, wheels: WheelSpeeds, *, off_ns: int = NEVER_NS) -> None:
+        self._shared.catch_up()
+        super().write(wheels, off_ns=off_ns)
+
     def advance(self, now_ns: int) -> None:
         self._shared.advance(now_ns)
+
+    def reading(self) -> DriverReading:
+        self._shared.catch_up()
+        return super().reading()
+
+    def truth(self) -> TruePose:
+        self._shared.catch_up()
+        return super().truth()
 
     def suffer(self) -> None:
         if self.trouble is not None:

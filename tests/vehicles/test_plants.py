@@ -94,7 +94,7 @@ def test_a_wheel_that_runs_and_motors_that_stand() -> None:
     plant.advance(200 * MS)
     before = robot.truth()
     plant.advance(300 * MS)
-    assert robot.truth() == before
+    assert tuple(robot.truth()) == tuple(before)
     assert math.isclose(robot.reading().battery, 1.0, abs_tol=1e-3)
 
 

@@ -3,7 +3,8 @@
 A robot is a disc on two driven wheels and a castor behind them. Its frame is that of the axle: x ahead, y left, z up,
 with its origin in the axle's middle. A motor gives the torque ``stall (u - omega / no_load)`` at the duty u, which a
 battery limits to its charge's share. The firmware's loop is a proportional and integral one on the speed that its
-encoder counts, tuned so that a wheel that drives straight ahead follows with the motor lag of its kind.
+encoder counts, tuned so that a wheel that drives straight ahead follows with the motor lag of its kind; it adds what
+its gear's friction takes.
 """
 
 import math
@@ -166,6 +167,7 @@ class _Loop:
         no_load = s.no_load * p.max_wheel_speed
         inertia = (1.0 + s.rotor_inertia) * _half_inertia(robot, s)
         self._motor_s = inertia * no_load / _stall(robot, s)  # time constant of a motor that moves its half
+        self._friction = s.gear_friction
         self._gain = self._motor_s / (max(p.motor_lag, 2.0 * p.loop_period) * no_load)
 
     def run(self, setpoints: list[float], angles: list[float], now: float) -> tuple[float, float]:
@@ -184,11 +186,13 @@ class _Loop:
         speed = (angle - self._seen[side]) / p.loop_period
         self._seen[side] = angle
         if abs(setpoint) < (p.deadband if speed else p.breakaway):
-            self._sums[side] = 0.0
-            return 0.0
+            if not speed:
+                self._sums[side] = 0.0
+                return 0.0
+            setpoint = 0.0
         error = math.copysign(min(abs(setpoint), p.max_wheel_speed), setpoint) - speed
         total = self._sums[side] + self._gain * error * p.loop_period / self._motor_s
-        duty = self._gain * error + total
+        duty = self._gain * error + total + math.copysign(self._friction, setpoint or speed)
         if abs(duty) <= most or error * duty < 0.0:
             self._sums[side] = total
         return max(-most, min(most, duty))
