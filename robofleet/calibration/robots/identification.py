@@ -90,8 +90,9 @@ class Identification:
     told: tuple[str, ...]
     weakest: tuple[str, ...]  # the combination of parameters that is told least
     left_out: int  # poses that were outliers
+    misfits: int  # poses in a row that the model does not explain: there it is wrong
     poses: int
-    chi_square: float  # mean square of the whitened residuals
+    chi_square: float  # mean square of the whitened residuals, without outliers and misfits
     correlation: float  # of each residual with the next one; 0: white
     held_out_chi_square: float
     held_out: tuple[HeldOut, ...]
@@ -253,7 +254,7 @@ class _Fit:
         self._wheels = self._moved(solved.x, names)
 
     def _estimate_noise(self) -> None:
-        """Take the noise that makes the residuals likeliest."""
+        """Take the noise that makes the residuals likeliest; what no noise explains counts as an outlier's does."""
         motions = [shots.motion(self._wheels) for shots in self._recordings]
 
         def minus_log_likelihood(logs: Array) -> float:
@@ -261,7 +262,7 @@ class _Fit:
             total = 0.0
             for shots, motion, own in zip(self._recordings, motions, self._training, strict=True):
                 e, log_determinant = shots.residuals(self._wheels, noise, motion, own)
-                total += 0.5 * float((e * e).sum()) + log_determinant
+                total += 0.5 * float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum()) + log_determinant
             return total
 
         start = np.log(np.array(astuple(self._noise)))
@@ -347,6 +348,9 @@ class _Fit:
         own = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._training, strict=True)]
         others = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._held_out, strict=True)]
         white, held_out = np.concatenate(own), np.concatenate(others)
+        explained = (white**2).sum(axis=1) <= _OUTLIER_SIGMA**2
+        misfits, white = int((~explained).sum()), white[explained]
+        held_out = held_out[(held_out**2).sum(axis=1) <= _OUTLIER_SIGMA**2]
         return Identification(
             robot=self._robot,
             prior=self._prior,
@@ -357,6 +361,7 @@ class _Fit:
             weakest=self._weakest(covariance),
             left_out=sum(int((~shots.kept).sum()) for shots in self._recordings),
             poses=sum(len(shots.at_s) for shots in self._recordings),
+            misfits=misfits,
             chi_square=float((white**2).mean()),
             correlation=float((white[1:] * white[:-1]).mean() / (white**2).mean()),
             held_out_chi_square=float((held_out**2).mean()) if len(held_out) else float("nan"),

@@ -211,11 +211,11 @@ def page(
     report.table(*table(found))
     report.table(
         ("robot", "mean square of residuals", "the same, held out", "correlation with the next", *(
-            f"error after {e.horizon_s:g} s, mm (before)" for e in found[0].held_out), "outliers"),
+            f"error after {e.horizon_s:g} s, mm (before)" for e in found[0].held_out), "outliers", "not explained"),
         [
             (each.robot, each.chi_square, each.held_out_chi_square, f"{each.correlation:.3f}",
              *(f"{e.position_rms_mm:.3g} ({e.believed_rms_mm:.3g})" if e.count else None for e in each.held_out),
-             f"{each.left_out} of {each.poses}")
+             f"{each.left_out} of {each.poses}", each.misfits)
             for each in found
         ],
     )  # fmt: skip

@@ -19,7 +19,9 @@ from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.plant_errors import PlantErrors
+from robofleet.config.tree import Bounds
 from robofleet.recording.reading import read
+from robofleet.reports.bounds import judged
 from robofleet.vehicles.plant import built
 from tests.robots import GTERNAL
 from tests.shipped import PLATOON
@@ -166,6 +168,14 @@ def test_a_run_has_no_gap_to_itself() -> None:
     assert {"control error", "exposure to tick"} <= {each.name for each in closed}
     assert all(each.ratio == pytest.approx(1.0) for each in closed)
     assert all(each.low <= 1.0 <= each.high for each in closed)
+
+
+def test_a_gap_is_judged_where_somebody_measured_it() -> None:
+    bounds = Bounds(gap=1.2)
+    assert judged({}, bounds) == []
+    for worst, met in ((1.1, True), (1.3, False)):
+        (verdict,) = judged({"gap": {"worst": worst}}, bounds)
+        assert verdict["pass"] == met
 
 
 @pytest.mark.slow
