@@ -167,7 +167,10 @@ class _Fit:
                 self._threshold(name, coarse=k in (0, _ROUNDS - 2))
         self._fixed = set(PARAMETERS) - set(self._told(self._covariance()))
         self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
-        self._descend(must_converge=True)
+        for _ in range(_OUTLIER_PASSES):  # what the model cannot explain shall not bend the rest
+            self._leave_out(misfits=True)
+            self._estimate_noise()
+            self._descend(must_converge=True)
         self._estimate_noise()
 
     # what is minimised
@@ -273,10 +276,10 @@ class _Fit:
         )  # fmt: skip
         self._noise = Noise(*np.exp(np.clip(found.x, -20.0, 5.0)).tolist())
 
-    def _leave_out(self) -> None:
-        """Leave out poses that are outliers."""
+    def _leave_out(self, *, misfits: bool = False) -> None:
+        """Leave out poses that are outliers; ``misfits``: and those where the model is wrong."""
         for shots in self._recordings:
-            shots.kept = ~shots.outliers(self._wheels, self._noise, _OUTLIER_SIGMA)
+            shots.kept = ~shots.outliers(self._wheels, self._noise, _OUTLIER_SIGMA, misfits=misfits)
         share = np.mean([not kept for shots in self._recordings for kept in shots.kept])
         if share > _OUTLIER_SHARE:
             raise CalibrationError(
@@ -348,9 +351,9 @@ class _Fit:
         own = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._training, strict=True)]
         others = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._held_out, strict=True)]
         white, held_out = np.concatenate(own), np.concatenate(others)
-        explained = (white**2).sum(axis=1) <= _OUTLIER_SIGMA**2
-        misfits, white = int((~explained).sum()), white[explained]
-        held_out = held_out[(held_out**2).sum(axis=1) <= _OUTLIER_SIGMA**2]
+        gate = self._wheels, self._noise, _OUTLIER_SIGMA
+        single = sum(int(shots.outliers(*gate, misfits=False).sum()) for shots in self._recordings)
+        without = sum(int((~shots.kept).sum()) for shots in self._recordings)
         return Identification(
             robot=self._robot,
             prior=self._prior,
@@ -359,9 +362,9 @@ class _Fit:
             covariance=covariance,
             told=tuple(name for name in PARAMETERS if name not in self._fixed),
             weakest=self._weakest(covariance),
-            left_out=sum(int((~shots.kept).sum()) for shots in self._recordings),
+            left_out=single,
+            misfits=max(0, without - single),
             poses=sum(len(shots.at_s) for shots in self._recordings),
-            misfits=misfits,
             chi_square=float((white**2).mean()),
             correlation=float((white[1:] * white[:-1]).mean() / (white**2).mean()),
             held_out_chi_square=float((held_out**2).mean()) if len(held_out) else float("nan"),
