@@ -20,6 +20,7 @@ from robofleet.core.arrays import Array
 
 PARAMETERS = tuple(field.name for field in fields(Wheels))
 THRESHOLDS = "deadband_rad_s", "breakaway_rad_s"
+_OF_STOPS = ("stop_lag_s",)
 HORIZONS_S = 1.0, 2.0, 5.0
 
 _STEPS = {  # of numerical derivatives
@@ -150,7 +151,8 @@ class _Fit:
         self._centre = np.array(astuple(prior.values))
         self._wheels, self._noise = prior.values, _AT_FIRST
         self._threshold_sigma = {name: prior.sigma[name] for name in THRESHOLDS}
-        self._fixed: set[str] = set()
+        self._fixed: set[str] = set()  # what is not told
+        self._frozen: tuple[str, ...] = ()  # what was told by poses that are left out now
         self._held_out = [shots.shot % _HELD_OUT == _HELD_OUT - 1 for shots in recordings]
         self._training = [~own for own in self._held_out]
 
@@ -167,6 +169,7 @@ class _Fit:
                 self._threshold(name, coarse=k in (0, _ROUNDS - 2))
         self._fixed = set(PARAMETERS) - set(self._told(self._covariance()))
         self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
+        self._frozen = _OF_STOPS
         for _ in range(_OUTLIER_PASSES):  # what the model cannot explain shall not bend the rest
             self._leave_out(misfits=True)
             self._estimate_noise()
@@ -232,7 +235,7 @@ class _Fit:
         self._wheels = min([self._wheels, *models], key=lambda model: float((self._residuals(model) ** 2).sum()))
 
     def _descend(self, *, must_converge: bool = False) -> None:
-        names = [name for name in PARAMETERS if name not in self._fixed and name not in THRESHOLDS]
+        names = [name for name in PARAMETERS if name not in (*self._fixed, *self._frozen, *THRESHOLDS)]
         rows = [PARAMETERS.index(name) for name in names]
         low, high = (
             (np.array([limits.get(name, far) for name in names]) - self._centre[rows]) / self._sigma[rows]
