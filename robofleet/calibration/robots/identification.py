@@ -152,7 +152,7 @@ class _Fit:
         self._wheels, self._noise = prior.values, _AT_FIRST
         self._threshold_sigma = {name: prior.sigma[name] for name in THRESHOLDS}
         self._fixed: set[str] = set()  # what is not told
-        self._frozen: tuple[str, ...] = ()  # what was told by poses that are left out now
+        self._frozen: dict[str, float] = {}  # what was told by poses that are left out now, and its variance
         self._held_out = [shots.shot % _HELD_OUT == _HELD_OUT - 1 for shots in recordings]
         self._training = [~own for own in self._held_out]
 
@@ -167,9 +167,11 @@ class _Fit:
                 self._estimate_noise()
             for name in THRESHOLDS:
                 self._threshold(name, coarse=k in (0, _ROUNDS - 2))
-        self._fixed = set(PARAMETERS) - set(self._told(self._covariance()))
+        covariance = self._covariance()
+        self._fixed = set(PARAMETERS) - set(self._told(covariance))
         self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
-        self._frozen = _OF_STOPS
+        rows = [PARAMETERS.index(name) for name in _OF_STOPS]
+        self._frozen = dict(zip(_OF_STOPS, np.diag(covariance)[rows].tolist(), strict=True))
         for _ in range(_OUTLIER_PASSES):  # what the model cannot explain shall not bend the rest
             self._leave_out(misfits=True)
             self._estimate_noise()
@@ -334,7 +336,12 @@ class _Fit:
             self._sigma[rows], self._sigma[rows]
         )
         systematic = np.array([_SYSTEMATIC.get(name, 0.0) for name in PARAMETERS])
-        return np.asarray(covariance + np.diag(systematic**2))
+        covariance = np.asarray(covariance + np.diag(systematic**2))
+        for name, variance in self._frozen.items():
+            row = PARAMETERS.index(name)
+            covariance[row, :] = covariance[:, row] = 0.0
+            covariance[row, row] = variance
+        return covariance
 
     def _told(self, covariance: Array) -> tuple[str, ...]:
         share = np.sqrt(np.diag(covariance)) / self._sigma
