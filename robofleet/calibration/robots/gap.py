@@ -158,8 +158,8 @@ def _pieces(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_Pie
     yield _cut("exposure to wheel", "ms", t, status_at_ticks(run, exposure_to_wheel_ms))
 
 
-def _named(name: str, asked: float | None) -> str:
-    return name.replace("_", " ") + (" error" if asked is not None else "")
+def _named(name: str, target: float | None) -> str:
+    return name.replace("_", " ") + (" error" if target is not None else "")
 
 
 def _open_loop(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_Pieces]:
@@ -228,5 +228,5 @@ def _cut(name: str, unit: str, at_s: Array, values: Array, *, squared: bool = Fa
     piece = ((at_s - at_s.min()) / _PIECE_S).astype(np.int64)
     weights = np.bincount(piece, known.sum(axis=1)).astype(np.float64)
     sums = np.bincount(piece, used)
-    there = weights > 0
-    return _Pieces(name, unit, sums[there] / weights[there], weights[there], squared=squared)
+    filled = weights > 0
+    return _Pieces(name, unit, sums[filled] / weights[filled], weights[filled], squared=squared)

@@ -88,7 +88,7 @@ class Identification:
     wheels: Wheels
     noise: Noise
     covariance: Array  # (p, p) of PARAMETERS
-    told: tuple[str, ...]
+    determined: tuple[str, ...]
     weakest: tuple[str, ...]  # the combination of parameters that is told least
     left_out: int  # poses that were outliers
     misfits: int  # poses in a row that the model does not explain: there it is wrong
@@ -105,9 +105,9 @@ class Identification:
         return dict(zip(PARAMETERS, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
-    def untold(self) -> tuple[str, ...]:
+    def undetermined(self) -> tuple[str, ...]:
         """The parameters that the recordings do not tell, which stayed at their priors."""
-        return tuple(name for name in PARAMETERS if name not in self.told)
+        return tuple(name for name in PARAMETERS if name not in self.determined)
 
 
 def identify(recordings: Sequence[Shots], prior: Prior) -> Identification:
@@ -349,9 +349,11 @@ class _Fit:
 
     def _weakest(self, covariance: Array) -> tuple[str, ...]:
         """Return which combination of told parameters is told least."""
-        told = [k for k, name in enumerate(PARAMETERS) if name not in self._fixed]
-        _, vectors = np.linalg.eigh(covariance[np.ix_(told, told)] / np.outer(self._sigma[told], self._sigma[told]))
-        parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), told, strict=True), reverse=True)
+        determined = [k for k, name in enumerate(PARAMETERS) if name not in self._fixed]
+        _, vectors = np.linalg.eigh(
+            covariance[np.ix_(determined, determined)] / np.outer(self._sigma[determined], self._sigma[determined])
+        )
+        parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), determined, strict=True), reverse=True)
         return tuple(PARAMETERS[k] for part, k in parts[:3] if part > 0.3)
 
     def found(self) -> Identification:
@@ -370,7 +372,7 @@ class _Fit:
             wheels=self._wheels,
             noise=self._noise,
             covariance=covariance,
-            told=tuple(name for name in PARAMETERS if name not in self._fixed),
+            determined=tuple(name for name in PARAMETERS if name not in self._fixed),
             weakest=self._weakest(covariance),
             left_out=single,
             misfits=max(0, without - single),
