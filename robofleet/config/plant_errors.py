@@ -11,8 +11,8 @@ Error = Annotated[float, Field(gt=-1, lt=1)]
 
 
 class PlantErrors(Model):
-    """How a simulated robot differs from an ideal one. Each run draws the spread quantities once, uniformly, between
-    minus and plus the given value."""
+    """How a simulated robot differs from an ideal one. Each run draws the spreads once, uniformly, between minus and
+    plus the value."""
 
     motor_lag_s: Lag
     """Time constant of the wheel-speed loop."""
@@ -23,9 +23,9 @@ class PlantErrors(Model):
     loop_period_s: Annotated[float, within(1e-4, 1)]
     """Period of the robot's own wheel-speed loop."""
     deadband_rad_s: Annotated[float, within(0, 100)]
-    """A turning wheel stops when its commanded speed is below this value."""
+    """A turning wheel stops when commanded less."""
     breakaway_rad_s: Annotated[float, within(0, 100)]
-    """A wheel at rest starts only when its commanded speed reaches this value."""
+    """A wheel at rest starts when commanded so much."""
     actuation_delay_s: Delay = 0.0
     """Time from a command's arrival until the wheels follow it."""
     wheel_gain_error: Error = 0.0

@@ -100,7 +100,7 @@ class Robot(Model):
     """Where the robot is parked after a run with ``run.end: park``, and by ``robofleet park``."""
     start: StartPose | None = None
     """Where the robot's centre is at first. A simulated robot begins there. Somebody puts a real robot there by hand.
-    null: on the group's path, each robot ``spacing_m`` behind the one that it follows; one in no group needs a start."""
+    null: on the group's path, each robot ``spacing_m`` behind the other; one in no group needs a start."""
 
     @property
     def body_name(self) -> str:
