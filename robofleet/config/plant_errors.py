@@ -17,7 +17,7 @@ class PlantErrors(Model):
     motor_lag_s: Lag
     """Time constant of the wheel-speed loop."""
     stop_lag_s: Lag | None = None
-    """The same of a wheel that is commanded to stand; null: ``motor_lag_s``."""
+    """The same when commanded to stand; null: ``motor_lag_s``."""
     speed_quantum_rad_s: Annotated[float, within(0, 100)]
     """Speed of one encoder count in one period of the loop; 0: the speed is continuous."""
     loop_period_s: Annotated[float, within(1e-4, 1)]
