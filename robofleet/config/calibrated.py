@@ -74,13 +74,13 @@ class RobotCalibration(Model):
     motor_lag_s: Lag | None = None
     """Time constant of the wheel-speed loop; null: the vehicle's."""
     simulated: PlantErrors | None = None
-    """How a simulated robot must be to move as this one; null: as its vehicle's."""
+    """Errors of a simulated robot that moves as this one; null: its vehicle's."""
     offsets: Provenance | None = None
     """How tag and wheels were measured."""
     latency: Provenance | None = None
     """How delay and motor lag were measured."""
     identified: Provenance | None = None
-    """How ``robofleet identify`` measured them and ``simulated``."""
+    """How ``robofleet identify`` measured."""
 
 
 class FloorTag(Model):

@@ -11,43 +11,42 @@ Error = Annotated[float, Field(gt=-1, lt=1)]
 
 
 class PlantErrors(Model):
-    """How a simulated robot differs from an ideal one. Each run draws the spread quantities once, uniformly, between
-    minus and plus the given value."""
+    """How a simulated robot differs from an ideal one. Each run draws the spreads once, uniformly, between minus and
+    plus the value."""
 
     motor_lag_s: Lag
     """Time constant of the wheel-speed loop."""
     stop_lag_s: Lag | None = None
-    """Time constant of a wheel that is commanded to stand, where a motor brakes; null: as ``motor_lag_s``."""
+    """The same when commanded to stand; null: ``motor_lag_s``."""
     speed_quantum_rad_s: Annotated[float, within(0, 100)]
     """Speed of one encoder count in one period of the loop; 0: the speed is continuous."""
     loop_period_s: Annotated[float, within(1e-4, 1)]
     """Period of the robot's own wheel-speed loop."""
     deadband_rad_s: Annotated[float, within(0, 100)]
-    """A turning wheel stops when its commanded speed is below this value."""
+    """A turning wheel stops when commanded less."""
     breakaway_rad_s: Annotated[float, within(0, 100)]
-    """A wheel at rest starts to turn only when its commanded speed reaches this value."""
+    """A wheel at rest starts when commanded so much."""
     actuation_delay_s: Delay = 0.0
-    """Time from the arrival of a command until the wheels begin to follow it."""
+    """Time from a command's arrival until the wheels follow it."""
     wheel_gain_error: Error = 0.0
     """Relative error of both wheels' travel."""
     wheel_gain_difference: Error = 0.0
-    """Relative difference of the wheels' travel: the right one's minus the left one's."""
+    """The right wheel's relative travel minus the left one's."""
     wheel_base_error: Error = 0.0
     """Relative error of the wheel base."""
     top_speed_error: Error = 0.0
     """Relative error of a wheel's top speed."""
     wiring: Wiring = "straight"
-    """How motors and encoders are connected. ``straight`` is correct; the others are mistakes that the checks before a
-    run must find."""
+    """How motors and encoders are connected; all but ``straight`` are mistakes."""
     wheel_gain_spread: Fraction
     """Relative spread of each wheel's travel."""
     wheel_base_spread: Fraction
     """Relative spread of the wheel base."""
     slip_s_per_rad: Annotated[float, within(0, 10)]
-    """Share of a wheel's travel that slip takes at a yaw rate of 1 rad/s."""
+    """Share of a wheel's travel that slips at 1 rad/s of yaw."""
     slip_noise: Annotated[float, within(0, 10)]
-    """Standard deviation of the slip, relative to the slip."""
+    """Relative standard deviation of the slip."""
     top_speed_sag: Fraction
-    """Share of the top speed that is lost when the battery is empty."""
+    """Share of the top speed that an empty battery takes."""
     battery_life_s: Annotated[float, within(1, 1e10)]
     """Time from a full battery to an empty one."""

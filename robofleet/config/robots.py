@@ -81,29 +81,26 @@ class Robot(Model):
     tag_height_m: Height | None = None
     """Height of its tag above the floor; null: ``tracker.tag_height_m``."""
     driver: Named = "simulated"
-    """Driver that moves it: an entry point of ``robofleet.drivers``, or a class as ``module:Class``."""
+    """Its driver: an entry point of ``robofleet.drivers``, or ``module:Class``."""
     settings: Annotated[dict[Text, JsonValue], Field(max_length=MANY)] = Field(default={})
     """Settings of its driver, for example the serial port. ``drivers/README.md`` lists them."""
     twin: Named | None = None
-    """Firmware twin that answers on the serial port in the robot's place: an entry point of ``robofleet.twins``, or a
-    class as ``module:Class``. The run makes its port, which replaces ``settings.port``. null: a real robot, or a
-    ``simulated`` one."""
+    """Firmware twin that answers on the serial port in the robot's place: an entry point of ``robofleet.twins``, or
+    ``module:Class``. The run makes its port, which replaces ``settings.port``. null: none."""
     reality: Literal["real", "simulated"] = "real"
     """``real``: the robot stands in the arena, and the camera sees it. ``simulated``: no camera sees it; the tracker
     adds its pose to those of the others."""
     vehicle: Vehicle
     """Kind of the robot."""
     sensors: bool = False
-    """``true``: its driver tells what the sensors of its kind (``vehicle.sensors``) measure, on the bus and in the
-    recording. The law that drives it does not use them."""
+    """``true``: its driver tells what its sensors (``vehicle.sensors``) measure. The law does not use them."""
     calibration: RobotCalibration | None = None
     """What ``robofleet calibrate`` measured of the robot; null: nothing was measured."""
     park: StartPose | None = None
     """Where the robot is parked after a run with ``run.end: park``, and by ``robofleet park``."""
     start: StartPose | None = None
-    """Where the robot's centre is at first. A simulated robot begins there. Somebody puts a real robot there by hand,
-    and arming judges where it really stands. null: on the group's path, the leader at its beginning and each other
-    robot ``spacing_m`` behind the one that it follows. A simulated robot in no group needs a start."""
+    """Where the robot's centre is at first. A simulated robot begins there. Somebody puts a real robot there by hand.
+    null: on the group's path, each robot ``spacing_m`` behind the other; one in no group needs a start."""
 
     @property
     def body_name(self) -> str:

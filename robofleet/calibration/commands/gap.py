@@ -21,11 +21,11 @@ from robofleet.runs.lockstep import Lockstep
 
 
 def gap(run: RunFolder = None, configs: ConfigsRobots = Path("configs")) -> None:
-    """Simulate a recorded run with the identified robots, and compare.
+    """Compare a recorded run with its simulation.
 
-    The simulation has the same configuration and seed. It compares the predictions by the same commands, and the
-    figures of both runs. The gap is the worst ratio; ``run.bounds.gap`` limits it. The run's report gets a section.
-    Exit code 1: the gap is above its bound.
+    The simulation has the same configuration and seed, and the robots that `robofleet identify` found. Compared are
+    predictions by the same commands, and the figures of both runs. The gap is the worst ratio; ``run.bounds.gap``
+    limits it. The run's report gets a section. Exit code 1: the gap is above its bound.
 
     $ robofleet gap runs/20260102T030405Z-platoon --configs configs
     """

@@ -171,8 +171,9 @@ def extract(recording: Recording, rows: Sequence[int]) -> list[RobotDrive]:
 
 def _held(recording: Recording, ticks: NDArray[Any]) -> Array:
     """Return which robots (K, N) were held by a calibrating drive; of other drives nothing is."""
-    told = described.told(recording.groups, ticks["figures"])
-    return np.concatenate([group.figures.get("held", np.zeros(group.references.shape[:2])) for group in told], axis=1)
+    groups_told = described.told(recording.groups, ticks["figures"])
+    held = [group.figures.get("held", np.zeros(group.references.shape[:2])) for group in groups_told]
+    return np.concatenate(held, axis=1)
 
 
 def _angles(statuses: NDArray[Any], ticks: NDArray[Any]) -> tuple[Timed, Timed]:

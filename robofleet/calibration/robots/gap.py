@@ -31,6 +31,7 @@ from robofleet.vehicles.plant import built
 _PIECE_S = 2.0  # that is resampled: longer than what it holds remembers
 _RESAMPLED = 400
 _INTERVAL = 2.5, 97.5  # percentiles
+_PREDICTED_MM = 1.0  # resolution of a pose that the commands alone predict
 _RESOLUTION = {"mm": 0.5, "m": 5e-4, "deg": 0.5, "ms": 1.0, "rad/s": 0.1}
 _OTHERS = 0.05  # of the mean, of a unit that has none
 _BANDS_HZ = (0.2, 1.0), (1.0, 5.0), (5.0, 15.0)
@@ -47,6 +48,7 @@ class _Pieces:
     values: Array
     weights: Array
     squared: bool = False
+    resolution: float | None = None  # None: its unit's
 
     def value(self, chosen: Indices | slice = slice(None)) -> float:
         mean = float((self.values[chosen] * self.weights[chosen]).sum() / self.weights[chosen].sum())
@@ -111,10 +113,10 @@ def figures(recorded: Recording, simulation: Recording, seed: int = 0) -> list[G
         if other is None or not (pieces.weights.sum() and other.weights.sum()):
             continue
         resampled = [
-            _ratio(pieces.value(_drawn(pieces, rng)), other.value(_drawn(other, rng)), pieces.unit)
+            _ratio(pieces.value(_drawn(pieces, rng)), other.value(_drawn(other, rng)), pieces)
             for _ in range(_RESAMPLED)
         ]
-        ratio = _ratio(pieces.value(), other.value(), pieces.unit)
+        ratio = _ratio(pieces.value(), other.value(), pieces)
         low, high = np.percentile(resampled, _INTERVAL).tolist()
         if ratio < 1.0:
             ratio, low, high = 1.0 / ratio, 1.0 / high, 1.0 / low
@@ -134,8 +136,8 @@ def _drawn(pieces: _Pieces, rng: np.random.Generator) -> Indices:
             return drawn
 
 
-def _ratio(recorded: float, simulated: float, unit: str) -> float:
-    resolution = _RESOLUTION.get(unit, _OTHERS * abs(simulated) + 1e-9)
+def _ratio(recorded: float, simulated: float, pieces: _Pieces) -> float:
+    resolution = pieces.resolution or _RESOLUTION.get(pieces.unit, _OTHERS * abs(simulated) + 1e-9)
     return (abs(recorded) + resolution) / (abs(simulated) + resolution)
 
 
@@ -156,8 +158,8 @@ def _pieces(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_Pie
     yield _cut("exposure to wheel", "ms", t, status_at_ticks(run, exposure_to_wheel_ms))
 
 
-def _named(name: str, asked: float | None) -> str:
-    return name.replace("_", " ") + (" error" if asked is not None else "")
+def _named(name: str, target: float | None) -> str:
+    return name.replace("_", " ") + (" error" if target is not None else "")
 
 
 def _open_loop(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_Pieces]:
@@ -178,7 +180,8 @@ def _open_loop(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_
     for horizon_s, collected in errors.items():
         if collected and sum(len(at_s) for at_s, _ in collected):
             at_s, off = (np.concatenate(parts) for parts in zip(*collected, strict=True))
-            yield _cut(f"pose after {horizon_s:g} s, by the commands", "mm", at_s, off[:, None], squared=True)
+            pieces = _cut(f"pose after {horizon_s:g} s, by the commands", "mm", at_s, off[:, None], squared=True)
+            yield replace(pieces, resolution=_PREDICTED_MM)
 
 
 def _model(config: Config, robot: Robot, *, drawn: bool = False) -> Wheels:
@@ -225,5 +228,5 @@ def _cut(name: str, unit: str, at_s: Array, values: Array, *, squared: bool = Fa
     piece = ((at_s - at_s.min()) / _PIECE_S).astype(np.int64)
     weights = np.bincount(piece, known.sum(axis=1)).astype(np.float64)
     sums = np.bincount(piece, used)
-    there = weights > 0
-    return _Pieces(name, unit, sums[there] / weights[there], weights[there], squared=squared)
+    filled = weights > 0
+    return _Pieces(name, unit, sums[filled] / weights[filled], weights[filled], squared=squared)

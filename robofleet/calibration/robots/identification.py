@@ -20,6 +20,7 @@ from robofleet.core.arrays import Array
 
 PARAMETERS = tuple(field.name for field in fields(Wheels))
 THRESHOLDS = "deadband_rad_s", "breakaway_rad_s"
+_OF_STOPS = ("stop_lag_s",)
 HORIZONS_S = 1.0, 2.0, 5.0
 
 _STEPS = {  # of numerical derivatives
@@ -87,11 +88,12 @@ class Identification:
     wheels: Wheels
     noise: Noise
     covariance: Array  # (p, p) of PARAMETERS
-    told: tuple[str, ...]
+    determined: tuple[str, ...]
     weakest: tuple[str, ...]  # the combination of parameters that is told least
     left_out: int  # poses that were outliers
+    misfits: int  # poses in a row that the model does not explain: there it is wrong
     poses: int
-    chi_square: float  # mean square of the whitened residuals
+    chi_square: float  # mean square of the whitened residuals, without outliers and misfits
     correlation: float  # of each residual with the next one; 0: white
     held_out_chi_square: float
     held_out: tuple[HeldOut, ...]
@@ -103,9 +105,9 @@ class Identification:
         return dict(zip(PARAMETERS, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
-    def untold(self) -> tuple[str, ...]:
+    def undetermined(self) -> tuple[str, ...]:
         """The parameters that the recordings do not tell, which stayed at their priors."""
-        return tuple(name for name in PARAMETERS if name not in self.told)
+        return tuple(name for name in PARAMETERS if name not in self.determined)
 
 
 def identify(recordings: Sequence[Shots], prior: Prior) -> Identification:
@@ -149,7 +151,8 @@ class _Fit:
         self._centre = np.array(astuple(prior.values))
         self._wheels, self._noise = prior.values, _AT_FIRST
         self._threshold_sigma = {name: prior.sigma[name] for name in THRESHOLDS}
-        self._fixed: set[str] = set()
+        self._fixed: set[str] = set()  # what is not told
+        self._frozen: dict[str, float] = {}  # what was told by poses that are left out now, and its variance
         self._held_out = [shots.shot % _HELD_OUT == _HELD_OUT - 1 for shots in recordings]
         self._training = [~own for own in self._held_out]
 
@@ -164,9 +167,15 @@ class _Fit:
                 self._estimate_noise()
             for name in THRESHOLDS:
                 self._threshold(name, coarse=k in (0, _ROUNDS - 2))
-        self._fixed = set(PARAMETERS) - set(self._told(self._covariance()))
+        covariance = self._covariance()
+        self._fixed = set(PARAMETERS) - set(self._told(covariance))
         self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
-        self._descend(must_converge=True)
+        rows = [PARAMETERS.index(name) for name in _OF_STOPS]
+        self._frozen = dict(zip(_OF_STOPS, np.diag(covariance)[rows].tolist(), strict=True))
+        for _ in range(_OUTLIER_PASSES):  # what the model cannot explain shall not bend the rest
+            self._leave_out(misfits=True)
+            self._estimate_noise()
+            self._descend(must_converge=True)
         self._estimate_noise()
 
     # what is minimised
@@ -228,7 +237,7 @@ class _Fit:
         self._wheels = min([self._wheels, *models], key=lambda model: float((self._residuals(model) ** 2).sum()))
 
     def _descend(self, *, must_converge: bool = False) -> None:
-        names = [name for name in PARAMETERS if name not in self._fixed and name not in THRESHOLDS]
+        names = [name for name in PARAMETERS if name not in (*self._fixed, *self._frozen, *THRESHOLDS)]
         rows = [PARAMETERS.index(name) for name in names]
         low, high = (
             (np.array([limits.get(name, far) for name in names]) - self._centre[rows]) / self._sigma[rows]
@@ -253,7 +262,7 @@ class _Fit:
         self._wheels = self._moved(solved.x, names)
 
     def _estimate_noise(self) -> None:
-        """Take the noise that makes the residuals likeliest."""
+        """Take the noise that makes the residuals likeliest; what no noise explains counts as an outlier's does."""
         motions = [shots.motion(self._wheels) for shots in self._recordings]
 
         def minus_log_likelihood(logs: Array) -> float:
@@ -261,7 +270,7 @@ class _Fit:
             total = 0.0
             for shots, motion, own in zip(self._recordings, motions, self._training, strict=True):
                 e, log_determinant = shots.residuals(self._wheels, noise, motion, own)
-                total += 0.5 * float((e * e).sum()) + log_determinant
+                total += 0.5 * float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum()) + log_determinant
             return total
 
         start = np.log(np.array(astuple(self._noise)))
@@ -272,10 +281,10 @@ class _Fit:
         )  # fmt: skip
         self._noise = Noise(*np.exp(np.clip(found.x, -20.0, 5.0)).tolist())
 
-    def _leave_out(self) -> None:
-        """Leave out poses that are outliers."""
+    def _leave_out(self, *, misfits: bool = False) -> None:
+        """Leave out poses that are outliers; ``misfits``: and those where the model is wrong."""
         for shots in self._recordings:
-            shots.kept = ~shots.outliers(self._wheels, self._noise, _OUTLIER_SIGMA)
+            shots.kept = ~shots.outliers(self._wheels, self._noise, _OUTLIER_SIGMA, misfits=misfits)
         share = np.mean([not kept for shots in self._recordings for kept in shots.kept])
         if share > _OUTLIER_SHARE:
             raise CalibrationError(
@@ -327,7 +336,12 @@ class _Fit:
             self._sigma[rows], self._sigma[rows]
         )
         systematic = np.array([_SYSTEMATIC.get(name, 0.0) for name in PARAMETERS])
-        return np.asarray(covariance + np.diag(systematic**2))
+        covariance = np.asarray(covariance + np.diag(systematic**2))
+        for name, variance in self._frozen.items():
+            row = PARAMETERS.index(name)
+            covariance[row, :] = covariance[:, row] = 0.0
+            covariance[row, row] = variance
+        return covariance
 
     def _told(self, covariance: Array) -> tuple[str, ...]:
         share = np.sqrt(np.diag(covariance)) / self._sigma
@@ -335,9 +349,11 @@ class _Fit:
 
     def _weakest(self, covariance: Array) -> tuple[str, ...]:
         """Return which combination of told parameters is told least."""
-        told = [k for k, name in enumerate(PARAMETERS) if name not in self._fixed]
-        _, vectors = np.linalg.eigh(covariance[np.ix_(told, told)] / np.outer(self._sigma[told], self._sigma[told]))
-        parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), told, strict=True), reverse=True)
+        determined = [k for k, name in enumerate(PARAMETERS) if name not in self._fixed]
+        _, vectors = np.linalg.eigh(
+            covariance[np.ix_(determined, determined)] / np.outer(self._sigma[determined], self._sigma[determined])
+        )
+        parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), determined, strict=True), reverse=True)
         return tuple(PARAMETERS[k] for part, k in parts[:3] if part > 0.3)
 
     def found(self) -> Identification:
@@ -347,15 +363,19 @@ class _Fit:
         own = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._training, strict=True)]
         others = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._held_out, strict=True)]
         white, held_out = np.concatenate(own), np.concatenate(others)
+        gate = self._wheels, self._noise, _OUTLIER_SIGMA
+        single = sum(int(shots.outliers(*gate, misfits=False).sum()) for shots in self._recordings)
+        without = sum(int((~shots.kept).sum()) for shots in self._recordings)
         return Identification(
             robot=self._robot,
             prior=self._prior,
             wheels=self._wheels,
             noise=self._noise,
             covariance=covariance,
-            told=tuple(name for name in PARAMETERS if name not in self._fixed),
+            determined=tuple(name for name in PARAMETERS if name not in self._fixed),
             weakest=self._weakest(covariance),
-            left_out=sum(int((~shots.kept).sum()) for shots in self._recordings),
+            left_out=single,
+            misfits=max(0, without - single),
             poses=sum(len(shots.at_s) for shots in self._recordings),
             chi_square=float((white**2).mean()),
             correlation=float((white[1:] * white[:-1]).mean() / (white**2).mean()),

@@ -102,14 +102,14 @@ def counts(angles: Array) -> float:
 
 def encoder_scales(found: Identification, recordings: Sequence[Shots]) -> tuple[float, float]:
     """Return what each encoder counts of a wheel's way, against what the wheel was told to turn; NaN: it has none."""
-    told, counted = np.zeros(2), np.zeros(2)
+    commanded, counted = np.zeros(2), np.zeros(2)
     for shots in recordings:
         d = shots.drive
         if len(d.encoders_s):
             inside = (d.told_s >= d.encoders_s[0]) & (d.told_s <= d.encoders_s[-1])
-            told += np.abs(np.diff(d.told_rad[inside], axis=0)).sum(axis=0)
+            commanded += np.abs(np.diff(d.told_rad[inside], axis=0)).sum(axis=0)
             counted += np.abs(np.diff(d.encoders_rad, axis=0)).sum(axis=0)
-    left, right = (counted / told).tolist() if told.all() else (math.nan, math.nan)
+    left, right = (counted / commanded).tolist() if commanded.all() else (math.nan, math.nan)
     return left, right
 
 
@@ -119,18 +119,18 @@ def with_identified(
 ) -> RobotCalibration:  # fmt: skip
     """Return a robot's file with what was told; what was not told stays as it was."""
     w, nominal, errors = found.wheels, slices.vehicle_drive(robot.vehicle), believed_errors(robot)
-    told, sigma = set(found.told), found.sigma
+    determined, sigma = set(found.determined), found.sigma
     radius = (w.left_radius_m + w.right_radius_m) / 2.0
     update: dict[str, object] = {"robot": robot.id}
-    if {"left_radius_m", "right_radius_m"} <= told:
+    if {"left_radius_m", "right_radius_m"} <= determined:
         update["wheel_radius_m"] = round(radius, 7)
-    if "wheel_base_m" in told:
+    if "wheel_base_m" in determined:
         update["wheel_base_m"] = round(w.wheel_base_m, 7)
-    if "delay_s" in told:
+    if "delay_s" in determined:
         update["delay_s"] = round(max(0.0, w.delay_s), 6)
-    if "motor_lag_s" in told:
+    if "motor_lag_s" in determined:
         update["motor_lag_s"] = round(w.motor_lag_s, 6)
-    if {"tag_forward_m", "tag_left_m", _ANGLES} <= told:
+    if {"tag_forward_m", "tag_left_m", _ANGLES} <= determined:
         update["tag_offset"] = TagOffset(
             forward_m=round(w.tag_forward_m, 7), left_m=round(w.tag_left_m, 7),
             heading_deg=round(math.degrees(math.remainder(w.tag_heading_rad, math.tau)), 4),
@@ -157,7 +157,7 @@ def with_identified(
         top_speed_sag=round(min(1.0, max(0.0, w.top_speed_sag)), 4),
         battery_life_s=errors.battery_life_s,
     )
-    figures: dict[str, float | None] = {f"sigma_{name}": sigma[name] for name in found.told}
+    figures: dict[str, float | None] = {f"sigma_{name}": sigma[name] for name in found.determined}
     figures |= {
         "chi_square": found.chi_square,
         "residual_correlation": found.correlation,
@@ -182,7 +182,7 @@ def table(found: Sequence[Identification]) -> Rows:
         label, unit, _, _ = _SHOWN[name]
         cells = [
             f"{_value(name, getattr(each.wheels, name))} ± {_value(name, 2.0 * each.sigma[name])}"
-            if name in each.told
+            if name in each.determined
             else "-"
             for each in found
         ]
@@ -192,9 +192,11 @@ def table(found: Sequence[Identification]) -> Rows:
 
 def untold_line(found: Identification) -> str | None:
     """Return what the drive does not tell of a robot, and what would; None: it tells everything."""
-    if not found.untold:
+    if not found.undetermined:
         return None
-    parts = [f"{_SHOWN[name][0]}{f' (needs {_MISSING[name]})' if name in _MISSING else ''}" for name in found.untold]
+    parts = [
+        f"{_SHOWN[name][0]}{f' (needs {_MISSING[name]})' if name in _MISSING else ''}" for name in found.undetermined
+    ]
     return f"{found.robot}: this drive does not tell: {', '.join(parts)}; left as configured"
 
 
@@ -211,11 +213,11 @@ def page(
     report.table(*table(found))
     report.table(
         ("robot", "mean square of residuals", "the same, held out", "correlation with the next", *(
-            f"error after {e.horizon_s:g} s, mm (before)" for e in found[0].held_out), "outliers"),
+            f"error after {e.horizon_s:g} s, mm (before)" for e in found[0].held_out), "outliers", "not explained"),
         [
             (each.robot, each.chi_square, each.held_out_chi_square, f"{each.correlation:.3f}",
              *(f"{e.position_rms_mm:.3g} ({e.believed_rms_mm:.3g})" if e.count else None for e in each.held_out),
-             f"{each.left_out} of {each.poses}")
+             f"{each.left_out} of {each.poses}", each.misfits)
             for each in found
         ],
     )  # fmt: skip
@@ -233,20 +235,22 @@ def page(
         for name in PARAMETERS:
             label, unit, _, _ = _SHOWN[name]
             value, sigma, before = getattr(each.wheels, name), each.sigma[name], getattr(each.prior.values, name)
-            told = name in each.told
-            interval = f"{_value(name, value - 2.0 * sigma)} to {_value(name, value + 2.0 * sigma)}" if told else "-"
+            determined = name in each.determined
+            interval = (
+                f"{_value(name, value - 2.0 * sigma)} to {_value(name, value + 2.0 * sigma)}" if determined else "-"
+            )
             rows.append(
                 (
                     f"{label} [{unit}]",
-                    _value(name, value) if told else "-",
+                    _value(name, value) if determined else "-",
                     interval,
                     _value(name, before),
-                    Marked("told" if told else "not told", told),
+                    Marked("told" if determined else "not told", determined),
                 )
             )
         report.table(("parameter", "found", "95 %", "believed before", ""), rows)
         left, right = encoder_scales(each, shots)
-        count = counts(np.concatenate([one.drive.encoders_rad for one in shots]))
+        count = counts(np.concatenate([each_shots.drive.encoders_rad for each_shots in shots]))
         encoders = (
             f"; its encoders count {100 * left:.2f} and {100 * right:.2f} % of what they were told"
             if math.isfinite(left)

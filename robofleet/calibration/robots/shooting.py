@@ -129,10 +129,11 @@ class Shots:
         )  # fmt: skip
         return residuals, float(log_determinant)
 
-    def outliers(self, wheels: Wheels, noise: Noise, gate: float) -> NDArray[np.bool_]:
+    def outliers(self, wheels: Wheels, noise: Noise, gate: float, *, misfits: bool) -> NDArray[np.bool_]:
         """Return which poses (M,) are further than so many standard deviations from where the others put the robot.
 
-        Where a shot begins with one, all others would be: it is the first one then.
+        Where a shot begins with one, all others would be: it is the first one then. ``misfits``: with those of which
+        many follow each other: they are no noise, but the model is wrong there.
         """
         motion, first = self.motion(wheels), np.concatenate([[True], np.diff(self.shot) > 0])
         offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
@@ -154,8 +155,8 @@ class Shots:
         found |= beginnings
         change = np.flatnonzero(np.diff(found, prepend=False, append=False))
         for start, end in change.reshape(-1, 2).tolist():
-            if end - start > _LONGEST_OUTLIER:
-                found[start:end] = False  # so many together are no noise: the model is wrong there
+            if end - start > _LONGEST_OUTLIER and not misfits:
+                found[start:end] = False
         return found
 
     def ahead(self, wheels: Wheels, noise: Noise, horizon_s: float) -> tuple[Array, Array, Array]:

@@ -19,7 +19,9 @@ from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.plant_errors import PlantErrors
+from robofleet.config.tree import Bounds
 from robofleet.recording.reading import read
+from robofleet.reports.bounds import judged
 from robofleet.vehicles.plant import built
 from tests.robots import GTERNAL
 from tests.shipped import PLATOON
@@ -69,15 +71,15 @@ def test_the_true_model_leaves_noise_and_a_wrong_one_more(worn: RobotDrive) -> N
 
 def test_inputs_turn_as_far_as_the_gate_told(worn: RobotDrive) -> None:
     """Between two statuses the gate was closed, which no command says."""
-    told = worn.told_rad.copy()
+    turned = worn.told_rad.copy()
     closed = slice(600, 700)
-    told[601:] -= (worn.told_rad[closed.stop] - worn.told_rad[closed.start]) * np.clip(
+    turned[601:] -= (worn.told_rad[closed.stop] - worn.told_rad[closed.start]) * np.clip(
         (worn.told_s[601:] - worn.told_s[600]) / (worn.told_s[700] - worn.told_s[600]), 0.0, 1.0
     )[:, None]
-    stopped = replace(worn, told_rad=told)
+    stopped = replace(worn, told_rad=turned)
     at_s, outputs = inputs.as_told(stopped, *inputs.through_gate(stopped))
     travel = inputs.wheel_travel(at_s, outputs, 0.0, 0.0, stopped.told_s)
-    assert np.abs((travel - travel[0]) - (told - told[0])).max() < 1e-3
+    assert np.abs((travel - travel[0]) - (turned - turned[0])).max() < 1e-3
 
 
 @pytest.mark.slow
@@ -90,8 +92,8 @@ def test_an_excitation_tells_the_model(driven: Make) -> None:
     assert found.wheels.delay_s == pytest.approx(right.delay_s, abs=0.001)
     assert found.wheels.deadband_rad_s == pytest.approx(right.deadband_rad_s, rel=0.05)
     assert found.wheels.tag_heading_rad == pytest.approx(right.tag_heading_rad, abs=0.001)
-    assert "top_speed_sag" in found.untold
-    for name in found.told:
+    assert "top_speed_sag" in found.undetermined
+    for name in found.determined:
         assert abs(getattr(found.wheels, name) - getattr(right, name)) < 4.0 * found.sigma[name], name
     assert found.held_out_chi_square == pytest.approx(1.0, abs=0.4)
     assert abs(found.correlation) < 0.15
@@ -166,6 +168,14 @@ def test_a_run_has_no_gap_to_itself() -> None:
     assert {"control error", "exposure to tick"} <= {each.name for each in closed}
     assert all(each.ratio == pytest.approx(1.0) for each in closed)
     assert all(each.low <= 1.0 <= each.high for each in closed)
+
+
+def test_a_gap_is_judged_where_somebody_measured_it() -> None:
+    bounds = Bounds(gap=1.2)
+    assert judged({}, bounds) == []
+    for worst, met in ((1.1, True), (1.3, False)):
+        (verdict,) = judged({"gap": {"worst": worst}}, bounds)
+        assert verdict["pass"] == met
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ def main() -> None:
         recording = driven(given.drive, seed)
         for found, truth in results(recording):
             for name in PARAMETERS:
-                if name in found.told:
+                if name in found.determined:
                     value = getattr(found.wheels, name)
                     relative = 1.0 if name in ABSOLUTE or not truth[name] else truth[name]
                     errors[name].append((value - truth[name]) / relative)
