@@ -26,7 +26,8 @@ def test_every_bound_of_the_configuration_has_its_figure(story: Make, figures: M
     obstacle = "arena.obstacles=[{circle: {x_m: 0.0, y_m: 0.0, radius_m: 0.1}}]"
     measured = figures(story(obstacle).recording())
     latency = {"exposure_to_wheel": {"p50": 18.0, "p99": 21.0, "max": 40.0}, "stages": {}}
-    values = {name: figure.value_of(measured | {"latency_ms": latency}) for name, figure in JUDGED.items()}
+    measured |= {"latency_ms": latency, "gap": {"worst": 1.1}}  # these are measured later, or in real time
+    values = {name: figure.value_of(measured) for name, figure in JUDGED.items()}
     assert values["exposure_to_wheel_p99_ms"] == 21.0
     assert None not in values.values()
 
