@@ -24,7 +24,8 @@ from tests.compiled_once import compiled_once
 pytest_plugins = ["tests.process_fixtures", "tests.recording_fixtures"]
 
 # What a worker collects and imports stays to its end: it is not looked through for garbage, then or later.
-if "PYTEST_XDIST_WORKER" in os.environ:
+_WORKER = "PYTEST_XDIST_WORKER" in os.environ
+if _WORKER:
     gc.disable()
 # Else every process that a test starts compiles all sources anew, and every worker rewrites all assertions.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -81,8 +82,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    gc.freeze()
-    gc.enable()
+    if _WORKER:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> _Scheduling:
