@@ -20,12 +20,12 @@ from robofleet.recording.log import FILE
 from robofleet.reports import after
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event, Phase
-from tests.calibration.robots.conftest import drive
+from tests.calibration.robots.conftest import drive, shots
+from tests.calibration.robots.conftest import found as identified
 from tests.operator.page.axe import violations
 from tests.operator.page.browser import LYING, PHONE, show_as, show_in
 from tests.operator.page.openpage import Seen, opened
 from tests.operator.page.webstand import WebStand, web_stand
-from tests.robots import GTERNAL
 from tests.runs.realrun import PLATOON
 
 pytestmark = pytest.mark.slow
@@ -103,7 +103,8 @@ def test_axe_finds_nothing_in_a_report_nor_in_a_calibration(browser: Chrome, tmp
         page = tmp_path / "page.html"
         config = load_config(PLATOON)
         vehicle = config.members[0].vehicle
-        offsets_page([offsets.find(made, GTERNAL)], [heights.find(config, made)], [made], [vehicle]).write(page)
+        tags = [offsets.of(identified(made))]
+        offsets_page(tags, [heights.find(config, made)], [shots(made)], [vehicle]).write(page)
     browser.get(page.as_uri())
     assert found_by_axe(browser, what) == []
     show_as(browser, PHONE)
