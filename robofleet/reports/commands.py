@@ -62,8 +62,8 @@ def replay(run: RunFolder = None, behaviours: ReplayedModules = None) -> None:
     run = chosen(run)
     times_ns = [stopwatch_ns()]
     with readable():
-        recording = read(run, partial(_needed, run, behaviours))
-        _load_behaviours(run, recording.config)
+        recording = read(run, partial(needed, run, behaviours))
+        load_behaviours(run, recording.config)
         times_ns.append(stopwatch_ns())
         compile_kernels(recording.config)
         times_ns.append(stopwatch_ns())
@@ -79,7 +79,7 @@ def replay(run: RunFolder = None, behaviours: ReplayedModules = None) -> None:
         raise typer.Exit(1)
 
 
-def _load_behaviours(run: Path, config: "Config") -> None:
+def load_behaviours(run: Path, config: "Config") -> None:
     """Load the recording's behaviours; RefusedError where one is not here."""
     for group in config.groups:
         try:
@@ -236,7 +236,7 @@ def importing(folder: Path | None) -> Iterator["Imports"]:
         print(printable(_left_out(folder, name, "'s own measures are left out")), file=sys.stderr)
 
 
-def _needed(run: Path, folder: Path | None, name: str) -> bool:
+def needed(run: Path, folder: Path | None, name: str) -> bool:
     """Import a behaviour from the user's folder; RefusedError where its module is not there."""
     if not _imported(folder, name):
         raise RefusedError(printable(f"{run}: {_left_out(folder, name, ' cannot be replayed')}"))

@@ -188,11 +188,12 @@ def test_what_only_a_recording_names_is_not_imported(elsewhere: Path) -> None:
         assert ran.exit_code == 0, ran.output
         (line,) = ran.stderr.splitlines()
         assert line == "Swirl's own measures are left out: add `--behaviours DIR`, the folder of mylab"
-    ran = CliRunner().invoke(app, ["replay", str(elsewhere)])
-    assert (ran.exit_code, ran.stderr) == (
-        2,
-        f"{elsewhere}: Swirl cannot be replayed: add `--behaviours DIR`, the folder of mylab\n",
-    )
+    for command in ("replay", "gap"):
+        ran = CliRunner().invoke(app, [command, str(elsewhere)])
+        assert (ran.exit_code, ran.stderr) == (
+            2,
+            f"{elsewhere}: Swirl cannot be replayed: add `--behaviours DIR`, the folder of mylab\n",
+        )
     assert not list(elsewhere.parent.rglob("*.ran"))
 
 

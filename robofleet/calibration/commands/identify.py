@@ -78,7 +78,7 @@ def identify(
 
 def _read(run: Path) -> Recording:
     try:
-        return read(run, lambda _: False)
+        return read(run)
     except RecordingError as error:
         raise CalibrationError(str(error)) from error
 

@@ -81,7 +81,7 @@ def simulated(config: Config, recording: Recording, calibrations: Sequence[Robot
         "plant": type(config.plant)(),
         "faults": (),
     }
-    if config.tracker.source not in _SOURCES or config.camera.source not in ("simulated", "mujoco"):
+    if config.tracker.source not in _SOURCES or not all(camera.rendered for _, camera in config.camera_keys):
         update["tracker"] = config.tracker.model_copy(update={"source": "truth"})
     update["camera"] = config.camera.model_copy(update={"source": "simulated"})
     return config.model_copy(update=update)
