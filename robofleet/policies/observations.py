@@ -1,0 +1,249 @@
+"""What tasks observe: goals, neighbours, distances, in each robot's own frame. Arrays (A, N, ...) over arenas.
+
+A robot's frame: x along its heading, y to its left, origin at its centre.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from robofleet.behaviours.interface import Team
+from robofleet.core.arrays import Array
+from robofleet.core.kernels import kernel
+from robofleet.safety.distances import apart, from_edge
+from robofleet.vehicles.solids import FIRST, LAST, RADIUS, Solid, distances, outlines
+
+_TRIES = 200  # draws of a pose with free way; then the arena is too small
+_MARGIN_M = 0.02  # of drawn poses, beyond what the barrier keeps of robots under way
+
+
+def in_frames(poses: Array, points: Array) -> Array:
+    """Return points (A, N, 2) [m; world] in the frames of robots at ``poses`` (A, N, 3) [m]."""
+    c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    x, y = points[..., 0] - poses[..., 0], points[..., 1] - poses[..., 1]
+    return np.stack([c * x + s * y, c * y - s * x], axis=-1)
+
+
+def pose_in_frames(poses: Array, others: Array) -> Array:
+    """Return poses (A, N, 3) in the frames of robots: x, y [m], cosine and sine of the relative heading (A, N, 4)."""
+    found = np.empty((*poses.shape[:2], 4))
+    _pose_in_frames(poses, np.broadcast_to(others, poses.shape), found)
+    return found
+
+
+def neighbours(poses: Array, others: Array, count: int, reach: float) -> Array:
+    """Return the nearest bodies within reach, the nearest first.
+
+    Args:
+        poses: Poses (A, N, 3) of the robots, which are each other's neighbours.
+        others: Other bodies (A, M, 3): x, y [m; world], radius [m].
+        count: How many are observed, n.
+        reach: Of centre from centre [m].
+
+    Returns:
+        x, y [m; robot's frame] and 1.0 of each (A, N, 3 n); zeros where there is none.
+    """
+    found = np.zeros((*poses.shape[:2], 3 * count))
+    _neighbours(poses, others, count, reach, found)
+    return found
+
+
+def rays(poses: Array, others: Array, team: Team, bearings: Array, reach: float) -> Array:
+    """Return what distance sensors would show at the robots' centres, without noise.
+
+    Args:
+        poses: Poses (A, N, 3) of the robots, which see each other's bodies.
+        others: Other bodies (A, M, 3): x, y [m; world], radius [m].
+        team: Its bodies, arena and obstacles.
+        bearings: Directions (R,) [rad; robot's frame].
+        reach: What is farther away is not seen [m].
+
+    Returns:
+        Distance along each ray (A, N, R) [m], at most ``reach``.
+    """
+    found = np.empty((*poses.shape[:2], len(bearings)))
+    radii = np.array([body.radius for body in team.bodies])
+    edges, rings = outlines(team.keepout.solids)
+    _rays(poses, others, radii, np.array(team.arena) / 2.0, edges, rings, np.asarray(bearings), reach, found)
+    return found
+
+
+def gaps(poses: Array, others: Array, radii: Array, arena: tuple[float, float], solids: Sequence[Solid]) -> Array:
+    """Return how far each body (A, N) is from the nearest other body, obstacle or edge [m]; below 0: they overlap."""
+    found = np.empty(poses.shape[:2])
+    _gaps(poses, others, radii, np.array(arena) / 2.0, found)
+    if solids:
+        points = np.ascontiguousarray(poses[..., :2]).reshape(-1, 2)
+        clear = distances(solids, points).min(axis=0).reshape(found.shape) - radii
+        np.minimum(found, clear, out=found)
+    return found
+
+
+def drawn_poses(team: Team, count: int, rng: "np.random.Generator", taken: Array | None = None) -> Array:
+    """Draw poses for the robots with free way around each, in ``count`` arenas.
+
+    Args:
+        team: The robots, their bodies, the arena with its obstacles, the bystanders.
+        count: K.
+        rng: Random numbers.
+        taken: Points (K, T, 2) [m; world] that the poses stay away from, too. None: none.
+
+    Returns:
+        Poses (K, N, 3): x, y [m], psi [rad; world].
+
+    Raises:
+        ValueError: The arena has no room for these robots.
+    """
+    n, keepout = len(team), team.keepout
+    away = 2.0 * keepout.ahead + _MARGIN_M + max(apart(keepout, a, b) for a in team.bodies for b in team.bodies)
+    edge = _MARGIN_M + keepout.ahead + max(from_edge(keepout, body) for body in team.bodies)
+    half = np.array(team.arena) / 2.0 - edge
+    still = [pose[:2] for _, _, pose in team.bystanders if pose is not None]
+    bodies = np.broadcast_to(np.array(still).reshape(-1, 2), (count, len(still), 2))
+    bodies = bodies if taken is None else np.concatenate([bodies, taken], axis=1)
+    poses = np.full((count, n, 3), np.nan)
+    poses[..., 2] = rng.uniform(-np.pi, np.pi, (count, n))
+    for robot in range(n):
+        waiting = np.arange(count)
+        for _ in range(_TRIES):
+            points = rng.uniform(-1.0, 1.0, (len(waiting), 2)) * half
+            before = np.concatenate([bodies[waiting], poses[waiting, :robot, :2]], axis=1)
+            free = (np.hypot(*np.moveaxis(before - points[:, None], 2, 0)) > away).all(axis=1)
+            if keepout.solids:
+                free &= (distances(keepout.solids, points) > edge).all(axis=0)
+            poses[waiting[free], robot, :2] = points[free]
+            waiting = waiting[~free]
+            if not len(waiting):
+                break
+        else:
+            raise ValueError(
+                f"no room for {n} robots in an arena of {team.arena[0]:g} x {team.arena[1]:g} m: they need "
+                f"{away:g} m from each other and {edge:g} m from edges and obstacles"
+            )
+    return poses
+
+
+@kernel
+def _pose_in_frames(poses: Array, others: Array, found: Array) -> None:
+    for a in range(poses.shape[0]):
+        for i in range(poses.shape[1]):
+            c, s = np.cos(poses[a, i, 2]), np.sin(poses[a, i, 2])
+            x, y = others[a, i, 0] - poses[a, i, 0], others[a, i, 1] - poses[a, i, 1]
+            found[a, i, 0], found[a, i, 1] = c * x + s * y, c * y - s * x
+            turn = others[a, i, 2] - poses[a, i, 2]
+            found[a, i, 2], found[a, i, 3] = np.cos(turn), np.sin(turn)
+
+
+@kernel
+def _neighbours(poses: Array, others: Array, count: int, reach: float, found: Array) -> None:
+    n, m = poses.shape[1], others.shape[1]
+    squares = np.empty(count)
+    for a in range(poses.shape[0]):
+        for i in range(n):
+            c, s = np.cos(poses[a, i, 2]), np.sin(poses[a, i, 2])
+            seen = 0
+            for j in range(n + m):
+                if j == i:
+                    continue
+                if j < n:
+                    x, y = poses[a, j, 0] - poses[a, i, 0], poses[a, j, 1] - poses[a, i, 1]
+                else:
+                    x, y = others[a, j - n, 0] - poses[a, i, 0], others[a, j - n, 1] - poses[a, i, 1]
+                square = x * x + y * y
+                if square > reach * reach or (seen == count and square >= squares[count - 1]):
+                    continue
+                k = min(seen, count - 1)
+                while k > 0 and squares[k - 1] > square:
+                    squares[k] = squares[k - 1]
+                    for column in range(3):
+                        found[a, i, 3 * k + column] = found[a, i, 3 * k - 3 + column]
+                    k -= 1
+                squares[k] = square
+                found[a, i, 3 * k], found[a, i, 3 * k + 1] = c * x + s * y, c * y - s * x
+                found[a, i, 3 * k + 2] = 1.0
+                seen = min(seen + 1, count)
+
+
+@kernel
+def _gaps(poses: Array, others: Array, radii: Array, half: Array, found: Array) -> None:
+    n, m = poses.shape[1], others.shape[1]
+    for a in range(poses.shape[0]):
+        for i in range(n):
+            x, y = poses[a, i, 0], poses[a, i, 1]
+            found[a, i] = min(half[0] - abs(x), half[1] - abs(y)) - radii[i]
+        for i in range(n):
+            for j in range(i + 1, n + m):
+                if j < n:
+                    x, y, radius = poses[a, j, 0], poses[a, j, 1], radii[j]
+                else:
+                    x, y, radius = others[a, j - n, 0], others[a, j - n, 1], others[a, j - n, 2]
+                x, y = x - poses[a, i, 0], y - poses[a, i, 1]
+                gap = np.sqrt(x * x + y * y) - radii[i] - radius
+                found[a, i] = min(found[a, i], gap)
+                if j < n:
+                    found[a, j] = min(found[a, j], gap)
+
+
+@kernel
+def _rays(
+    poses: Array, others: Array, radii: Array, half: Array, edges: Array, rings: Array, bearings: Array, reach: float,
+    found: Array,
+) -> None:  # fmt: skip
+    n, m = poses.shape[1], others.shape[1]
+    for a in range(poses.shape[0]):
+        for i in range(n):
+            x, y = poses[a, i, 0], poses[a, i, 1]
+            for r in range(len(bearings)):
+                dx, dy = np.cos(poses[a, i, 2] + bearings[r]), np.sin(poses[a, i, 2] + bearings[r])
+                nearest = reach
+                if dx != 0.0:
+                    nearest = min(nearest, max(0.0, (np.copysign(half[0], dx) - x) / dx))
+                if dy != 0.0:
+                    nearest = min(nearest, max(0.0, (np.copysign(half[1], dy) - y) / dy))
+                for j in range(n + m):
+                    if j == i:
+                        continue
+                    if j < n:
+                        nearest = min(nearest, _to_disc(x, y, dx, dy, poses[a, j, 0], poses[a, j, 1], radii[j]))
+                    else:
+                        other = others[a, j - n]
+                        nearest = min(nearest, _to_disc(x, y, dx, dy, other[0], other[1], other[2]))
+                found[a, i, r] = min(nearest, _to_solids(x, y, dx, dy, edges, rings))
+
+
+@kernel
+def _to_solids(x: float, y: float, dx: float, dy: float, edges: Array, rings: Array) -> float:
+    nearest = np.inf
+    for k in range(len(rings)):
+        for e in range(int(rings[k, FIRST]), int(rings[k, LAST])):
+            if rings[k, RADIUS] > 0.0:
+                nearest = min(nearest, _to_disc(x, y, dx, dy, edges[e, 0], edges[e, 1], rings[k, RADIUS]))
+            else:
+                nearest = min(nearest, _to_edge(x, y, dx, dy, edges[e]))
+    return nearest
+
+
+@kernel
+def _to_disc(x: float, y: float, dx: float, dy: float, at_x: float, at_y: float, radius: float) -> float:
+    """Return how far along a ray of unit length (dx, dy) a disc begins [m]; infinite: it misses."""
+    x, y = at_x - x, at_y - y
+    along = x * dx + y * dy
+    square = radius * radius - (x * x + y * y - along * along)
+    if square < 0.0 or along + np.sqrt(square) < 0.0:
+        return np.inf
+    return float(max(0.0, along - np.sqrt(square)))
+
+
+@kernel
+def _to_edge(x: float, y: float, dx: float, dy: float, edge: Array) -> float:
+    """Return how far along a ray an edge is crossed [m]; infinite: nowhere."""
+    ex, ey = edge[2] - edge[0], edge[3] - edge[1]
+    across = dx * ey - dy * ex
+    if across == 0.0:
+        return np.inf
+    x, y = edge[0] - x, edge[1] - y
+    along, share = (x * ey - y * ex) / across, (x * dy - y * dx) / across
+    return float(along) if along >= 0.0 and 0.0 <= share <= 1.0 else np.inf
+
+
+KERNELS = (_pose_in_frames, _neighbours, _gaps, _rays)  # that are called from Python
