@@ -39,12 +39,12 @@ def limited(velocities: Array, of_body: Flags, poses: Array, l: float, geometry:
     """
     n = len(velocities)
     request = Request(np.empty((n, 2)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n))
-    _limit(velocities, of_body, poses, l, geometry, driving, *request)  # arrays that a kernel returns cost more
+    limit_commands(velocities, of_body, poses, l, geometry, driving, *request)  # arrays that a kernel returns cost more
     return request
 
 
 @kernel
-def _limit(
+def limit_commands(
     velocities: Array, of_body: Flags, poses: Array, l: float, geometry: Array, driving: Flags,
     points: Array, u: Array, wheels: Array, saturated: Array,
 ) -> None:  # fmt: skip
@@ -67,4 +67,4 @@ def _limit(
         saturated[i] = 1.0 if ratio < 1.0 else 0.0
 
 
-KERNELS = (_limit,)  # that are called from Python
+KERNELS = (limit_commands,)  # that are called from Python

@@ -16,12 +16,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from robofleet.behaviours.interface import Shape, Team
-from robofleet.core.arrays import Array, Flags, Indices
+from robofleet.core.arrays import Array, Array32, Flags, Indices
 from robofleet.core.plugins import PluginError, load
 from robofleet.core.settings import Model
 from robofleet.policies import observations
 
 GROUP = "robofleet.tasks"  # of entry points
+LARGEST = 10.0  # number that a network gets: what lies beyond is cut off
 
 
 class Term(NamedTuple):
@@ -128,8 +129,8 @@ def load_task(name: str) -> type[Task]:
     return found
 
 
-def observed(task: Task, view: View) -> "np.ndarray[Any, np.dtype[np.float32]]":
-    """Return what a network gets (A, N, F): all terms side by side, each divided by its scale.
+def observed(task: Task, view: View) -> Array32:
+    """Return what a network gets (A, N, F): all terms side by side, each divided by its scale, within ``LARGEST``.
 
     Raises:
         ValueError: ``observe`` does not return what ``terms`` says.
@@ -140,7 +141,7 @@ def observed(task: Task, view: View) -> "np.ndarray[Any, np.dtype[np.float32]]":
     if shapes != expected:
         raise ValueError(f"{type(task).__name__}.observe returned shapes {shapes}; `terms` says {expected}")
     parts = [np.asarray(array) / term.scale for array, term in zip(found, terms, strict=True)]
-    return np.concatenate(parts, axis=2, dtype=np.float32)
+    return np.clip(np.concatenate(parts, axis=2, dtype=np.float32), -LARGEST, LARGEST)
 
 
 def width(task: Task) -> int:
@@ -148,9 +149,9 @@ def width(task: Task) -> int:
     return sum(term.size for term in task.terms)
 
 
-def velocities(actions: Array, team: Team) -> Array:
+def velocities(actions: Array | Array32, team: Team) -> Array:
     """Return what actions (..., N, 2) in [-1, 1] ask for: v [m/s] and omega [rad/s], as shares of the top speeds."""
-    return np.clip(actions, -1.0, 1.0) * top_speeds(team)
+    return np.asarray(np.clip(actions, -1.0, 1.0, dtype=np.float64) * top_speeds(team))
 
 
 def top_speeds(team: Team) -> Array:

@@ -78,6 +78,62 @@ class Filtered(NamedTuple):
     blocked: NDArray[np.bool_]  # (N,) who will not get on by itself
 
 
+class Constants(NamedTuple):
+    """What never changes of a barrier, as its kernel takes it."""
+
+    bodies: Array  # (M, 9), columns as above
+    between: tuple[float, float]  # beside two discs, as apart_at_rest [m]
+    half: Array  # (2,) half the arena's size [m]
+    edges: Array  # of the solids
+    rings: Array
+    floors: int  # of the rings, the first
+    ahead: float  # this line and the next five: as Keepout
+    rate: float
+    point_ahead: float
+    age: float
+    lost_after: float
+    tick: float
+    times: tuple[int, int, int, int]  # of deadlocks [ticks]
+    patience: tuple[int, int]  # [ticks]
+
+
+class Memory(NamedTuple):
+    """What a barrier remembers of its bodies (M,)."""
+
+    holds: Instants  # (M, MEMORY)
+    lately: Array  # (M, ticks) speeds that were asked for [m/s]
+    deadlocks: Array  # (M, TOLD)
+
+
+def constants(keepout: Keepout, bodies: tuple[Body, ...]) -> Constants:
+    floors_first = sorted(keepout.solids, key=lambda solid: not solid.floor)
+    return Constants(
+        bodies=np.array(
+            [
+                (b.drive.wheel_radius, b.drive.wheel_base, b.drive.motor_lag, b.drive.max_wheel_speed,
+                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b), believed_for(keepout, b), b.radius)
+                for b in bodies
+            ]
+        ),
+        between=(keepout.gap, 2 * (keepout.ahead + keepout.pose_error)),
+        half=np.array(keepout.arena) / 2,
+        edges=solids.outlines(floors_first).edges, rings=solids.outlines(floors_first).rings,
+        floors=sum(solid.floor for solid in floors_first),
+        ahead=keepout.ahead, rate=keepout.rate, point_ahead=keepout.point_ahead, age=keepout.age,
+        lost_after=keepout.lost_after, tick=keepout.tick,
+        times=deadlock.in_ticks(keepout.tick), patience=deadlock.patience(keepout.tick),
+    )  # fmt: skip
+
+
+def fresh(k: Constants) -> Memory:
+    """Return the memory of a barrier at first: as long as nothing is known of their commands, all are fast."""
+    n, ticks = len(k.bodies), math.ceil(k.bodies[:, _BELIEVED].max() / k.tick) + 1
+    return Memory(
+        np.zeros((n, deadlock.MEMORY), dtype=np.int64), np.repeat(k.bodies[:, _TOP : _TOP + 1], ticks, axis=1),
+        np.zeros((n, deadlock.TOLD)),
+    )  # fmt: skip
+
+
 class Barrier:
     """The barrier of a group of N robots among M >= N bodies. It remembers how long it has held each.
 
@@ -85,26 +141,9 @@ class Barrier:
     """
 
     def __init__(self, keepout: Keepout, bodies: tuple[Body, ...]) -> None:
-        self._keepout = keepout
-        self._bodies = np.array(
-            [
-                (b.drive.wheel_radius, b.drive.wheel_base, b.drive.motor_lag, b.drive.max_wheel_speed,
-                 b.drive.max_speed, from_edge(keepout, b), _fastest(keepout, b), believed_for(keepout, b), b.radius)
-                for b in bodies
-            ]
-        )  # fmt: skip
-        self._between = keepout.gap, 2 * (keepout.ahead + keepout.pose_error)  # beside two discs, as apart_at_rest
-        longest = max(believed_for(keepout, body) for body in bodies)
-        fastest = [[body.drive.max_speed] for body in bodies]  # as long as nothing is known of their commands
-        self._lately = np.repeat(np.array(fastest), math.ceil(longest / keepout.tick) + 1, axis=1)  # speeds asked for
-        self._half = np.array(keepout.arena) / 2
-        floors_first = sorted(keepout.solids, key=lambda solid: not solid.floor)
-        self._edges, self._rings = solids.outlines(floors_first)
-        self._floors = sum(solid.floor for solid in floors_first)
+        self._constants = constants(keepout, bodies)
+        self._memory = fresh(self._constants)
         self._still = np.zeros((len(bodies), 2))
-        self._memory = np.zeros((len(bodies), deadlock.MEMORY), dtype=np.int64)
-        self._deadlocks = np.zeros((len(bodies), deadlock.TOLD))
-        self._times, self._patience = deadlock.in_ticks(keepout.tick), deadlock.patience(keepout.tick)
 
     def filter(
         self,
@@ -124,26 +163,25 @@ class Barrier:
         driving (N,): the others stand, whatever is near. wheels (N, 2) [rad/s] and u (N, 2) [m/s; world]: the commands,
         and the velocity of the points p that they are.
         """
-        k = self._keepout
         n = len(wheels)
         wheels, u, pushed = wheels.copy(), u.copy(), self._still if pushed is None else pushed
         change, blocked = np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
-        _filter(
-            poses, turning, unseen, pushed, driving, self._bodies, self._between, self._half, self._edges, self._rings,
-            self._floors, k.ahead, k.rate, k.point_ahead, k.age, k.lost_after, k.tick, wheels, u, self._times,
-            self._patience, change, blocked, self._memory, self._lately, self._deadlocks,
-        )  # fmt: skip
+        filter_commands(
+            poses, turning, unseen, pushed, driving, wheels, u, change, blocked, *self._memory, *self._constants  # type: ignore[arg-type]
+        )
         return Filtered(wheels, u, change, blocked)
 
 
 @kernel
-def _filter(
-    poses: Array, turning: Array, unseen: Array, pushed: Array, driving: NDArray[np.bool_], bodies: Array,
-    between: tuple[float, float], half: Array, edges: Array, rings: Array, floors: int, ahead: float,
-    rate: float, l: float, age: float, lost_after: float, tick: float, wheels: Array, u: Array,
-    times: tuple[int, int, int, int], patience: tuple[int, int], change: Instants, blocked: NDArray[np.bool_],
+def filter_commands(
+    poses: Array, turning: Array, unseen: Array, pushed: Array, driving: NDArray[np.bool_],
+    wheels: Array, u: Array, change: Instants, blocked: NDArray[np.bool_],
     memory: Instants, lately: Array, deadlocks: Array,
+    bodies: Array, between: tuple[float, float], half: Array, edges: Array, rings: Array, floors: int, ahead: float,
+    rate: float, l: float, age: float, lost_after: float, tick: float, times: tuple[int, int, int, int],
+    patience: tuple[int, int],
 ) -> None:  # fmt: skip
+    """Change the commands (N, 2) in place, as ``Barrier.filter`` does; then follow ``Memory`` and ``Constants``."""
     n = len(poses)
     stops, grown, believed = np.empty((n, 6)), np.empty(n), np.empty(n)
     for i in range(n):
@@ -294,4 +332,4 @@ def _pair(
     return _add_row(rows, count, along, across, max(rate * (distance - apart) / 2.0 - coming, back))
 
 
-KERNELS = (_filter,)  # that are called from Python
+KERNELS = (filter_commands,)  # that are called from Python

@@ -146,7 +146,7 @@ def step(g: GateState, drive: DifferentialDrive, i: Inputs, now_ns: int) -> int:
     if i.command:
         _take_command(g, drive, i, now_ns)
     left, right, g.status, g.deadline_ns = _target(g, now_ns)
-    _follow(g, left, right, drive.max_wheel_acceleration, now_ns)
+    follow(g, left, right, drive.max_wheel_acceleration, now_ns)
     if g.output_left != left or g.output_right != right:
         g.deadline_ns = min(now_ns + RAMP_NS, g.deadline_ns)
     return granted
@@ -166,7 +166,7 @@ def _start_anew(g: GateState, now_ns: int) -> None:
 
 def _stop_held_up(g: GateState, now_ns: int) -> None:
     """Nobody asked the gate while it let its wheels turn: they stand now, and no nonce of before is valid."""
-    _follow(g, 0.0, 0.0, math.inf, now_ns)
+    follow(g, 0.0, 0.0, math.inf, now_ns)
     g.since_ns = now_ns
 
 
@@ -255,7 +255,7 @@ def _target(g: GateState, now_ns: int) -> tuple[float, float, GateStatus, int]:
     return g.left, g.right, GateStatus.OPEN, until_ns
 
 
-def _follow(g: GateState, target_left: float, target_right: float, acceleration: float, now_ns: int) -> None:
+def follow(g: GateState, target_left: float, target_right: float, acceleration: float, now_ns: int) -> None:
     """Move the output towards the target, and time a stop."""
     # on its way it catches up with time that was lost; at rest on its target it had nothing to catch up with
     on_target = g.output_left == g.target_left and g.output_right == g.target_right

@@ -197,12 +197,13 @@ def step(b: Body, p: Build, noise: Sequence[float], duration: float) -> None:
     used = min(1.0, b.used / p.battery_life)
     top = p.max_wheel_speed * (1.0 - p.top_speed_sag * used)
     left, right = setpoints(b, p)
+    decay = math.exp(-duration / p.motor_lag) if p.motor_lag else 0.0  # of both wheels: an exponential takes long
     mean, b.left_angle, b.left_speed, b.left_counted = _turn(
-        p, b.left_angle, b.left_speed, b.left_counted, left, top, duration
+        p, b.left_angle, b.left_speed, b.left_counted, left, top, duration, decay
     )
     left = p.left_gain * mean
     mean, b.right_angle, b.right_speed, b.right_counted = _turn(
-        p, b.right_angle, b.right_speed, b.right_counted, right, top, duration
+        p, b.right_angle, b.right_speed, b.right_counted, right, top, duration, decay
     )
     right = p.right_gain * mean
     if left == 0.0 and right == 0.0:
@@ -241,9 +242,12 @@ def measured(b: Body, p: Build) -> tuple[float, float, float, float, float]:
 
 
 def _turn(
-    p: Build, angle: float, speed: float, counted: float, command: float, top: float, duration: float
+    p: Build, angle: float, speed: float, counted: float, command: float, top: float, duration: float, decay: float
 ) -> tuple[float, float, float, float]:
-    """Return the mean speed of a wheel over ``duration``, then its angle, speed and counted angle."""
+    """Return the mean speed of a wheel over ``duration``, then its angle, speed and counted angle.
+
+    ``decay``: what is left after ``duration`` of what the wheel lags behind, while it drives.
+    """
     threshold = p.deadband if speed else p.breakaway
     if -threshold < command < threshold:
         target = 0.0
@@ -253,7 +257,9 @@ def _turn(
         target = command if -top <= command <= top else math.copysign(top, command)
     lag = p.motor_lag if target else p.stop_lag
     if lag:
-        decay, ahead = math.exp(-duration / lag), speed - target
+        if lag != p.motor_lag:
+            decay = math.exp(-duration / lag)
+        ahead = speed - target
         mean, speed = target + ahead * (1.0 - decay) * lag / duration, target + ahead * decay
     else:
         mean = speed = target

@@ -82,6 +82,11 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     return _kernel(function, {})
 
 
+def free_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """As ``kernel``; other threads of the interpreter run meanwhile."""
+    return _kernel(function, {"nogil": True})
+
+
 def kernel_of_plain(function: Callable[P, R]) -> Callable[..., R]:
     """As ``kernel``, for a function that others call uncompiled; the plain functions that it calls are compiled too.
 

@@ -1,0 +1,207 @@
+"""Many arenas at once, step by step: the wheels' limits, barrier, gates' ramps and plant of a run, in arrays.
+
+A step begins when a tick's commands act: what lies before, the delay that the controller knows of, is what its filter
+predicts in a run. So the poses that a policy sees are true ones with the noise of ``tracker.truth``, and a delay that
+the controller does not know of is the plant's.
+
+Arenas are stepped in chunks, by as many threads as there are cores. Each chunk has random numbers of its own, so the
+same seed gives the same numbers on any machine.
+"""
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import astuple
+from typing import Any
+
+import numpy as np
+
+from robofleet.config import barrier as config_barrier
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.control import wheels
+from robofleet.core.arrays import Array, Flags, Indices
+from robofleet.core.clock import S
+from robofleet.core.kernels import free_kernel, kernel, kernel_of_plain
+from robofleet.envs.robots import Builds
+from robofleet.safety import barrier as safety_barrier
+from robofleet.safety import gate
+from robofleet.safety.gate import DRIVE, GATE, GateState
+from robofleet.simulation import bodies as simulated
+from robofleet.simulation.bodies import BODY, BUILD, COMING
+from robofleet.vehicles import differential_drive, plant
+
+_CHUNK = 128  # arenas that share random numbers
+_UNDER_WAY = 16  # commands of a robot that do not act yet, at most: 80 ms of them
+_NOISE = 128  # random numbers of a robot that are drawn at once
+_follow, _advance, _command = kernel_of_plain(gate.follow), simulated.advance, simulated.command
+_limit_commands, _filter_commands = wheels.limit_commands, safety_barrier.filter_commands
+_body_from_wheels = kernel(differential_drive.body_from_wheels)
+_RAMP_NS, _NEVER_NS = gate.RAMP_NS, plant.NEVER_NS
+
+
+class Arenas:
+    """Arenas (A,) with the members (N,) and bystanders of a configuration, M bodies in all.
+
+    Attributes:
+        poses: Poses when the next commands act (A, M, 3): x, y [m], psi [rad; world], as the controller sees them.
+        truths: The same without noise.
+        velocities: What was commanded at the step before, after limits and barrier (A, N, 2): v [m/s], omega [rad/s].
+        ticks: Steps since each arena was reset (A,).
+    """
+
+    def __init__(
+        self, config: Config, count: int, seed: int, *, builds: Builds, barrier: bool = True, threads: int | None = None
+    ) -> None:
+        """Put robots nowhere: ``reset`` every arena first.
+
+        Args:
+            config: The configuration of a run.
+            count: A.
+            seed: Of all random numbers.
+            builds: Draws the robots (N,) of a new episode.
+            barrier: Whether the barrier changes commands. Only an environment can do without.
+            threads: How many step the arenas. None: one for each core.
+        """
+        bodies = tuple(config_barrier.body(config, robot) for robot in config.bodies)
+        n, m = len(config.members), len(bodies)
+        self._build, self._barrier_on = builds, barrier
+        self._constants = safety_barrier.constants(config_barrier.keepout(config), bodies)
+        self._fresh = safety_barrier.fresh(self._constants)
+        self._limits = wheels.limits(tuple(body.drive for body in bodies[:n]))
+        self._drives = np.array([astuple(body.drive) for body in bodies[:n]], DRIVE)
+        self._tick_ns = round(config.controller.tick_s * S)
+        loop_s = min(slices.imperfections(robot).loop_period for robot in config.members)
+        cuts = self._tick_ns // gate.RAMP_NS + math.ceil(config.controller.tick_s / loop_s) + 2
+        self._draws = plant.DRAWS * cuts  # random numbers that a robot may use in a tick
+        self._now_ns = S  # 0 means "never" in many fields
+        truth = config.tracker.truth
+        self._sigma = np.array([truth.position_noise_m, truth.position_noise_m, truth.heading_noise_rad])
+        self.truths, self.poses = np.zeros((count, m, 3)), np.zeros((count, m, 3))
+        for row, robot in enumerate(config.bystanders):
+            self.truths[:, n + row] = slices.start_pose(robot)
+        self.velocities, self.ticks = np.zeros((count, n, 2)), np.zeros(count, dtype=np.int64)
+        self._arrays = (
+            np.zeros((count, n), BODY), np.zeros((count, n), BUILD), np.zeros((count, n, _UNDER_WAY), COMING),
+            np.zeros((count, n, _NOISE)), np.zeros((count, n), GATE), np.zeros((count, m, 2)),
+            *(np.repeat(array[None], count, axis=0) for array in self._fresh),
+        )  # fmt: skip
+        self._pose_noise = np.zeros((count, n, 3))
+        every = (self.poses, self.truths, self.velocities, *self._arrays, self._pose_noise)
+        self._chunks = [tuple(array[k : k + _CHUNK] for array in every) for k in range(0, count, _CHUNK)]
+        self.seed(seed)
+        threads = min(threads or len(os.sched_getaffinity(0)), len(self._chunks))
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._driving = np.ones(n, dtype=np.bool_)
+
+    def __len__(self) -> int:
+        """Return A."""
+        return len(self.ticks)
+
+    def seed(self, seed: int) -> None:
+        """Begin anew with random numbers."""
+        rngs = np.random.default_rng(seed).spawn(1 + len(self._chunks))
+        self._rng, self._rngs = rngs[0], rngs[1:]
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def reset(self, arenas: Indices, starts: Array) -> None:
+        """Begin anew in some arenas (K,), where the members stand at ``starts`` (K, N, 3), with robots newly drawn."""
+        bodies, builds, coming, noise, gates, turning, *memory = self._arrays
+        for arena, poses in zip(arenas.tolist(), starts.tolist(), strict=True):
+            for row, (pose, build) in enumerate(zip(poses, self._build(self._rng), strict=True)):
+                builds[arena, row] = astuple(build)
+                bodies[arena, row] = astuple(plant.placed(pose, self._now_ns))
+                gates[arena, row] = astuple(GateState(boot_id=1, at_ns=self._now_ns))
+            for array, fresh in zip(memory, self._fresh, strict=True):
+                array[arena] = fresh
+            coming[arena] = 0
+            self._rng.standard_normal(out=noise[arena])
+        turning[arenas], self.velocities[arenas], self.ticks[arenas] = 0.0, 0.0, 0
+        self.truths[arenas, : starts.shape[1]] = starts
+        self.poses[arenas] = self.truths[arenas]
+        self.poses[arenas, : starts.shape[1]] += self._sigma * self._rng.standard_normal(starts.shape)
+
+    def step(self, velocities: Array, of_body: Flags) -> None:
+        """Let every arena pass a tick.
+
+        Args:
+            velocities: What the members are asked for (A, N, 2): v [m/s] and omega [rad/s] where ``of_body``, else
+                velocities of the points ahead [m/s; world].
+            of_body: (N,).
+        """
+        velocities = np.ascontiguousarray(velocities, np.float64)
+
+        def chunk(k: int) -> None:
+            rows = slice(k * _CHUNK, (k + 1) * _CHUNK)
+            self._step_chunk(velocities[rows], of_body, self._rngs[k], *self._chunks[k])
+
+        if self._pool is None:
+            for k in range(len(self._chunks)):
+                chunk(k)
+        else:
+            list(self._pool.map(chunk, range(len(self._chunks))))
+        self._now_ns += self._tick_ns
+        self.ticks += 1
+
+    def _step_chunk(self, velocities: Array, of_body: Flags, rng: np.random.Generator, *arrays: Any) -> None:
+        bodies, noise, pose_noise = arrays[3], arrays[6], arrays[-1]
+        rng.standard_normal(out=pose_noise)
+        low = bodies["drawn"] > _NOISE - self._draws
+        if low.any():
+            noise[low] = rng.standard_normal((np.count_nonzero(low), _NOISE))
+            bodies["drawn"][low] = 0
+        _step(
+            velocities, of_body, *arrays, self._driving, self._limits, self._drives, self._sigma, self._barrier_on,
+            self._now_ns, self._tick_ns, *self._constants,  # type: ignore[call-arg]
+        )  # fmt: skip
+
+
+@free_kernel
+def _step(  # type: ignore[no-untyped-def]
+    velocities, of_body, poses, truths, obeyed, bodies, builds, coming, noise, gates, turning, holds, lately, deadlocks,
+    pose_noise, driving, limits, drives, sigma, barrier_on, now_ns, tick_ns, constants, between, half, edges, rings,
+    floors, ahead, rate, l, age, lost_after, tick, times, patience,
+):  # fmt: skip
+    count, n, m = velocities.shape[0], velocities.shape[1], poses.shape[1]
+    points, u, commands, saturated = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    change, blocked = np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    unseen, pushed = np.full(m, age), np.zeros((m, 2))
+    for a in range(count):
+        _limit_commands(velocities[a], of_body, poses[a], l, limits, driving, points, u, commands, saturated)
+        if barrier_on:
+            _filter_commands(
+                poses[a], turning[a], unseen, pushed, driving, commands, u, change, blocked, holds[a], lately[a],
+                deadlocks[a], constants, between, half, edges, rings, floors, ahead, rate, l, age, lost_after, tick,
+                times, patience,
+            )  # fmt: skip
+        for i in range(n):
+            b = bodies[a, i]
+            _drive(b, builds[a, i], coming[a, i], noise[a, i], gates[a, i], drives[i], commands[i], now_ns, tick_ns)
+            obeyed[a, i, 0], obeyed[a, i, 1] = _body_from_wheels(
+                commands[i, 0], commands[i, 1], limits[i, 0], limits[i, 1]
+            )
+            turning[a, i, 0], turning[a, i, 1] = b.left_speed, b.right_speed
+            truths[a, i, 0], truths[a, i, 1], truths[a, i, 2] = b.x, b.y, b.psi
+            for k in range(3):
+                poses[a, i, k] = truths[a, i, k] + sigma[k] * pose_noise[a, i, k]
+
+
+@kernel
+def _drive(b, p, coming, noise, g, drive, wheels, now_ns, tick_ns):  # type: ignore[no-untyped-def]
+    """Let a robot obey wheels (2,) [rad/s] for a tick, behind its gate's ramp."""
+    at_ns, end_ns = now_ns, now_ns + tick_ns
+    while True:
+        _follow(g, wheels[0], wheels[1], drive.max_wheel_acceleration, at_ns)
+        _command(b, p, coming, g.output_left, g.output_right, _NEVER_NS)
+        there = g.output_left == wheels[0] and g.output_right == wheels[1]
+        at_ns = end_ns if there else min(at_ns + _RAMP_NS, end_ns)
+        _advance(b, p, coming, noise, at_ns)
+        if at_ns == end_ns:
+            return
+
+
+KERNELS = (_step,)  # that are called from Python

@@ -1,0 +1,167 @@
+"""Episodes of a task in many arenas: what the environments of Gymnasium and PettingZoo are made of."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robofleet.behaviours.interface import Behaviour, Situation, Team
+from robofleet.config import barrier as config_barrier
+from robofleet.config import groups, slices
+from robofleet.config.load import load_config
+from robofleet.config.tree import Config, Group
+from robofleet.core.arrays import Array, Array32, Flags, Indices
+from robofleet.envs.arenas import Arenas
+from robofleet.envs.robots import builds
+from robofleet.policies.interface import Task, View, load_task, observed, velocities
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """What a tick brought to arenas (A,) with robots (N,).
+
+    Attributes:
+        observations: What each robot observes now (A, N, F); of an episode that ended here, at its end.
+        rewards: (A, N).
+        terminated: Where the task is done, or failed for good (A,).
+        truncated: Where the time is over (A,).
+    """
+
+    observations: Array32
+    rewards: Array
+    terminated: Flags
+    truncated: Flags
+
+
+class Episodes:
+    """Episodes of one group's task in A arenas. Other groups of the configuration do what their behaviours decide.
+
+    Attributes:
+        task: The task.
+        team: What is known of the group: N robots.
+        arenas: The arenas.
+    """
+
+    def __init__(
+        self, config: Config | Path | str, task: str | type[Task], *, arenas: int, seed: int = 0,
+        settings: Mapping[str, Any] | None = None, group: str | None = None, randomise: float = 1.0,
+        barrier: bool = True, threads: int | None = None,
+    ) -> None:  # fmt: skip
+        """Make the arenas; ``reset`` begins their first episodes.
+
+        Args:
+            config: A configuration, or its file.
+            task: The task's name, ``module:Class``, or its class.
+            arenas: A.
+            seed: Of all random numbers. Same seed, same numbers.
+            settings: The task's settings.
+            group: Name of the group whose robots learn. None: the first one.
+            randomise: How far robots differ from episode to episode, as ``envs.robots.builds`` has it.
+            barrier: Whether the barrier changes commands.
+            threads: How many step the arenas. None: one for each core.
+
+        Raises:
+            ValidationError: Wrong settings.
+            PluginError: There is no such task.
+            ValueError: No such group, or a robot that cannot be simulated.
+        """
+        config = groups.named(config if isinstance(config, Config) else load_config(Path(config)))
+        titles = [each.title for each in config.groups]
+        if group is not None and group not in titles:
+            raise ValueError(f"there is no group {group!r}: the configuration has {', '.join(titles)}")
+        own = titles.index(group) if group is not None else 0
+        self._config, self._rows = config, groups.rows(config.groups)
+        self._own, self.team = self._rows[own], _team(config, config.groups[own])
+        kind = task if isinstance(task, type) else load_task(task)
+        self.task: Task = kind(kind.Settings.model_validate(dict(settings or {})), self.team, arenas)
+        self._episode_ticks = round(self.task.duration_s / self.team.tick)
+        self.arenas = Arenas(config, arenas, seed, builds=builds(config, randomise), barrier=barrier, threads=threads)
+        self._rng = slices.generator(seed, "episodes")
+        self._beside = [
+            (rows, [groups.behaviour(config, each) for _ in range(arenas)])
+            for k, (each, rows) in enumerate(zip(config.groups, self._rows, strict=True)) if k != own
+        ]  # fmt: skip
+        members = len(config.members)
+        self._starts = np.zeros((members, 3))
+        for rows, _ in self._beside:
+            self._starts[rows] = [slices.start_pose(robot) for robot in config.members[rows]]
+        self._commands, self._of_body = np.zeros((arenas, members, 2)), np.ones(members, dtype=np.bool_)
+        self._radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
+        self._others = np.array(
+            [row for row in range(len(config.bodies)) if row not in range(*self._own.indices(members))], dtype=np.intp
+        )
+
+    def reset(self, arenas: Indices | None = None, *, seed: int | None = None) -> Array32:
+        """Begin new episodes in some arenas, or in all; returns what is observed in all (A, N, F)."""
+        if seed is not None:
+            self._rng = slices.generator(seed, "episodes")
+            self.arenas.seed(seed)
+        rows = np.arange(len(self.arenas)) if arenas is None else arenas
+        starts = np.repeat(self._starts[None], len(rows), axis=0)
+        starts[:, self._own] = self.task.starts(len(rows), self._rng)
+        self.arenas.reset(rows, starts)
+        self.task.begin(rows, starts[:, self._own], self._rng)
+        for _, behaviours in self._beside:
+            for row in rows.tolist():
+                behaviours[row].restart()
+        return observed(self.task, self._view())
+
+    def step(self, actions: Array | Array32) -> Step:
+        """Let a tick pass with actions (A, N, 2) in [-1, 1]: shares of top speed v and of top turn rate omega."""
+        self._commands[:, self._own] = velocities(actions, self.team)
+        for rows, behaviours in self._beside:
+            for arena, behaviour in enumerate(behaviours):
+                decision = behaviour.decide(self._situation(arena, rows, behaviour))
+                self._commands[arena, rows], self._of_body[rows] = decision.velocities, decision.of == "body"
+        headings = self.arenas.poses[..., 2].copy() if self._beside else None
+        self.arenas.step(self._commands, self._of_body)
+        for rows, behaviours in self._beside:
+            assert headings is not None
+            obeyed = self.arenas.velocities[:, rows]
+            for behaviour, changed in zip(
+                behaviours, point_velocities(obeyed, headings[:, rows], self.team), strict=True
+            ):
+                behaviour.changed(changed)
+        view = self._view()
+        return Step(
+            rewards=self.task.reward(view), observations=observed(self.task, view), terminated=self.task.done(view),
+            truncated=self.arenas.ticks >= self._episode_ticks,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """End the threads."""
+        self.arenas.close()
+
+    def _view(self) -> View:
+        a = self.arenas
+        others = np.empty((len(a), len(self._others), 3))
+        others[..., :2], others[..., 2] = a.poses[:, self._others, :2], self._radii[self._others]
+        return View(
+            t=np.asarray(a.ticks * self.team.tick, np.float64), poses=a.poses[:, self._own],
+            velocities=a.velocities[:, self._own], others=others, team=self.team,
+        )  # fmt: skip
+
+    def _situation(self, arena: int, rows: slice, behaviour: Behaviour) -> Situation:
+        poses = self.arenas.poses[arena]
+        everybody = np.column_stack([poses[:, :2], self._radii])
+        n = rows.stop - rows.start
+        return Situation(
+            t=float(self.arenas.ticks[arena]) * self.team.tick + behaviour.team.delay, poses=poses[rows].copy(),
+            driving=np.ones(n, dtype=np.bool_), disturbance=np.zeros((n, 2)), others=np.delete(everybody, rows, axis=0),
+        )  # fmt: skip
+
+
+def point_velocities(velocities: Array, headings: Array, team: Team) -> Array:
+    """Return velocities v [m/s] and omega [rad/s] (..., 2) as those of the points ahead [m/s; world]."""
+    v, across = velocities[..., 0], team.point_ahead * velocities[..., 1]
+    c, s = np.cos(headings), np.sin(headings)
+    return np.stack([c * v - s * across, s * v + c * across], axis=-1)
+
+
+def _team(config: Config, group: Group) -> Team:
+    """Return what is known of a group. Robots of other groups stand at their starts first, as bystanders do."""
+    team, strangers = groups.team(config, group), [r for r in config.members if r.id not in group.robots]
+    beside = tuple((r.id, config_barrier.body(config, r), slices.start_pose(r)) for r in strangers)
+    return replace(team, bystanders=(*team.bystanders, *beside))
