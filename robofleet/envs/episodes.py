@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from robofleet.behaviours.interface import Behaviour, Situation, Team
+from robofleet.behaviours.interface import Behaviour, Pose, Situation, Team
 from robofleet.config import barrier as config_barrier
 from robofleet.config import groups, slices
 from robofleet.config.load import load_config
@@ -41,6 +41,7 @@ class Episodes:
     Attributes:
         task: The task.
         team: What is known of the group: N robots.
+        own: The group's rows of the arenas' arrays.
         arenas: The arenas.
     """
 
@@ -73,7 +74,8 @@ class Episodes:
             raise ValueError(f"there is no group {group!r}: the configuration has {', '.join(titles)}")
         own = titles.index(group) if group is not None else 0
         self._config, self._rows = config, groups.rows(config.groups)
-        self._own, self.team = self._rows[own], _team(config, config.groups[own])
+        beside = _starts_beside(config, config.groups[own])
+        self.own, self.team = self._rows[own], _team(config, config.groups[own], beside)
         kind = task if isinstance(task, type) else load_task(task)
         self.task: Task = kind(kind.Settings.model_validate(dict(settings or {})), self.team, arenas)
         self._episode_ticks = round(self.task.duration_s / self.team.tick)
@@ -84,13 +86,11 @@ class Episodes:
             for k, (each, rows) in enumerate(zip(config.groups, self._rows, strict=True)) if k != own
         ]  # fmt: skip
         members = len(config.members)
-        self._starts = np.zeros((members, 3))
-        for rows, _ in self._beside:
-            self._starts[rows] = [slices.start_pose(robot) for robot in config.members[rows]]
+        self._starts = np.array([beside.get(robot.id, (0.0, 0.0, 0.0)) for robot in config.members])
         self._commands, self._of_body = np.zeros((arenas, members, 2)), np.ones(members, dtype=np.bool_)
         self._radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
         self._others = np.array(
-            [row for row in range(len(config.bodies)) if row not in range(*self._own.indices(members))], dtype=np.intp
+            [row for row in range(len(config.bodies)) if row not in range(*self.own.indices(members))], dtype=np.intp
         )
 
     def reset(self, arenas: Indices | None = None, *, seed: int | None = None) -> Array32:
@@ -100,9 +100,9 @@ class Episodes:
             self.arenas.seed(seed)
         rows = np.arange(len(self.arenas)) if arenas is None else arenas
         starts = np.repeat(self._starts[None], len(rows), axis=0)
-        starts[:, self._own] = self.task.starts(len(rows), self._rng)
+        starts[:, self.own] = self.task.starts(len(rows), self._rng)
         self.arenas.reset(rows, starts)
-        self.task.begin(rows, starts[:, self._own], self._rng)
+        self.task.begin(rows, starts[:, self.own], self._rng)
         for _, behaviours in self._beside:
             for row in rows.tolist():
                 behaviours[row].restart()
@@ -110,7 +110,7 @@ class Episodes:
 
     def step(self, actions: Array | Array32) -> Step:
         """Let a tick pass with actions (A, N, 2) in [-1, 1]: shares of top speed v and of top turn rate omega."""
-        self._commands[:, self._own] = velocities(actions, self.team)
+        self._commands[:, self.own] = velocities(actions, self.team)
         for rows, behaviours in self._beside:
             for arena, behaviour in enumerate(behaviours):
                 decision = behaviour.decide(self._situation(arena, rows, behaviour))
@@ -139,8 +139,8 @@ class Episodes:
         others = np.empty((len(a), len(self._others), 3))
         others[..., :2], others[..., 2] = a.poses[:, self._others, :2], self._radii[self._others]
         return View(
-            t=np.asarray(a.ticks * self.team.tick, np.float64), poses=a.poses[:, self._own],
-            velocities=a.velocities[:, self._own], others=others, team=self.team,
+            t=np.asarray(a.ticks * self.team.tick, np.float64), poses=a.poses[:, self.own],
+            velocities=a.velocities[:, self.own], others=others, team=self.team,
         )  # fmt: skip
 
     def _situation(self, arena: int, rows: slice, behaviour: Behaviour) -> Situation:
@@ -160,8 +160,17 @@ def point_velocities(velocities: Array, headings: Array, team: Team) -> Array:
     return np.stack([c * v - s * across, s * v + c * across], axis=-1)
 
 
-def _team(config: Config, group: Group) -> Team:
+def _starts_beside(config: Config, own: Group) -> dict[str, Pose]:
+    """Return where the robots of the other groups begin, by id."""
+    beside = [robot.id for robot in config.members if robot.id not in own.robots]
+    starts = groups.starts_of(config) if beside else {}
+    if missing := [robot for robot in beside if robot not in starts]:
+        raise ValueError(f"nothing says where {', '.join(missing)} begin: give them a `start`")
+    return {robot: starts[robot] for robot in beside}
+
+
+def _team(config: Config, group: Group, beside: Mapping[str, Pose]) -> Team:
     """Return what is known of a group. Robots of other groups stand at their starts first, as bystanders do."""
-    team, strangers = groups.team(config, group), [r for r in config.members if r.id not in group.robots]
-    beside = tuple((r.id, config_barrier.body(config, r), slices.start_pose(r)) for r in strangers)
-    return replace(team, bystanders=(*team.bystanders, *beside))
+    team = groups.team(config, group)
+    others = tuple((name, config_barrier.body(config, config.robot(name)), start) for name, start in beside.items())
+    return replace(team, bystanders=(*team.bystanders, *others))

@@ -66,6 +66,9 @@ class GoTo(Task):
     def begin(self, arenas: Indices, poses: Array, rng: np.random.Generator) -> None:
         goals = self.settings.goals
         if goals:
+            missing = [robot for robot in self.team.robots if robot not in goals]
+            if missing:
+                raise ValueError(f"there is no goal for {', '.join(missing)}: give each robot one, or none")
             self._goals[arenas] = [goals[robot].pose for robot in self.team.robots]
         else:
             self._goals[arenas] = drawn_poses(self.team, len(arenas), rng)
