@@ -19,7 +19,7 @@ from robofleet.runs import folder as folders
 from robofleet.runs.check import load_checked
 from robofleet.runs.folder import DEFAULT_FOLDER
 from robofleet.studies import cluster
-from robofleet.studies.engine import Engine
+from robofleet.studies.engine import Engine, Local
 from robofleet.studies.progress import bar
 from robofleet.studies.storm import report as storm_report
 from robofleet.studies.storm import tally as storms
@@ -40,14 +40,17 @@ def run(study: Study, engine: Engine, journal: Journal, watch: Watch) -> list[Ra
     failures: dict[int, str] = {}
     if left:
         compile_kernels(left[0].config)  # once, on disk, before every worker wants the same
-    with closing(engine.each(partial(play, study.config.stem), [run.config for run in left])) as results:
-        for index, played, failure in results:
-            plan = left[index]
-            if played is None:
-                failures[plan.number] = failure
-            else:
-                journal.add(plan.number, played)
-            watch(Ran(plan, played, failure))
+    in_real_time = [run for run in left if run.mode == "real_time"]  # by itself each: else it would miss ticks
+    others = [run for run in left if run.mode != "real_time"]
+    for runs, where in ((others, engine), (in_real_time, Local(1))):
+        with closing(where.each(partial(play, study.config.stem), runs)) as results:
+            for index, played, failure in results:
+                plan = runs[index]
+                if played is None:
+                    failures[plan.number] = failure
+                else:
+                    journal.add(plan.number, played)
+                watch(Ran(plan, played, failure))
     return [Ran(plan, journal.played.get(plan.number), failures.get(plan.number, "")) for plan in study.runs]
 
 

@@ -19,7 +19,7 @@ from robofleet.config.tree import Config
 from robofleet.runs.check import Study as CheckedStudy
 from robofleet.runs.check import load_checked
 from robofleet.studies.progress import Bar
-from robofleet.studies.sweep.plan import Setting, Sweep, settings
+from robofleet.studies.sweep.plan import Mode, Setting, Sweep, settings
 
 _SEED = "run.seed"
 
@@ -37,6 +37,7 @@ class Planned(NamedTuple):
     seed: int
     config: Config
     replay: str  # the command that runs it again
+    mode: Mode
 
 
 class Study(NamedTuple):
@@ -64,23 +65,24 @@ def load(file: Path, progress: Progress) -> Study:
     times: Counter[tuple[str, ...]] = Counter()
     count = sweep.total // len(sweep.every_seed)
     for done, setting in enumerate(_each(sweep, progress(count))):
-        own = [Change(key, _written(root, path, setting.values[key])) for key, path in setting.places.items()]
+        own = [Change(key, _written(root, path, setting.values[key])) for key, path in setting.paths.items()]
+        mode = "lockstep" if setting.case is None else sweep.cases[setting.case].mode
         name = sweep.faults[setting.faults]
         faults = None if name is None else _beside(file, name)
         try:
-            tree = load_checked(config, [*changes, *own], faults, lockstep=True, study=shared)
+            tree = load_checked(config, [*changes, *own], faults, lockstep=mode != "real_time", study=shared)
         except ConfigError as error:
-            values = ", ".join(f"{key}={spelled(value)}" for key, value in setting.values.items())
+            values = ", ".join(f"{key}={spelled(value)}" for key, value in setting.columns.items())
             for line in error.faults:
                 position = tuple(line.split(": ")[:2])
                 first.setdefault(position, (line, f"run {1 + done * len(sweep.every_seed)}: {values}"))
                 times[position] += 1
             continue
-        words = _words(config, {**sweep.set, **setting.values}, faults)
+        words = _words(config, {**sweep.set, **setting.values}, faults, mode)
         for seed in sweep.every_seed:
             seeded = tree if seed is None else _seeded(tree, seed)
             replay = f"{words} --seed {seeded.run.seed}"
-            plans.append(Planned(len(plans) + 1, setting.values, name, seeded.run.seed, seeded, replay))
+            plans.append(Planned(len(plans) + 1, setting.columns, name, seeded.run.seed, seeded, replay, mode))
     if first:
         raise ConfigError(_lines(first, times, count))
     random = sweep.random.keys.items() if sweep.random else ()
@@ -91,14 +93,17 @@ def load(file: Path, progress: Progress) -> Study:
 def _complaints(sweep: Sweep, root: Node) -> Iterator[Mistake | None]:
     """What is wrong with the file itself."""
     if not sweep.keys:
-        message = "names no key to vary: add `grid: {controller.alpha: [30, 45]}`, or `random`"
+        message = "names no key to vary: add `grid: {controller.alpha: [30, 45]}`, `random`, or `cases`"
         yield root.mistake((), message)
     for key, distribution in sweep.random.keys.items() if sweep.random else ():
         if (message := distribution.complaint() or "") != "":
             yield root.mistake(("random", "keys", key), message)
     parts: dict[str, tuple[str, ...]] = {}
-    for part in (("set",), ("grid",), ("random", "keys")):
+    own = [("cases", name, "set") for name in sweep.cases]
+    for part in (("set",), ("grid",), ("random", "keys"), *own):
         node = _at(root, part)
+        if part in own:  # a key may stand in several cases
+            parts = {key: at for key, at in parts.items() if at not in own}
         for key in node.value if node is not None and isinstance(node.value, dict) else ():
             if key in parts:
                 yield root.mistake((*part, key), f"stands under {'.'.join(parts[key])} already", at_key=True)
@@ -161,8 +166,8 @@ def _seeded(config: Config, seed: int) -> Config:
     return config.model_copy(update={"run": config.run.model_copy(update={"seed": seed})})
 
 
-def _words(config: Path, values: dict[str, Any], faults: Path | None) -> str:
-    words = ["robofleet", "run", str(config), "--lockstep"]
+def _words(config: Path, values: dict[str, Any], faults: Path | None, mode: Mode) -> str:
+    words = ["robofleet", "run", str(config), *(() if mode == "real_time" else ("--lockstep",))]
     words += [word for key, value in values.items() for word in ("--set", f"{key}={spelled(value)}")]
     return shlex.join([*words, *(("--faults", str(faults)) if faults is not None else ())])
 
@@ -170,5 +175,5 @@ def _words(config: Path, values: dict[str, Any], faults: Path | None) -> str:
 def _digest(plans: list[Planned]) -> str:
     digest = blake2b(version("robofleet").encode(), digest_size=16)
     for plan in plans:
-        digest.update(f"{plan.number}\0{plan.values}\0{plan.faults}\0{plan.config.model_dump_json()}\n".encode())
+        digest.update(f"{plan.number}\0{plan.values}\0{plan.faults}\0{plan.mode}\0{plan.config.model_dump_json()}\n".encode())
     return digest.hexdigest()

@@ -3,13 +3,13 @@
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, JsonValue
 
 from robofleet.config.files.parameters import Parameters
 from robofleet.config.slices import generator
-from robofleet.core.settings import MANY, Model, Named, within
+from robofleet.core.settings import MANY, Model, Name, Named, within
 
 _DRAWN_DIGITS = 6  # of a drawn number: it can be read, and typed again
 _MOST_RUNS = 1_000_000
@@ -21,6 +21,8 @@ Whole = Annotated[int, within(-(10**12), 10**12)]
 Wholes = Annotated[tuple[Whole, Whole], Field(strict=False)]
 Values = Annotated[tuple[JsonValue, ...], Field(min_length=1, max_length=MANY, strict=False)]
 Seed = Annotated[int, within(0, 2**63 - 1)]
+Mode = Literal["lockstep", "real_time", "environment"]
+CASE = "case"  # the column of a sweep's cases
 
 
 class Distribution(Model):
@@ -87,6 +89,16 @@ class Seeds(Model):
     """How many."""
 
 
+class Case(Model):
+    """Keys that change together, and where the runs take place."""
+
+    set: dict[Key, JsonValue] = Field(default_factory=dict)
+    """Keys that the case changes."""
+    mode: Mode = "lockstep"
+    """``lockstep``: simulated on a simulated clock. ``real_time``: simulated by processes, over Zenoh, one run at a
+    time. ``environment``: the arenas in which policies are trained, for groups with the behaviour ``policy``."""
+
+
 class Sweep(Parameters):
     """A sweep's file."""
 
@@ -94,6 +106,8 @@ class Sweep(Parameters):
     """The configuration; a path from this file's folder."""
     set: dict[Key, JsonValue] = Field(default_factory=dict)
     """Keys that every run changes."""
+    cases: Annotated[dict[Name, Case], Field(max_length=MANY)] = Field(default_factory=dict)
+    """Cases by their names: every one is run with every combination of the grid."""
     grid: dict[Key, Values] = Field(default_factory=dict)
     """Keys and their values: every combination is run."""
     random: Random | None = None
@@ -107,7 +121,7 @@ class Sweep(Parameters):
 
     @property
     def keys(self) -> tuple[str, ...]:
-        return (*self.grid, *(self.random.keys if self.random else ()))
+        return (*((CASE,) if self.cases else ()), *self.grid, *(self.random.keys if self.random else ()))
 
     @property
     def every_seed(self) -> Sequence[int | None]:
@@ -116,6 +130,7 @@ class Sweep(Parameters):
     @property
     def factors(self) -> dict[str, int]:
         return {
+            "cases": max(1, len(self.cases)),
             "combinations of the grid": math.prod(len(values) for values in self.grid.values()),
             "draws": self.random.count if self.random else 1,
             "files of faults": len(self.faults),
@@ -130,13 +145,19 @@ class Sweep(Parameters):
 class Setting(NamedTuple):
     """What one run, or several with seeds of their own, has for the keys that vary, and for faults."""
 
-    values: dict[str, Any]
-    places: dict[str, tuple[str | int, ...]]  # where in the sweep's file each value, or its distribution, stands
+    case: str | None
+    values: dict[str, Any]  # of the keys that the configuration knows
+    paths: dict[str, tuple[str | int, ...]]  # where in the sweep's file each value, or its distribution, stands
     faults: int  # of Sweep.faults
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """What the run has in the columns of ``Sweep.keys``."""
+        return self.values if self.case is None else {CASE: self.case, **self.values}
 
 
 def settings(sweep: Sweep) -> Iterator[Setting]:
-    """Yield every setting, in the order of the runs: the grid's last key, then the draws, then faults turn fastest."""
+    """Yield every setting, in the order of the runs: cases, the grid (its last key fastest), draws, then faults."""
     draws: dict[str, list[Any]] = {}
     drawn_at: dict[str, tuple[str | int, ...]] = {}
     count = 1
@@ -145,11 +166,14 @@ def settings(sweep: Sweep) -> Iterator[Setting]:
         for key, distribution in sweep.random.keys.items():
             draws[key] = distribution.draw(sweep.random.seed, key, count)
             drawn_at[key] = ("random", "keys", key)
-    for chosen in itertools.product(*(range(len(values)) for values in sweep.grid.values())):
+    every_case, every_row = list(sweep.cases) or [None], [range(len(values)) for values in sweep.grid.values()]
+    for case, *chosen in itertools.product(every_case, *every_row):
+        own = {} if case is None else sweep.cases[case].set
+        own_at: dict[str, tuple[str | int, ...]] = {key: ("cases", str(case), "set", key) for key in own}
         rows = dict(zip(sweep.grid, chosen, strict=True))
         grid = {key: sweep.grid[key][i] for key, i in rows.items()}
         grid_at: dict[str, tuple[str | int, ...]] = {key: ("grid", key, i) for key, i in rows.items()}
         for draw in range(count):
             drawn = {key: values[draw] for key, values in draws.items()}
             for faults in range(len(sweep.faults)):
-                yield Setting(grid | drawn, grid_at | drawn_at, faults)
+                yield Setting(case, own | grid | drawn, own_at | grid_at | drawn_at, faults)

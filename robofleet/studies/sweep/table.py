@@ -85,7 +85,7 @@ def row(study: Study, ran: Ran) -> Row:
         for key, figure in group.items()
         if key not in _GROUPS_OWN and figure != summary.get(key)
     }
-    cells["trace_hash"] = summary["trace_hash"]
+    cells["trace_hash"] = summary.get("trace_hash")
     cells["bounds_missed"] = len(ran.missed)
     cells["bounds_not_judged"] = len(ran.not_judged)
     cells["stops"] = sum(not stop["by_operator"] for stop in summary["stops"])
