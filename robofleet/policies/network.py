@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robofleet.core.arrays import Array, Array32
+from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.refusal import need_extra
 from robofleet.policies.description import Description, PolicyError, read_policy, split
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 _EPSILON = 1e-8  # beside the variance, as stable-baselines3 has it
+_TIMED = 5  # decisions
 _NO_FOLDER = "/dev/null"  # weights in further files are looked for there: they are in no digest
 
 
@@ -93,6 +95,17 @@ def _loaded(path: Path, digest: str) -> Policy:
                 f"{word}, and a first axis of any length"
             )
     return Policy(d, network)
+
+
+def inference_s(policy: Policy, robots: int) -> float:
+    """Return how long a decision for so many robots takes at least [s]."""
+    observations = np.zeros((1, robots, sum(term.size for term in policy.description.terms)), dtype=np.float32)
+    took_ns = []
+    for _ in range(_TIMED):
+        began_ns = stopwatch_ns()
+        policy.act(observations)
+        took_ns.append(stopwatch_ns() - began_ns)
+    return min(took_ns) / S
 
 
 def _fits(shape: Sequence[int | str | None], size: int) -> bool:
