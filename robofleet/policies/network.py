@@ -10,7 +10,7 @@ import numpy as np
 from robofleet.core.arrays import Array, Array32
 from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.refusal import need_extra
-from robofleet.policies.description import Description, PolicyError, read_policy, split
+from robofleet.policies.description import Description, PolicyError, pinned, read_policy, split
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -76,16 +76,13 @@ def load_policy(file: Path | str) -> Policy:
         PolicyError: A file is missing, damaged, too large, of another version, or not what the name is pinned to.
         RefusedError: ``onnxruntime`` is not installed.
     """
-    path, digest = split(str(file))
-    return _loaded(path, digest or read_policy(path).sha256)
+    return _loaded(pinned(str(file), Path()))
 
 
 @lru_cache(maxsize=8)
-def _loaded(path: Path, digest: str) -> Policy:
+def _loaded(name: str) -> Policy:
     need_extra("policy", "onnxruntime")
-    contents = read_policy(path)
-    if contents.sha256 != digest:
-        raise PolicyError(f"{path}: it or its JSON is not what it was (sha256 {digest[:12]}...): put that policy back")
+    contents, (path, _) = read_policy(name), split(name)
     network, d = _session(path, contents.network), contents.description
     for word, ends, size in (("input", network.get_inputs(), d.inputs), ("output", network.get_outputs(), d.outputs)):
         if len(ends) != 1 or ends[0].type != "tensor(float)" or not _fits(ends[0].shape, size):

@@ -29,7 +29,7 @@ from robofleet.core.arrays import Array
 from robofleet.core.errors import BadInputError
 from robofleet.core.plugins import PluginError, reach
 from robofleet.core.settings import Model, Named
-from robofleet.policies.description import Description, pinned, split
+from robofleet.policies.description import Description, pinned, read_policy, split
 from robofleet.policies.interface import Task, Term, View, load_task, observed, velocities
 from robofleet.policies.network import Policy, inference_s, load_policy
 
@@ -114,15 +114,15 @@ class PolicyBehaviour(Behaviour):
         kind, given = load_task(self._described.task.name), self._described.task.settings | self.settings.task
         return kind(kind.Settings.model_validate(given), self.team, 1)
 
-    @property
+    @cached_property
     def _described(self) -> Description:
-        return self._policy.description
+        return read_policy(self.settings.file).description
 
     def refusals(self) -> Iterator[Refusal]:
         """Yield why the policy cannot be loaded, or was trained for something else."""
         path, _ = split(self.settings.file)
         try:
-            described = self._described
+            described = self._policy.description
             reach(path.parent, described.task.name)
             task = self._task
         except (BadInputError, PluginError) as error:
@@ -156,8 +156,6 @@ class PolicyBehaviour(Behaviour):
         yield Bound("settings.file", "a decision of the network", took_s, SHARE_OF_TICK * self.team.tick, "s", mend)
 
     def shapes(self) -> list[Shape]:
-        if any(self.refusals()):
-            return []
         task = type(self._task)(self._task.settings, self.team, 1)
         poses = [start or (0.0, 0.0, 0.0) for start in self.team.starts]
         task.begin(_FIRST, np.array([poses]), deepcopy(self.team.rng))
