@@ -13,6 +13,7 @@ from robofleet.config import groups, slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config, Group
 from robofleet.core.arrays import Array, Array32, Flags, Indices
+from robofleet.core.errors import BadInputError
 from robofleet.envs.arenas import Arenas
 from robofleet.envs.robots import builds
 from robofleet.policies.interface import Task, View, load_task, observed, velocities
@@ -65,6 +66,7 @@ class Episodes:
 
         Raises:
             ValidationError: Wrong settings.
+            BadInputError: Settings that this group cannot have.
             PluginError: There is no such task.
             ValueError: No such group, or a robot that cannot be simulated.
         """
@@ -78,6 +80,8 @@ class Episodes:
         self.own, self.team = self._rows[own], _team(config, config.groups[own], beside)
         kind = task if isinstance(task, type) else load_task(task)
         self.task: Task = kind(kind.Settings.model_validate(dict(settings or {})), self.team, arenas)
+        if wrong := [f"settings.{key}: {message}" for key, message in self.task.refusals()]:
+            raise BadInputError("\n".join(wrong))
         self._episode_ticks = round(self.task.duration_s / self.team.tick)
         self.arenas = Arenas(config, arenas, seed, builds=builds(config, randomise), barrier=barrier, threads=threads)
         self._rng = slices.generator(seed, "episodes")
@@ -93,20 +97,29 @@ class Episodes:
             [row for row in range(len(config.bodies)) if row not in range(*self.own.indices(members))], dtype=np.intp
         )
 
-    def reset(self, arenas: Indices | None = None, *, seed: int | None = None) -> Array32:
-        """Begin new episodes in some arenas, or in all; returns what is observed in all (A, N, F)."""
+    def reset(self, arenas: Indices | None = None, *, seed: int | None = None, starts: Array | None = None) -> Array32:
+        """Begin new episodes.
+
+        Args:
+            arenas: In which arenas (K,). None: in all.
+            seed: Of all random numbers from now on. None: they go on.
+            starts: Where the group's robots stand (K, N, 3). None: where the task draws them.
+
+        Returns:
+            What is observed in all arenas (A, N, F).
+        """
         if seed is not None:
             self._rng = slices.generator(seed, "episodes")
             self.arenas.seed(seed)
         rows = np.arange(len(self.arenas)) if arenas is None else arenas
-        starts = np.repeat(self._starts[None], len(rows), axis=0)
-        starts[:, self.own] = self.task.starts(len(rows), self._rng)
-        self.arenas.reset(rows, starts)
-        self.task.begin(rows, starts[:, self.own], self._rng)
+        every = np.repeat(self._starts[None], len(rows), axis=0)
+        every[:, self.own] = self.task.starts(len(rows), self._rng) if starts is None else starts
+        self.arenas.reset(rows, every)
+        self.task.begin(rows, every[:, self.own], self._rng)
         for _, behaviours in self._beside:
             for row in rows.tolist():
                 behaviours[row].restart()
-        return observed(self.task, self._view())
+        return observed(self.task, self.view())
 
     def step(self, actions: Array | Array32) -> Step:
         """Let a tick pass with actions (A, N, 2) in [-1, 1]: shares of top speed v and of top turn rate omega."""
@@ -124,7 +137,7 @@ class Episodes:
                 behaviours, point_velocities(obeyed, headings[:, rows], self.team), strict=True
             ):
                 behaviour.changed(changed)
-        view = self._view()
+        view = self.view()
         return Step(
             rewards=self.task.reward(view), observations=observed(self.task, view), terminated=self.task.done(view),
             truncated=self.arenas.ticks >= self._episode_ticks,
@@ -134,7 +147,8 @@ class Episodes:
         """End the threads."""
         self.arenas.close()
 
-    def _view(self) -> View:
+    def view(self) -> View:
+        """Return what the task sees now."""
         a = self.arenas
         others = np.empty((len(a), len(self._others), 3))
         others[..., :2], others[..., 2] = a.poses[:, self._others, :2], self._radii[self._others]

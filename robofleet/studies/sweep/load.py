@@ -175,5 +175,7 @@ def _words(config: Path, values: dict[str, Any], faults: Path | None, mode: Mode
 def _digest(plans: list[Planned]) -> str:
     digest = blake2b(version("robofleet").encode(), digest_size=16)
     for plan in plans:
-        digest.update(f"{plan.number}\0{plan.values}\0{plan.faults}\0{plan.mode}\0{plan.config.model_dump_json()}\n".encode())
+        digest.update(
+            f"{plan.number}\0{plan.values}\0{plan.faults}\0{plan.mode}\0{plan.config.model_dump_json()}\n".encode()
+        )
     return digest.hexdigest()

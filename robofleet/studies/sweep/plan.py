@@ -166,8 +166,9 @@ def settings(sweep: Sweep) -> Iterator[Setting]:
         for key, distribution in sweep.random.keys.items():
             draws[key] = distribution.draw(sweep.random.seed, key, count)
             drawn_at[key] = ("random", "keys", key)
-    every_case, every_row = list(sweep.cases) or [None], [range(len(values)) for values in sweep.grid.values()]
-    for case, *chosen in itertools.product(every_case, *every_row):
+    every_case: list[str | None] = [*sweep.cases] or [None]
+    combinations = itertools.product(*(range(len(values)) for values in sweep.grid.values()))
+    for case, chosen in itertools.product(every_case, combinations):
         own = {} if case is None else sweep.cases[case].set
         own_at: dict[str, tuple[str | int, ...]] = {key: ("cases", str(case), "set", key) for key in own}
         rows = dict(zip(sweep.grid, chosen, strict=True))
