@@ -13,6 +13,11 @@ from robofleet.envs.episodes import Episodes
 from robofleet.policies.policy import DONE_S, PolicyBehaviour
 
 
+def learned(config: Config) -> list[Group]:
+    """Return the groups that a policy drives."""
+    return [group for group in config.groups if issubclass(groups.kind(group), PolicyBehaviour)]
+
+
 def evaluated(config: Config) -> dict[str, Any]:
     """Return what a run's ``summary.json`` would have of the groups that a policy drives, in an arena of their own.
 
@@ -20,10 +25,9 @@ def evaluated(config: Config) -> dict[str, Any]:
         BadInputError: No group has the behaviour ``policy``.
     """
     config = groups.named(config)
-    driven = [group for group in config.groups if issubclass(groups.kind(group), PolicyBehaviour)]
-    if not driven:
+    if not (policies := learned(config)):
         raise BadInputError("no group has the behaviour policy: an environment runs nothing else")
-    found = {group.title: _group(config, group) for group in driven}
+    found = {group.title: _group(config, group) for group in policies}
     return {
         "outcome": "completed", "cause": None, "mode": "environment", "robots": [r.id for r in config.members],
         "ticks": max(group.pop("ticks") for group in found.values()),

@@ -22,6 +22,7 @@ from robofleet.studies.sweep import journal
 from robofleet.studies.sweep.load import load
 from robofleet.studies.sweep.plan import Distribution, Sweep, settings
 from robofleet.studies.sweep.plots import scale
+from tests.policies import small_policies
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 HEAD = f"config: {CONFIGS / 'platoon.yaml'}\n"
@@ -192,6 +193,14 @@ BAD: dict[str, tuple[str, str]] = {
         f"{HEAD}random: {{count: 2, keys: {{controller.alpha: {{uniform: [2, 1]}}}}}}",
         "s.yaml:2:45: random.keys.controller.alpha: uniform must rise: write [1, 2]",
     ),
+    "a key of a case that the grid has": (
+        f"{HEAD}grid: {{controller.alpha: [30]}}\ncases: {{slow: {{set: {{controller.alpha: 20}}}}}}",
+        "s.yaml:3:22: cases.slow.set.controller.alpha: stands under grid already",
+    ),
+    "an environment without a policy": (
+        f"{HEAD}cases:\n  plain: {{}}\n  arenas: {{mode: environment}}",
+        "s.yaml:4:18: cases.arenas.mode: an environment runs the behaviour policy, which no group has",
+    ),
     "faults that are not there": (
         f"{HEAD}grid: {{controller.alpha: [30]}}\nfaults: [no.yaml]", "no.yaml:1:1: there is no such file",
     ),
@@ -231,6 +240,41 @@ def test_the_runs_of_a_sweep_are_every_combination_in_one_order() -> None:
     assert [row[4] for row in found[:4]] == [0, 1, 0, 1]
     more = plan.model_copy(update={"random": plan.random.model_copy(update={"keys": {"b": plan.random.keys["b"]}})})  # type: ignore[union-attr]
     assert [setting.values["b"] for setting in settings(more)] == [row[3] for row in found]
+
+
+def test_cases_change_keys_together(tmp_path: Path) -> None:
+    """Each case has its keys, those that it does not name stay; both cases may name the same one."""
+    text = f"""{HEAD}set: {{tracker.source: truth}}
+cases:
+  near: {{set: {{groups.0.settings.spacing_m: 0.22, controller.alpha: 30}}}}
+  far: {{set: {{groups.0.settings.spacing_m: 0.28}}, mode: real_time}}
+grid: {{run.duration_s: [5, 6]}}
+"""
+    (tmp_path / "s.yaml").write_text(text)
+    study = load(tmp_path / "s.yaml", lambda total: bar("checks", total))
+    found = [
+        (run.values["case"], run.values["run.duration_s"], run.config.controller.alpha, run.mode) for run in study.runs
+    ]
+    assert found == [
+        ("near", 5, 30, "lockstep"), ("near", 6, 30, "lockstep"),
+        ("far", 5, 45, "real_time"), ("far", 6, 45, "real_time"),
+    ]  # fmt: skip
+    assert study.keys == ("case", "run.duration_s")
+    assert ["--lockstep" in run.replay for run in study.runs] == [True, True, False, False]
+    assert "groups.0.settings.spacing_m=0.22 " in study.runs[0].replay
+
+
+@pytest.mark.slow
+def test_a_policy_earns_the_same_in_its_environment_in_lockstep_and_in_real_time(tmp_path: Path) -> None:
+    small_policies.saved(tmp_path / "go_to.onnx")
+    small_policies.laboratory(tmp_path)
+    cases = "cases: {environment: {mode: environment}, lockstep: {}, real_time: {mode: real_time}}\n"
+    (tmp_path / "s.yaml").write_text(f"config: policy.yaml\n{cases}")
+    code, out, err = sweep(str(tmp_path / "s.yaml"), "--out", str(tmp_path / "out"))
+    assert code == 0, out + err
+    returns = {row["case"]: float(row["groups.policy.final_return.mean"]) for row in rows(tmp_path / "out")}
+    assert returns["lockstep"] == pytest.approx(returns["environment"], rel=0.03)
+    assert returns["real_time"] == pytest.approx(returns["environment"], rel=0.05)
 
 
 @pytest.mark.parametrize("kind", ["uniform", "log_uniform", "integers"])

@@ -16,6 +16,7 @@ from robofleet.config.files.parameters import load_placed
 from robofleet.config.files.yamlfile import Mistake, Node, printable
 from robofleet.config.load import Change, ConfigError, spelled
 from robofleet.config.tree import Config
+from robofleet.envs.evaluation import learned
 from robofleet.runs.check import Study as CheckedStudy
 from robofleet.runs.check import load_checked
 from robofleet.studies.progress import Bar
@@ -77,6 +78,10 @@ def load(file: Path, progress: Progress) -> Study:
                 position = tuple(line.split(": ")[:2])
                 first.setdefault(position, (line, f"run {1 + done * len(sweep.every_seed)}: {values}"))
                 times[position] += 1
+            continue
+        if mode == "environment" and not learned(tree):
+            first.setdefault((str(setting.case),), (_no_policy(root, str(setting.case)), ""))
+            times[(str(setting.case),)] = count
             continue
         words = _words(config, {**sweep.set, **setting.values}, faults, mode)
         for seed in sweep.every_seed:
@@ -164,6 +169,11 @@ def _drawn(at: Node, value: Any) -> Node:
 
 def _seeded(config: Config, seed: int) -> Config:
     return config.model_copy(update={"run": config.run.model_copy(update={"seed": seed})})
+
+
+def _no_policy(root: Node, case: str) -> str:
+    message = "an environment runs the behaviour policy, which no group has: leave the case out"
+    return str(root.mistake(("cases", case, "mode"), message))
 
 
 def _words(config: Path, values: dict[str, Any], faults: Path | None, mode: Mode) -> str:

@@ -138,8 +138,8 @@ def _origin(page: Page, study: Study, runs: Sequence[Ran], files: Sequence[Path]
     if played:
         cpu, lockstep = (np.array([getattr(result, name) for result in played]) for name in ("cpu_s", "lockstep_s"))
         page.note(
-            f"A run took {np.median(cpu):.2f} s of CPU time (median), {100 * np.median(lockstep / cpu):.0f} % of it in "
-            f"lockstep's steps. All runs took {cpu.sum():.0f} s. {TIMES} has the time of each run."
+            f"A run took {np.median(cpu):.2f} s of CPU time (median), {100 * lockstep.sum() / cpu.sum():.0f} % of all "
+            f"was in lockstep's steps. All runs took {cpu.sum():.0f} s. {TIMES} has the time of each run."
         )
     try:
         page.listing(study.file.read_text(), folded=f"The sweep, {study.file}")

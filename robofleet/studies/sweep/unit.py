@@ -2,6 +2,7 @@
 
 import gc
 import json
+import resource
 import shlex
 import subprocess
 import sys
@@ -28,7 +29,7 @@ class Played(NamedTuple):
     """What a run left."""
 
     summary: dict[str, Any]
-    cpu_s: float  # of this process: all of it
+    cpu_s: float  # of its processes: all of it
     lockstep_s: float  # of these: lockstep's steps
 
 
@@ -47,12 +48,19 @@ def _in_environment(config: Config) -> Played:
 def _in_real_time(command: str) -> Played:
     """Play a run by its own command; RuntimeError where it leaves no summary."""
     with TemporaryDirectory() as folder:
+        began_s = _children_s()
         words = [sys.executable, "-m", *shlex.split(command), "--quiet", "--out", f"{folder}/run"]
         ended = subprocess.run(words, capture_output=True, text=True, check=False)
         file = Path(folder, "run", "summary.json")
         if not file.is_file():
             raise RuntimeError(f"exit code {ended.returncode}: {' '.join(ended.stderr.split())[-300:]}")
-        return Played(json.loads(file.read_text()), 0.0, 0.0)
+        return Played(json.loads(file.read_text()), _children_s() - began_s, 0.0)
+
+
+def _children_s() -> float:
+    """Return the CPU time of all processes that have ended, which this one started [s]."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def _in_lockstep(name: str, config: Config) -> Played:
