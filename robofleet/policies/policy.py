@@ -4,10 +4,10 @@ The same task that it was trained for observes here, and says what each tick ear
 that of the training.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import AfterValidator, Field, JsonValue, ValidationError, ValidationInfo
@@ -56,7 +56,7 @@ class PolicyBehaviour(Behaviour):
         """Settings of the task that are to be others than in training: the goals, for example."""
 
     settings: Settings
-    figures = (
+    figures: ClassVar[Sequence[Figure]] = (
         Figure("reward", meaning="what the tick before earned by the task"),
         Figure("return", meaning="sum of the rewards since the start", live=False),
     )
@@ -113,12 +113,11 @@ class PolicyBehaviour(Behaviour):
     @cached_property
     def task(self) -> Task:
         """The task that it was trained for, with this group's settings."""
-        kind, given = load_task(self._described.task.name), self._described.task.settings | self.settings.task
-        return kind(kind.Settings.model_validate(given), self.team, 1)
+        return self._made(self.policy.description)
 
-    @cached_property
-    def _described(self) -> Description:
-        return read_policy(self.settings.file).description
+    def _made(self, described: Description) -> Task:
+        kind, given = load_task(described.task.name), described.task.settings | self.settings.task
+        return kind(kind.Settings.model_validate(given), self.team, 1)
 
     def refusals(self) -> Iterator[Refusal]:
         """Yield why the policy cannot be loaded, or was trained for something else."""
@@ -158,7 +157,7 @@ class PolicyBehaviour(Behaviour):
         yield Bound("settings.file", "a decision of the network", took_s, SHARE_OF_TICK * self.team.tick, "s", mend)
 
     def shapes(self) -> list[Shape]:
-        task = type(self.task)(self.task.settings, self.team, 1)
+        task = self._made(read_policy(self.settings.file).description)
         poses = [start or (0.0, 0.0, 0.0) for start in self.team.starts]
         task.begin(_FIRST, np.array([poses]), deepcopy(self.team.rng))
         return list(task.shapes())
