@@ -16,5 +16,10 @@ def row_type(record: type) -> np.dtype[Any]:
     return np.dtype([(field.name, kinds[field.type]) for field in fields(record)])
 
 
+def row_of(record: Any) -> tuple[Any, ...]:
+    """Return a record's fields, as a row takes them: ``dataclasses.astuple`` copies each, which takes long."""
+    return tuple([getattr(record, field.name) for field in fields(record)])
+
+
 def record_of(record: Callable[..., T], row: np.void) -> T:
     return record(**dict(zip(row.dtype.names or (), row.item(), strict=True)))

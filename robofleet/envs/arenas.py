@@ -11,7 +11,6 @@ same seed gives the same numbers on any machine.
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from robofleet.control import wheels
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.clock import S
 from robofleet.core.kernels import free_kernel, kernel, kernel_of_plain
+from robofleet.core.rows import row_of
 from robofleet.envs.robots import Builds
 from robofleet.safety import barrier as safety_barrier
 from robofleet.safety import gate
@@ -69,7 +69,7 @@ class Arenas:
         self._constants = safety_barrier.constants(config_barrier.keepout(config), bodies)
         self._fresh = safety_barrier.fresh(self._constants)
         self._limits = wheels.limits(tuple(body.drive for body in bodies[:n]))
-        self._drives = np.array([astuple(body.drive) for body in bodies[:n]], DRIVE)
+        self._drives = np.array([row_of(body.drive) for body in bodies[:n]], DRIVE)
         self._tick_ns = round(config.controller.tick_s * S)
         loop_s = min(slices.imperfections(robot).loop_period for robot in config.members)
         cuts = self._tick_ns // gate.RAMP_NS + math.ceil(config.controller.tick_s / loop_s) + 2
@@ -81,6 +81,8 @@ class Arenas:
         for row, robot in enumerate(config.bystanders):
             self.truths[:, n + row] = slices.start_pose(robot)
         self.velocities, self.ticks = np.zeros((count, n, 2)), np.zeros(count, dtype=np.int64)
+        self._new_body = np.array(row_of(plant.placed((0.0, 0.0, 0.0), 0)), BODY)
+        self._new_gate = np.array(row_of(GateState(boot_id=1)), GATE)
         self._arrays = (
             np.zeros((count, n), BODY), np.zeros((count, n), BUILD), np.zeros((count, n, _UNDER_WAY), COMING),
             np.zeros((count, n, _NOISE)), np.zeros((count, n), GATE), np.zeros((count, m, 2)),
@@ -111,15 +113,15 @@ class Arenas:
     def reset(self, arenas: Indices, starts: Array) -> None:
         """Begin anew in some arenas (K,), where the members stand at ``starts`` (K, N, 3), with robots newly drawn."""
         bodies, builds, coming, noise, gates, turning, *memory = self._arrays
-        for arena, poses in zip(arenas.tolist(), starts.tolist(), strict=True):
-            for row, (pose, build) in enumerate(zip(poses, self._build(self._rng), strict=True)):
-                builds[arena, row] = astuple(build)
-                bodies[arena, row] = astuple(plant.placed(pose, self._now_ns))
-                gates[arena, row] = astuple(GateState(boot_id=1, at_ns=self._now_ns))
+        for arena in arenas.tolist():
+            builds[arena] = [row_of(build) for build in self._build(self._rng)]
             for array, fresh in zip(memory, self._fresh, strict=True):
                 array[arena] = fresh
-            coming[arena] = 0
             self._rng.standard_normal(out=noise[arena])
+        coming[arenas], bodies[arenas], gates[arenas] = 0, self._new_body, self._new_gate
+        for k, name in enumerate(("x", "y", "psi")):
+            bodies[name][arenas] = starts[..., k]
+        bodies["reached_ns"][arenas] = gates["at_ns"][arenas] = self._now_ns
         turning[arenas], self.velocities[arenas], self.ticks[arenas] = 0.0, 0.0, 0
         self.truths[arenas, : starts.shape[1]] = starts
         self.poses[arenas] = self.truths[arenas]

@@ -108,6 +108,11 @@ class Episodes:
         Returns:
             What is observed in all arenas (A, N, F).
         """
+        self.begin(arenas, seed=seed, starts=starts)
+        return observed(self.task, self.view())
+
+    def begin(self, arenas: Indices | None = None, *, seed: int | None = None, starts: Array | None = None) -> None:
+        """Begin new episodes, as ``reset``, where nobody asks what is observed."""
         if seed is not None:
             self._rng = slices.generator(seed, "episodes")
             self.arenas.seed(seed)
@@ -119,7 +124,6 @@ class Episodes:
         for _, behaviours in self._beside:
             for row in rows.tolist():
                 behaviours[row].restart()
-        return observed(self.task, self.view())
 
     def step(self, actions: Array | Array32) -> Step:
         """Let a tick pass with actions (A, N, 2) in [-1, 1]: shares of top speed v and of top turn rate omega."""

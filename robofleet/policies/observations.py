@@ -94,9 +94,9 @@ def drawn_poses(team: Team, count: int, rng: "np.random.Generator", taken: Array
     Raises:
         ValueError: The arena has no room for these robots.
     """
-    n, keepout = len(team), team.keepout
-    away = 2.0 * keepout.ahead + _MARGIN_M + max(apart(keepout, a, b) for a in team.bodies for b in team.bodies)
-    edge = _MARGIN_M + keepout.ahead + max(from_edge(keepout, body) for body in team.bodies)
+    n, keepout, kinds = len(team), team.keepout, set(team.bodies)
+    away = 2.0 * keepout.ahead + _MARGIN_M + max(apart(keepout, a, b) for a in kinds for b in kinds)
+    edge = _MARGIN_M + keepout.ahead + max(from_edge(keepout, body) for body in kinds)
     half = np.array(team.arena) / 2.0 - edge
     still = [pose[:2] for _, _, pose in team.bystanders if pose is not None]
     bodies = np.broadcast_to(np.array(still).reshape(-1, 2), (count, len(still), 2))
@@ -108,7 +108,8 @@ def drawn_poses(team: Team, count: int, rng: "np.random.Generator", taken: Array
         for _ in range(_TRIES):
             points = rng.uniform(-1.0, 1.0, (len(waiting), 2)) * half
             before = np.concatenate([bodies[waiting], poses[waiting, :robot, :2]], axis=1)
-            free = (np.hypot(*np.moveaxis(before - points[:, None], 2, 0)) > away).all(axis=1)
+            off = before - points[:, None]
+            free = (off[..., 0] ** 2 + off[..., 1] ** 2 > away * away).all(axis=1)
             if keepout.solids:
                 free &= (distances(keepout.solids, points) > edge).all(axis=0)
             poses[waiting[free], robot, :2] = points[free]
