@@ -28,6 +28,7 @@ Pose = tuple[float, float, float]  # x, y [m], psi [rad]
 
 _SHOWN = {("m", "mm"): 1e3, ("rad", "deg"): 180.0 / math.pi, ("m/s", "mm/s"): 1e3}
 _ROUNDING = 1e-9
+SHARE_OF_TICK = 0.5  # for all groups' decisions; the rest is the filter's, the barrier's and the bus's
 
 
 class Flow(NamedTuple):

@@ -46,6 +46,7 @@ _WORDS = {
     "too_short": "needs {min_length} or more, has {actual_length}",
     "too_long": "may have {max_length} at most, has {actual_length}",
     "literal_error": "must be {expected}",
+    "value_error": "{error}",  # of a validator of a behaviour's own
 }
 _PATTERNS = {
     NAME_PATTERN: "must be a small letter, then up to 31 small letters, digits, - or _",
@@ -69,7 +70,7 @@ def plain_words(error: ErrorDetails, root: type[BaseModel] = Config) -> str:
         return "has too few values: add one" if few else "is missing: add it; configs/README.md describes it"
     words = _WORDS.get(kind)  # pydantic's own have braces that are none of ours, of patterns
     rule = _PATTERNS.get(context.get("pattern", "")) or (words.format(**context) if words else error["msg"])
-    if isinstance(given, dict | list | tuple):
+    if kind == "value_error" or isinstance(given, dict | list | tuple):
         return rule
     hint = ""
     if kind in ("float_type", "int_type") and isinstance(given, str):

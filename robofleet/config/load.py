@@ -216,7 +216,7 @@ class ConfigFile:
         try:
             reach(self._folder, behaviour)
             self._settings[f"groups.{i}.settings."] = settings = groups.load_kind(behaviour).Settings
-            return settings.model_validate(given).model_dump(mode="json")
+            return settings.model_validate(given, context={"folder": self._folder}).model_dump(mode="json")
         except PluginError as unknown:
             self._complain((*where, "behaviour"), str(unknown))
         except ValidationError as invalid:

@@ -21,7 +21,6 @@ Judge = Callable[[int, Callable[[], Decision]], tuple[Decision, bool]]
 _BEHAVIOUR_ERRORS = Exception, SystemExit  # whatever a behaviour raises is its own failure
 _BEYOND = 1e6  # [m/s, rad/s] no robot is asked for so much
 _NOBODY = np.empty((0, 3))
-SHARE_OF_TICK = 0.5  # for all groups together; the rest is the filter's, the barrier's and the bus's
 
 
 def timed_by(stopwatch_ns: Callable[[], int], share_ns: float) -> Judge:

@@ -1,13 +1,13 @@
 """The task go_to: every robot to a pose of its own, without touching anything."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from robofleet.behaviours.go_to import Goal
-from robofleet.behaviours.interface import Dots, Shape, Team
+from robofleet.behaviours.interface import Dots, Refusal, Shape, Team
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.settings import ROBOTS, Model, Name, within
 from robofleet.policies.interface import Task, Term, View, top_speeds
@@ -70,6 +70,15 @@ class GoTo(Task):
         else:
             self._goals[arenas] = drawn_poses(self.team, len(arenas), rng)
         self._left[arenas] = np.hypot(*np.moveaxis(self._goals[arenas] - poses, 2, 0)[:2])
+
+    def refusals(self) -> Iterator[Refusal]:
+        """Yield robots without a goal, and goals without a robot, where goals are given."""
+        for robot in self.settings.goals:
+            if robot not in self.team.robots:
+                yield Refusal(f"goals.{robot}", f"{robot} is not in the group: remove its goal")
+        for robot in self.team.robots if self.settings.goals else ():
+            if robot not in self.settings.goals:
+                yield Refusal("goals", f"{robot} has no goal: add `{robot}: {{x_m: ..., y_m: ...}}`, or remove all")
 
     def shapes(self) -> Sequence[Shape]:
         return (Dots("goals", self._goals[0, :, :2]),)

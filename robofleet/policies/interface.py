@@ -8,14 +8,14 @@ World frame: x and y in metres from the arena's centre, psi in radians, counter-
 N that of the group's robots, in the group's order.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from robofleet.behaviours.interface import Shape, Team
+from robofleet.behaviours.interface import Refusal, Shape, Team
 from robofleet.core.arrays import Array, Array32, Flags, Indices
 from robofleet.core.plugins import PluginError, load
 from robofleet.core.settings import Model
@@ -115,6 +115,10 @@ class Task:
             poses: Where the robots stand there (K, N, 3).
             rng: For goals that are drawn where the settings give none.
         """
+
+    def refusals(self) -> Iterable[Refusal]:
+        """Return what cannot work: a key of the settings, and a line that says how to mend it."""
+        return ()
 
     def shapes(self) -> Sequence[Shape]:
         """Return what page, report and viewers draw on the floor of the first arena."""

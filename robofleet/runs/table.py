@@ -232,7 +232,8 @@ def _tracker(edges: Edges) -> Node:
 
 
 def _controller(edges: Edges) -> Node:
-    from robofleet.nodes.behaviour_runner import SHARE_OF_TICK, timed_by, untimed  # noqa: PLC0415
+    from robofleet.behaviours.interface import SHARE_OF_TICK  # noqa: PLC0415
+    from robofleet.nodes.behaviour_runner import timed_by, untimed  # noqa: PLC0415
     from robofleet.nodes.controller import Controller, compile_kernels  # noqa: PLC0415
 
     compile_kernels(edges.config, edges.progress)

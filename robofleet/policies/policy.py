@@ -1,0 +1,175 @@
+"""policy: a trained network drives the group, by what its task observes; the barrier and the gates are on.
+
+The same task that it was trained for observes here, and says what each tick earned: so a run's return stands beside
+that of the training.
+"""
+
+from collections.abc import Iterator
+from copy import deepcopy
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import AfterValidator, Field, JsonValue, ValidationError, ValidationInfo
+
+from robofleet.behaviours.interface import (
+    SHARE_OF_TICK,
+    Behaviour,
+    Bound,
+    Decision,
+    Figure,
+    Past,
+    Refusal,
+    Shape,
+    Situation,
+    Team,
+    statistics,
+)
+from robofleet.core.arrays import Array
+from robofleet.core.errors import BadInputError
+from robofleet.core.plugins import PluginError, reach
+from robofleet.core.settings import Model, Named
+from robofleet.policies.description import Description, pinned, split
+from robofleet.policies.interface import Task, Term, View, load_task, observed, velocities
+from robofleet.policies.network import Policy, inference_s, load_policy
+
+_DONE_S = 0.5  # so long a task must be done for the run to end
+_FIRST = np.zeros(1, dtype=np.int64)  # the only arena of a run
+
+
+def _pinned(name: str, info: ValidationInfo) -> str:
+    """Return a policy's file with the digest of its content, where the configuration's folder is known."""
+    folder = (info.context or {}).get("folder")
+    return name if folder is None else pinned(name, folder)
+
+
+class PolicyBehaviour(Behaviour):
+    """Robots that do what a network was trained for."""
+
+    class Settings(Model):
+        """Which policy, and the settings of its task."""
+
+        file: Annotated[Named, AfterValidator(_pinned)]
+        """The network: a path from the configuration's folder that ends in .onnx. Its JSON stands beside it. Behind
+        `#sha256=`, which robofleet writes where it keeps a configuration: what must be in both files."""
+        task: dict[str, JsonValue] = Field({})
+        """Settings of the task that are to be others than in training: the goals, for example."""
+
+    settings: Settings
+    figures = (
+        Figure("reward", meaning="what the tick before earned by the task"),
+        Figure("return", meaning="sum of the rewards since the start", live=False),
+    )
+
+    def __init__(self, settings: Settings, team: Team) -> None:
+        super().__init__(settings, team)
+        self.restart()
+
+    def restart(self) -> None:
+        n = len(self.team)
+        self._t = -np.inf  # of the tick before
+        self._poses, self._u = np.zeros((n, 3)), np.zeros((n, 2))
+        self._return, self._done_s = np.zeros(n), 0.0
+
+    def changed(self, velocities: Array) -> None:
+        self._u = velocities.copy()
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the task has been done for a while."""
+        return self._done_s > _DONE_S
+
+    def decide(self, now: Situation) -> Decision:
+        """Return the body velocities that the network's actions ask for."""
+        view, task = self._view(now), self._task
+        if self._t < 0.0:
+            task.begin(_FIRST, view.poses, deepcopy(self.team.rng))  # the goals that ``shapes`` shows
+        reward, done = task.reward(view)[0], bool(task.done(view)[0])
+        if earned := now.t > self._t >= 0.0:  # not in a hold, nor before anything was done
+            self._return += reward
+        if now.t > self._t:
+            self._done_s = self._done_s + self.team.tick if done else 0.0
+        self._t = now.t
+        actions = self._policy.act(observed(task, view))[0]
+        figures: dict[str, Array | float] = {"reward": reward if earned else np.nan, "return": self._return}
+        return Decision(velocities(actions, self.team), "body", figures=figures)
+
+    def _view(self, now: Situation) -> View:
+        """Return what the task observes by. What was commanded is of the poses by which it was decided."""
+        c, s = np.cos(self._poses[:, 2]), np.sin(self._poses[:, 2])
+        (x, y), ahead = self._u.T, self.team.point_ahead
+        self._poses = now.poses.copy()
+        bodies = np.stack([c * x + s * y, (c * y - s * x) / ahead], axis=1)
+        return View(
+            t=np.array([now.t]), poses=now.poses[None], velocities=bodies[None], others=now.others[None],
+            team=self.team,
+        )  # fmt: skip
+
+    @cached_property
+    def _policy(self) -> Policy:
+        return load_policy(self.settings.file)
+
+    @cached_property
+    def _task(self) -> Task:
+        kind, given = load_task(self._described.task.name), self._described.task.settings | self.settings.task
+        return kind(kind.Settings.model_validate(given), self.team, 1)
+
+    @property
+    def _described(self) -> Description:
+        return self._policy.description
+
+    def refusals(self) -> Iterator[Refusal]:
+        """Yield why the policy cannot be loaded, or was trained for something else."""
+        path, _ = split(self.settings.file)
+        try:
+            described = self._described
+            reach(path.parent, described.task.name)
+            task = self._task
+        except (BadInputError, PluginError) as error:
+            yield Refusal("settings.file", str(error))
+            return
+        except ValidationError as invalid:
+            for fault in invalid.errors(include_url=False):
+                where = ".".join(["settings.task", *map(str, fault["loc"])])
+                yield Refusal(where, f"{fault['msg']}: it is a key of the task {described.task.name}")
+            return
+        yield from (Refusal(f"settings.task.{key}", message) for key, message in task.refusals())
+        again = "or train it again"
+        if (now := tuple(Term(*term) for term in task.terms)) != described.terms:
+            then, today = _shown(described.terms), _shown(now)
+            message = f"{path} observes {then}, and its task {described.task.name} is {today} now: mend settings.task"
+            yield Refusal("settings.file", f"{message}, {again}")
+        if described.robots not in (None, len(self.team)):
+            message = f"{path} drives {described.robots} robots, and the group has {len(self.team)}"
+            yield Refusal("settings.file", f"{message}: name {described.robots} in robots, {again}")
+        if abs(described.tick_s - self.team.tick) > 1e-9:
+            message = f"{path} decides every {described.tick_s:g} s, and controller.tick_s is {self.team.tick:g}"
+            yield Refusal("settings.file", f"{message}: set it to {described.tick_s:g}, {again}")
+
+    def bounds(self) -> Iterator[Bound]:
+        """Yield whether the network is fast enough."""
+        try:
+            took_s = inference_s(self._policy, len(self.team))
+        except (BadInputError, ValueError):
+            return  # refused
+        mend = "the robots would stand, so train a smaller network"
+        yield Bound("settings.file", "a decision of the network", took_s, SHARE_OF_TICK * self.team.tick, "s", mend)
+
+    def shapes(self) -> list[Shape]:
+        if any(self.refusals()):
+            return []
+        task = type(self._task)(self._task.settings, self.team, 1)
+        poses = [start or (0.0, 0.0, 0.0) for start in self.team.starts]
+        task.begin(_FIRST, np.array([poses]), deepcopy(self.team.rng))
+        return list(task.shapes())
+
+    def summary(self, past: Past) -> dict[str, Any]:
+        """Return the rewards, and the return in the end."""
+        found = super().summary(past)
+        del found["return"]
+        return found | {"final_return": statistics(past.figures["return"][-1:])}
+
+
+def _shown(terms: tuple[Term, ...]) -> str:
+    every = (f"{term.name} {term.size}{' ' if term.unit else ''}{term.unit} / {term.scale:g}" for term in terms)
+    return f"{sum(term.size for term in terms)} numbers ({', '.join(every)})"
