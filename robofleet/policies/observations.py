@@ -13,22 +13,27 @@ from robofleet.core.kernels import kernel
 from robofleet.safety.distances import apart, from_edge
 from robofleet.vehicles.solids import FIRST, LAST, RADIUS, Solid, distances, outlines
 
+NEAR_M = 0.05  # of other bodies, obstacles and edges: nearer is too near
 _TRIES = 200  # draws of a pose with free way; then the arena is too small
 _MARGIN_M = 0.02  # of drawn poses, beyond what the barrier keeps of robots under way
 
 
 def in_frames(poses: Array, points: Array) -> Array:
     """Return points (A, N, 2) [m; world] in the frames of robots at ``poses`` (A, N, 3) [m]."""
-    c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    x, y = points[..., 0] - poses[..., 0], points[..., 1] - poses[..., 1]
-    return np.stack([c * x + s * y, c * y - s * x], axis=-1)
-
-
-def pose_in_frames(poses: Array, others: Array) -> Array:
-    """Return poses (A, N, 3) in the frames of robots: x, y [m], cosine and sine of the relative heading (A, N, 4)."""
-    found = np.empty((*poses.shape[:2], 4))
-    _pose_in_frames(poses, np.broadcast_to(others, poses.shape), found)
+    found = np.empty((*poses.shape[:2], 2))
+    _in_frames(poses, np.broadcast_to(points, found.shape), found)
     return found
+
+
+def away(poses: Array, points: Array) -> Array:
+    """Return how far robots at ``poses`` (A, N, 3) are from points (A, N, 2) or from one for all (A, 1, 2) [m]."""
+    x, y = points[..., 0] - poses[..., 0], points[..., 1] - poses[..., 1]
+    return np.asarray(np.sqrt(x * x + y * y))
+
+
+def nearness(gaps: Array) -> Array:
+    """Return 0 where a body has more than ``NEAR_M`` around it, and up to 1 where it touches something."""
+    return np.clip(1.0 - gaps / NEAR_M, 0.0, 1.0)
 
 
 def neighbours(poses: Array, others: Array, count: int, reach: float) -> Array:
@@ -124,14 +129,12 @@ def drawn_poses(team: Team, count: int, rng: "np.random.Generator", taken: Array
 
 
 @kernel
-def _pose_in_frames(poses: Array, others: Array, found: Array) -> None:
+def _in_frames(poses: Array, points: Array, found: Array) -> None:
     for a in range(poses.shape[0]):
         for i in range(poses.shape[1]):
             c, s = np.cos(poses[a, i, 2]), np.sin(poses[a, i, 2])
-            x, y = others[a, i, 0] - poses[a, i, 0], others[a, i, 1] - poses[a, i, 1]
+            x, y = points[a, i, 0] - poses[a, i, 0], points[a, i, 1] - poses[a, i, 1]
             found[a, i, 0], found[a, i, 1] = c * x + s * y, c * y - s * x
-            turn = others[a, i, 2] - poses[a, i, 2]
-            found[a, i, 2], found[a, i, 3] = np.cos(turn), np.sin(turn)
 
 
 @kernel
@@ -246,4 +249,4 @@ def _to_edge(x: float, y: float, dx: float, dy: float, edge: Array) -> float:
     return float(along) if along >= 0.0 and 0.0 <= share <= 1.0 else np.inf
 
 
-KERNELS = (_pose_in_frames, _neighbours, _gaps, _rays)  # that are called from Python
+KERNELS = (_in_frames, _neighbours, _gaps, _rays)  # that are called from Python
