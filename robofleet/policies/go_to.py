@@ -6,9 +6,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from robofleet.behaviours.go_to import Goal
 from robofleet.behaviours.interface import Dots, Refusal, Shape, Team
 from robofleet.core.arrays import Array, Flags, Indices
-from robofleet.core.settings import ROBOTS, Coordinate, Model, Name, within
+from robofleet.core.settings import ROBOTS, Model, Name, within
 from robofleet.policies.interface import Task, Term, View, top_speeds
 from robofleet.policies.observations import away, drawn_poses, in_frames, nearness, neighbours
 
@@ -19,11 +20,9 @@ class GoTo(Task):
     class Settings(Model):
         """Keys of the task."""
 
-        goals_m: dict[Name, Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]] = Field(
-            {}, max_length=ROBOTS
-        )
-        """Where the centre of each robot is to be [world frame], by the robot's id. Without it each episode draws
-        goals."""
+        goals: dict[Name, Goal] = Field({}, max_length=ROBOTS)
+        """Where each robot is to be, by the robot's id, as the behaviour of this name has it; headings do not count.
+        Without it each episode draws goals."""
         accuracy_m: Annotated[float, within(0.001, 1)] = 0.05
         """A robot within this distance of its goal is there."""
         neighbours: Annotated[int, within(1, 32)] = 3
@@ -58,15 +57,15 @@ class GoTo(Task):
         return np.asarray((away(view.poses, self._goals) <= self.settings.accuracy_m).all(axis=1))
 
     def begin(self, arenas: Indices, poses: Array, rng: np.random.Generator) -> None:
-        given = self.settings.goals_m
-        drawn = [given[robot] for robot in self.team.robots] if given else drawn_poses(self.team, len(arenas), rng)
+        given = self.settings.goals
+        drawn = [given[robot].pose for robot in self.team.robots] if given else drawn_poses(self.team, len(arenas), rng)
         self._goals[arenas] = np.asarray(drawn)[..., :2]
         self._left[arenas] = away(poses, self._goals[arenas])
 
     def refusals(self) -> Iterator[Refusal]:
-        missing = set(self.team.robots) - set(self.settings.goals_m)
-        if self.settings.goals_m and missing:
-            yield Refusal("goals_m", f"{', '.join(sorted(missing))}: no goal: add it, or let goals be drawn for all")
+        missing = set(self.team.robots) - set(self.settings.goals)
+        if self.settings.goals and missing:
+            yield Refusal("goals", f"{', '.join(sorted(missing))}: no goal: add it, or let goals be drawn for all")
 
     def shapes(self) -> Sequence[Shape]:
         return (Dots("goals", self._goals[0]),)
