@@ -14,7 +14,7 @@ from robofleet.core.arrays import Array, Indices
 from robofleet.core.kernels import kernel
 from robofleet.core.settings import Model, within
 from robofleet.policies.interface import Task, Term, View, top_speeds
-from robofleet.policies.observations import nearness, neighbours, rays
+from robofleet.policies.observations import NEIGHBOUR, nearness, neighbours, rays
 
 _BEARINGS = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
 
@@ -42,17 +42,21 @@ class Coverage(Task):
     @property
     def terms(self) -> Sequence[Term]:
         own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
-        return *own, Term("rays", len(_BEARINGS), "m", 1.0), Term("neighbours", 3 * self.settings.neighbours, "m", 1.0)
+        return (
+            *own,
+            Term("rays", len(_BEARINGS), "m", 1.0),
+            Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 1.0),
+        )
 
     def observe(self, view: View) -> Sequence[Array]:
         s, poses, others = self.settings, view.poses, view.others
-        seen = rays(poses, others, self.team, _BEARINGS, s.range_m), neighbours(poses, others, s.neighbours, s.range_m)
+        seen = rays(poses, others, self.team, _BEARINGS, s.range_m), neighbours(view, s.neighbours, s.range_m)
         return view.velocities[..., :1], view.velocities[..., 1:], *seen
 
     def reward(self, view: View) -> Array:
         cost = self._locational_cost(view.poses)
         fell, self._cost = (self._cost - cost) / self._most, cost
-        return np.asarray(fell[:, None] - 0.5 * nearness(view.gaps))
+        return np.asarray(fell[:, None] - nearness(view.gaps))
 
     def begin(self, arenas: Indices, poses: Array, rng: np.random.Generator) -> None:
         self._cost[arenas] = self._locational_cost(poses)

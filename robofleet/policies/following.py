@@ -7,7 +7,7 @@ import numpy as np
 
 from robofleet.core.arrays import Array
 from robofleet.policies.interface import Task, Term, View
-from robofleet.policies.observations import away, in_frames, nearness, neighbours
+from robofleet.policies.observations import NEIGHBOUR, away, in_frames, nearness, neighbours
 
 _NEIGHBOURS = 2
 _RANGE_M = 1.0
@@ -39,18 +39,18 @@ class Following(Task):
     def terms(self) -> Sequence[Term]:
         target, velocity = Term("target", 2, "m", 0.25), Term("target_velocity", 2, "m/s", 0.2)
         own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
-        return target, velocity, *own, Term("neighbours", 3 * _NEIGHBOURS, "m", 0.5)
+        return target, velocity, *own, Term("neighbours", NEIGHBOUR * _NEIGHBOURS, "m", 0.5)
 
     def observe(self, view: View) -> Sequence[Array]:
         targets = self._targets(view)
         along = in_frames(view.poses, view.poses[..., :2] + targets.velocities)
-        near = neighbours(view.poses, view.others, _NEIGHBOURS, _RANGE_M)
+        near = neighbours(view, _NEIGHBOURS, _RANGE_M)
         return in_frames(view.poses, targets.points), along, view.velocities[..., :1], view.velocities[..., 1:], near
 
     def reward(self, view: View) -> Array:
         """Return 1 at the target and half of it 5 cm away, less for being near others."""
         off = away(view.poses, self._targets(view).points)
-        return np.asarray(_HALF_M / (_HALF_M + off) - 0.5 * nearness(view.gaps))
+        return np.asarray(_HALF_M / (_HALF_M + off) - nearness(view.gaps))
 
     def _targets(self, view: View) -> Targets:
         """Return the targets, which are searched once a tick."""

@@ -11,7 +11,7 @@ from robofleet.behaviours.interface import Dots, Refusal, Shape, Team
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.settings import ROBOTS, Model, Name, within
 from robofleet.policies.interface import Task, Term, View, top_speeds
-from robofleet.policies.observations import away, drawn_poses, in_frames, nearness, neighbours
+from robofleet.policies.observations import NEIGHBOUR, away, drawn_poses, in_frames, nearness, neighbours
 
 
 class GoTo(Task):
@@ -40,18 +40,18 @@ class GoTo(Task):
 
     @property
     def terms(self) -> Sequence[Term]:
-        near = Term("neighbours", 3 * self.settings.neighbours, "m", 0.5)
+        near = Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
         return Term("goal", 2, "m", 1.0), Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0), near
 
     def observe(self, view: View) -> Sequence[Array]:
-        near = neighbours(view.poses, view.others, self.settings.neighbours, self.settings.range_m)
+        near = neighbours(view, self.settings.neighbours, self.settings.range_m)
         return in_frames(view.poses, self._goals), view.velocities[..., :1], view.velocities[..., 1:], near
 
     def reward(self, view: View) -> Array:
         """Return the share of the top speed with which the goal came nearer, less for the time and for being near."""
         left = away(view.poses, self._goals)
         nearer, self._left = (self._left - left) / self._most, left
-        return np.asarray(nearer - 0.1 * (left > self.settings.accuracy_m) - 0.5 * nearness(view.gaps))
+        return np.asarray(nearer - 0.1 * (left > self.settings.accuracy_m) - nearness(view.gaps))
 
     def done(self, view: View) -> Flags:
         return np.asarray((away(view.poses, self._goals) <= self.settings.accuracy_m).all(axis=1))

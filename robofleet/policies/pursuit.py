@@ -9,7 +9,7 @@ from robofleet.behaviours.interface import Team
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.settings import Model, within
 from robofleet.policies.interface import Task, Term, View, top_speeds
-from robofleet.policies.observations import away, in_frames, nearness, neighbours, rays
+from robofleet.policies.observations import NEIGHBOUR, away, in_frames, nearness, neighbours, rays
 
 _BEARINGS = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
 
@@ -36,21 +36,21 @@ class Pursuit(Task):
 
     @property
     def terms(self) -> Sequence[Term]:
-        near = Term("neighbours", 3 * self.settings.neighbours, "m", 0.5)
+        near = Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
         own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
         return Term("flees", 1), Term("prey", 2, "m", 1.0), *own, Term("rays", len(_BEARINGS), "m", 1.0), near
 
     def observe(self, view: View) -> Sequence[Array]:
         s, poses, others = self.settings, view.poses, view.others
         flees = np.broadcast_to(self._flees[:, None], (*poses.shape[:2], 1))
-        seen = rays(poses, others, self.team, _BEARINGS, s.range_m), neighbours(poses, others, s.neighbours, s.range_m)
+        seen = rays(poses, others, self.team, _BEARINGS, s.range_m), neighbours(view, s.neighbours, s.range_m)
         return flees, in_frames(poses, poses[:, :1, :2]), view.velocities[..., :1], view.velocities[..., 1:], *seen
 
     def reward(self, view: View) -> Array:
         """Return the share of the top speed with which a chaser came nearer, or the nearest one fell behind."""
         left = self._distances(view.poses)
         nearer, self._left = (self._left - left) / self._most, left
-        return np.asarray(np.where(self._flees, 0.1 - nearer, nearer - 0.1) - 0.5 * nearness(view.gaps))
+        return np.asarray(np.where(self._flees, 0.1 - nearer, nearer - 0.1) - nearness(view.gaps))
 
     def done(self, view: View) -> Flags:
         return np.asarray(self._distances(view.poses)[:, 0] < self.settings.catch_m)
