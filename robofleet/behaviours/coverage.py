@@ -14,6 +14,7 @@ from pydantic import Field
 
 from robofleet.behaviours import Behaviour, Bound, Decision, Dots, Figure, Situation, Team
 from robofleet.behaviours.limits import point_speeds, slowed
+from robofleet.core.arrays import Array
 from robofleet.core.settings import Coordinate, Length, within
 
 
@@ -38,9 +39,7 @@ class Coverage(Behaviour):
 
     def __init__(self, settings: Settings, team: Team) -> None:
         super().__init__(settings, team)
-        cell = max(team.arena) / settings.cells
-        x, y = (side * ((np.arange(n) + 0.5) / n - 0.5) for side in team.arena for n in [max(1, round(side / cell))])
-        self._places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        self._places = places(team.arena, settings.cells)
         self._far = (self._places**2).sum(axis=1)  # squared distances from the origin
         far = 0.0 if settings.peak_m is None else ((self._places - settings.peak_m) ** 2).sum(axis=1)
         density = np.exp(-(far - np.min(far)) / 2 / settings.peak_width_m**2) * np.ones(len(self._places))
@@ -63,3 +62,10 @@ class Coverage(Behaviour):
     def shapes(self) -> list[Dots]:
         """Return the place that counts most."""
         return [Dots("peak", np.array([self.settings.peak_m]))] if self.settings.peak_m else []
+
+
+def places(arena: tuple[float, float], cells: int) -> Array:
+    """Return the middles of a grid's cells (M, 2) [m; world], of which ``cells`` lie along the arena's longer side."""
+    cell = max(arena) / cells
+    x, y = (side * ((np.arange(n) + 0.5) / n - 0.5) for side in arena for n in [max(1, round(side / cell))])
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

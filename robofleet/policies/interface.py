@@ -144,8 +144,11 @@ def observed(task: Task, view: View) -> Array32:
     expected = [(*view.poses.shape[:2], term.size) for term in terms]
     if shapes != expected:
         raise ValueError(f"{type(task).__name__}.observe returned shapes {shapes}; `terms` says {expected}")
-    parts = [np.asarray(array) / term.scale for array, term in zip(found, terms, strict=True)]
-    return np.clip(np.concatenate(parts, axis=2, dtype=np.float32), -LARGEST, LARGEST)
+    numbers, begin = np.empty((*view.poses.shape[:2], width(task)), dtype=np.float32), 0
+    for array, term in zip(found, terms, strict=True):
+        np.divide(array, term.scale, out=numbers[..., begin : begin + term.size], casting="unsafe")
+        begin += term.size
+    return np.clip(numbers, -LARGEST, LARGEST, out=numbers)
 
 
 def width(task: Task) -> int:

@@ -4,6 +4,7 @@ A robot's frame: x along its heading, y to its left, origin at its centre.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,38 +14,47 @@ from robofleet.core.kernels import kernel
 from robofleet.safety.distances import apart, from_edge
 from robofleet.vehicles.solids import FIRST, LAST, RADIUS, Solid, distances, outlines
 
+if TYPE_CHECKING:
+    from robofleet.policies.interface import View
+
+NEIGHBOUR = 5  # numbers of a neighbour
+NEAR_M = 0.1  # of other bodies, obstacles and edges: nearer is too near
 _TRIES = 200  # draws of a pose with free way; then the arena is too small
 _MARGIN_M = 0.02  # of drawn poses, beyond what the barrier keeps of robots under way
 
 
 def in_frames(poses: Array, points: Array) -> Array:
     """Return points (A, N, 2) [m; world] in the frames of robots at ``poses`` (A, N, 3) [m]."""
-    c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    x, y = points[..., 0] - poses[..., 0], points[..., 1] - poses[..., 1]
-    return np.stack([c * x + s * y, c * y - s * x], axis=-1)
-
-
-def pose_in_frames(poses: Array, others: Array) -> Array:
-    """Return poses (A, N, 3) in the frames of robots: x, y [m], cosine and sine of the relative heading (A, N, 4)."""
-    found = np.empty((*poses.shape[:2], 4))
-    _pose_in_frames(poses, np.broadcast_to(others, poses.shape), found)
+    found = np.empty((*poses.shape[:2], 2))
+    _in_frames(poses, np.broadcast_to(points, found.shape), found)
     return found
 
 
-def neighbours(poses: Array, others: Array, count: int, reach: float) -> Array:
+def away(poses: Array, points: Array) -> Array:
+    """Return how far robots at ``poses`` (A, N, 3) are from points (A, N, 2) or from one for all (A, 1, 2) [m]."""
+    x, y = points[..., 0] - poses[..., 0], points[..., 1] - poses[..., 1]
+    return np.asarray(np.sqrt(x * x + y * y))
+
+
+def nearness(gaps: Array) -> Array:
+    """Return 0 where a body has more than ``NEAR_M`` around it, and up to 1 where it touches something."""
+    return np.clip(1.0 - gaps / NEAR_M, 0.0, 1.0)
+
+
+def neighbours(view: "View", count: int, reach: float) -> Array:
     """Return the nearest bodies within reach, the nearest first.
 
     Args:
-        poses: Poses (A, N, 3) of the robots, which are each other's neighbours.
-        others: Other bodies (A, M, 3): x, y [m; world], radius [m].
+        view: The robots, which are each other's neighbours, and the other bodies.
         count: How many are observed, n.
         reach: Of centre from centre [m].
 
     Returns:
-        x, y [m; robot's frame] and 1.0 of each (A, N, 3 n); zeros where there is none.
+        x, y [m; robot's frame], velocity along both [m/s] (0 of bodies that are not the group's), and 1.0 of each
+        (A, N, 5 n); zeros where there is none.
     """
-    found = np.zeros((*poses.shape[:2], 3 * count))
-    _neighbours(poses, others, count, reach, found)
+    found = np.zeros((*view.poses.shape[:2], NEIGHBOUR * count))
+    _neighbours(view.poses, view.velocities, view.others, count, reach, found)
     return found
 
 
@@ -125,44 +135,55 @@ def drawn_poses(team: Team, count: int, rng: "np.random.Generator", taken: Array
 
 
 @kernel
-def _pose_in_frames(poses: Array, others: Array, found: Array) -> None:
+def _in_frames(poses: Array, points: Array, found: Array) -> None:
     for a in range(poses.shape[0]):
         for i in range(poses.shape[1]):
             c, s = np.cos(poses[a, i, 2]), np.sin(poses[a, i, 2])
-            x, y = others[a, i, 0] - poses[a, i, 0], others[a, i, 1] - poses[a, i, 1]
+            x, y = points[a, i, 0] - poses[a, i, 0], points[a, i, 1] - poses[a, i, 1]
             found[a, i, 0], found[a, i, 1] = c * x + s * y, c * y - s * x
-            turn = others[a, i, 2] - poses[a, i, 2]
-            found[a, i, 2], found[a, i, 3] = np.cos(turn), np.sin(turn)
 
 
 @kernel
-def _neighbours(poses: Array, others: Array, count: int, reach: float, found: Array) -> None:
+def _neighbours(poses: Array, velocities: Array, others: Array, count: int, reach: float, found: Array) -> None:
     n, m = poses.shape[1], others.shape[1]
-    squares = np.empty(count)
+    squares, rows, axes = np.empty(count), np.empty(count, np.int64), np.empty((n, 2))
     for a in range(poses.shape[0]):
         for i in range(n):
-            c, s = np.cos(poses[a, i, 2]), np.sin(poses[a, i, 2])
+            axes[i, 0], axes[i, 1] = np.cos(poses[a, i, 2]), np.sin(poses[a, i, 2])
+        for i in range(n):
             seen = 0
             for j in range(n + m):
                 if j == i:
                     continue
-                if j < n:
-                    x, y = poses[a, j, 0] - poses[a, i, 0], poses[a, j, 1] - poses[a, i, 1]
-                else:
-                    x, y = others[a, j - n, 0] - poses[a, i, 0], others[a, j - n, 1] - poses[a, i, 1]
+                x, y = _other(poses, others, a, j)
+                x, y = x - poses[a, i, 0], y - poses[a, i, 1]
                 square = x * x + y * y
                 if square > reach * reach or (seen == count and square >= squares[count - 1]):
                     continue
                 k = min(seen, count - 1)
                 while k > 0 and squares[k - 1] > square:
-                    squares[k] = squares[k - 1]
-                    for column in range(3):
-                        found[a, i, 3 * k + column] = found[a, i, 3 * k - 3 + column]
+                    squares[k], rows[k] = squares[k - 1], rows[k - 1]
                     k -= 1
-                squares[k] = square
-                found[a, i, 3 * k], found[a, i, 3 * k + 1] = c * x + s * y, c * y - s * x
-                found[a, i, 3 * k + 2] = 1.0
+                squares[k], rows[k] = square, j
                 seen = min(seen + 1, count)
+            c, s = axes[i, 0], axes[i, 1]
+            for k in range(seen):
+                j, column = rows[k], NEIGHBOUR * k
+                x, y = _other(poses, others, a, j)
+                x, y = x - poses[a, i, 0], y - poses[a, i, 1]
+                found[a, i, column], found[a, i, column + 1] = c * x + s * y, c * y - s * x
+                if j < n:
+                    v = velocities[a, j, 0]
+                    found[a, i, column + 2] = v * (c * axes[j, 0] + s * axes[j, 1])
+                    found[a, i, column + 3] = v * (c * axes[j, 1] - s * axes[j, 0])
+                found[a, i, column + 4] = 1.0
+
+
+@kernel
+def _other(poses: Array, others: Array, a: int, j: int) -> tuple[float, float]:
+    """Return where the j-th body of an arena is: a robot, or one of the others."""
+    n = poses.shape[1]
+    return (poses[a, j, 0], poses[a, j, 1]) if j < n else (others[a, j - n, 0], others[a, j - n, 1])
 
 
 @kernel
@@ -247,4 +268,4 @@ def _to_edge(x: float, y: float, dx: float, dy: float, edge: Array) -> float:
     return float(along) if along >= 0.0 and 0.0 <= share <= 1.0 else np.inf
 
 
-KERNELS = (_pose_in_frames, _neighbours, _gaps, _rays)  # that are called from Python
+KERNELS = (_in_frames, _neighbours, _gaps, _rays)  # that are called from Python
