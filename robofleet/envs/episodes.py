@@ -68,8 +68,10 @@ class Episodes:
             ValidationError: Wrong settings.
             BadInputError: Settings that this group cannot have.
             PluginError: There is no such task.
-            ValueError: No such group, or a robot that cannot be simulated.
+            ValueError: No such group, no arena, or a robot that cannot be simulated.
         """
+        if arenas < 1:
+            raise ValueError(f"arenas={arenas}: must be at least 1")
         config = groups.named(config if isinstance(config, Config) else load_config(Path(config)))
         titles = [each.title for each in config.groups]
         if group is not None and group not in titles:
@@ -126,7 +128,20 @@ class Episodes:
                 behaviours[row].restart()
 
     def step(self, actions: Array | Array32) -> Step:
-        """Let a tick pass with actions (A, N, 2) in [-1, 1]: shares of top speed v and of top turn rate omega."""
+        """Let a tick pass.
+
+        Args:
+            actions: (A, N, 2) in [-1, 1]: shares of top speed v and of top turn rate omega.
+
+        Raises:
+            ValueError: Actions of another shape, or not finite.
+        """
+        expected = len(self.arenas), len(self.team), 2
+        if np.shape(actions) != expected:
+            raise ValueError(f"actions {np.shape(actions)}: must be {expected}: arenas, robots, v and omega")
+        if not np.isfinite(actions).all():
+            arena, robot, _ = np.argwhere(~np.isfinite(actions))[0]
+            raise ValueError(f"an action of {self.team.robots[robot]} in arena {arena} is not finite")
         self._commands[:, self.own] = velocities(actions, self.team)
         for rows, behaviours in self._beside:
             for arena, behaviour in enumerate(behaviours):

@@ -113,6 +113,7 @@ def test_other_groups_do_what_their_behaviours_decide() -> None:
     ("options", "line"),
     [
         ({"task": "go_too"}, "did you mean 'go_to'"),
+        ({"task": "go_to", "arenas": 0}, "arenas=0: must be at least 1"),
         ({"task": "go_to", "group": "nobody"}, "there is no group 'nobody': the configuration has platoon"),
         ({"task": "go_to", "settings": {"accuracy_m": -1}}, "accuracy_m"),
         ({"task": "go_to", "settings": {"goals": {"r1": {"x_m": 0, "y_m": 0}}}}, "r2"),
@@ -120,7 +121,18 @@ def test_other_groups_do_what_their_behaviours_decide() -> None:
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], line: str) -> None:
     with pytest.raises((RobofleetError, ValueError), match=line):
-        Episodes(PLATOON, arenas=1, **options).reset()
+        Episodes(PLATOON, **{"arenas": 1, **options}).reset()
+
+
+def test_actions_that_cannot_be_are_refused() -> None:
+    world = Episodes(PLATOON, Forward, arenas=2)
+    world.reset()
+    with pytest.raises(ValueError, match=r"actions \(2, 2\): must be \(2, 4, 2\)"):
+        world.step(np.zeros((2, 2)))
+    actions = np.zeros((2, 4, 2))
+    actions[1, 2, 0] = np.nan
+    with pytest.raises(ValueError, match="an action of r3 in arena 1 is not finite"):
+        world.step(actions)
 
 
 def test_a_task_that_observes_something_else_than_it_says_is_refused() -> None:
