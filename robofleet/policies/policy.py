@@ -50,15 +50,15 @@ class PolicyBehaviour(Behaviour):
         """Which policy, and the settings of its task."""
 
         file: Annotated[Named, AfterValidator(_pinned)]
-        """The network: a path from the configuration's folder that ends in .onnx. Its JSON stands beside it. Behind
-        `#sha256=`, which robofleet writes where it keeps a configuration: what must be in both files."""
+        """The network: a path from the configuration's folder that ends in .onnx; its JSON stands beside it. Where
+        robofleet keeps a configuration, it adds `#sha256=...`: both files must still have that content."""
         task: dict[str, JsonValue] = Field({})
         """Settings of the task that are to be others than in training: the goals, for example."""
 
     settings: Settings
     figures: ClassVar[Sequence[Figure]] = (
         Figure("reward", meaning="what the tick before earned by the task"),
-        Figure("return", meaning="sum of the rewards since the start", live=False),
+        Figure("return", meaning="sum of the rewards until the task was done, or its time was over", live=False),
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
@@ -70,6 +70,7 @@ class PolicyBehaviour(Behaviour):
         self._t = -np.inf  # of the tick before
         self._poses, self._u = np.zeros((n, 3)), np.zeros((n, 2))
         self._return, self._done_s = np.zeros(n), 0.0
+        self._over = False  # the episode, as the task was trained in
 
     def changed(self, velocities: Array) -> None:
         self._u = velocities.copy()
@@ -85,10 +86,12 @@ class PolicyBehaviour(Behaviour):
         if self._t < 0.0:
             task.begin(_FIRST, view.poses, deepcopy(self.team.rng))  # the goals that ``shapes`` shows
         reward, done = task.reward(view)[0], bool(task.done(view)[0])
-        if earned := now.t > self._t >= 0.0:  # not in a hold, nor before anything was done
+        earned = now.t > self._t >= 0.0  # not in a hold, nor before anything was done
+        if earned and not self._over:
             self._return += reward
         if now.t > self._t:
             self._done_s = self._done_s + self.team.tick if done else 0.0
+        self._over |= done or now.t >= task.duration_s
         self._t = now.t
         actions = self._policy.act(observed(task, view))[0]
         figures: dict[str, Array | float] = {"reward": reward if earned else np.nan, "return": self._return}
@@ -161,7 +164,7 @@ class PolicyBehaviour(Behaviour):
         return list(task.shapes())
 
     def summary(self, past: Past) -> dict[str, Any]:
-        """Return the rewards, and the return in the end."""
+        """Return the rewards, and the return of the episode that the run began with."""
         found = super().summary(past)
         del found["return"]
         return found | {"final_return": statistics(past.figures["return"][-1:])}
