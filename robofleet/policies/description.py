@@ -125,7 +125,7 @@ def described(
     """
     given = {
         "task": {"name": _name_of(type(task)), "settings": task.settings.model_dump(mode="json")},
-        "terms": [Term(*term) for term in task.terms],
+        "terms": tuple(task.terms),
         "normalisation": None if mean is None or variance is None else {
             "mean": tuple(map(float, mean)), "variance": tuple(map(float, variance)), "clip": clip,
         },

@@ -88,7 +88,7 @@ class PolicyBehaviour(Behaviour):
         reward, done = task.reward(view)[0], bool(task.done(view)[0])
         earned = now.t > self._t >= 0.0  # not in a hold, nor before anything was done
         if earned and not self._over:
-            self._return += reward
+            self._return = self._return + reward  # a decision keeps the array
         if now.t > self._t:
             self._done_s = self._done_s + self.team.tick if done else 0.0
         self._over |= done or now.t >= task.duration_s
@@ -117,6 +117,7 @@ class PolicyBehaviour(Behaviour):
         return self._made(self._policy.description)
 
     def _made(self, described: Description) -> Task:
+        reach(split(self.settings.file)[0].parent, described.task.name)
         kind, given = load_task(described.task.name), described.task.settings | self.settings.task
         return kind(kind.Settings.model_validate(given), self.team, 1)
 
@@ -125,7 +126,6 @@ class PolicyBehaviour(Behaviour):
         path, _ = split(self.settings.file)
         try:
             described = self._policy.description
-            reach(path.parent, described.task.name)
             task = self._task
         except (BadInputError, PluginError) as error:
             yield Refusal("settings.file", str(error))
@@ -137,8 +137,8 @@ class PolicyBehaviour(Behaviour):
             return
         yield from (Refusal(f"settings.task.{key}", message) for key, message in task.refusals())
         again = "or train it again"
-        if (now := tuple(Term(*term) for term in task.terms)) != described.terms:
-            then, today = _shown(described.terms), _shown(now)
+        if tuple(task.terms) != described.terms:
+            then, today = _shown(described.terms), _shown(task.terms)
             message = f"{path} observes {then}, and its task {described.task.name} is {today} now: mend settings.task"
             yield Refusal("settings.file", f"{message}, {again}")
         if described.robots not in (None, len(self.team)):
@@ -158,7 +158,10 @@ class PolicyBehaviour(Behaviour):
         yield Bound("settings.file", "a decision of the network", took_s, SHARE_OF_TICK * self.team.tick, "s", mend)
 
     def shapes(self) -> list[Shape]:
-        task = self._made(read_policy(self.settings.file).description)
+        try:
+            task = self._made(read_policy(self.settings.file).description)
+        except (BadInputError, PluginError, ValidationError):
+            return []  # a viewer on another computer has no policy; a run is refused
         poses = [start or (0.0, 0.0, 0.0) for start in self.team.starts]
         task.begin(_FIRST, np.array([poses]), deepcopy(self.team.rng))
         return list(task.shapes())
@@ -170,6 +173,6 @@ class PolicyBehaviour(Behaviour):
         return found | {"final_return": statistics(past.figures["return"][-1:])}
 
 
-def _shown(terms: tuple[Term, ...]) -> str:
+def _shown(terms: Sequence[Term]) -> str:
     every = (f"{term.name} {term.size}{' ' if term.unit else ''}{term.unit} / {term.scale:g}" for term in terms)
     return f"{sum(term.size for term in terms)} numbers ({', '.join(every)})"

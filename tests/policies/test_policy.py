@@ -40,6 +40,8 @@ def test_it_drives_its_robots_to_their_goals_and_says_what_that_earned(tmp_path:
     past = drive(behaviour, POSES, 12.0)
     assert np.hypot(*(past.poses[-1, :, :2] - [*GOALS.values()]).T).max() < 0.05
     assert behaviour.arrived
+    (goals,) = behaviour.shapes()
+    np.testing.assert_allclose(goals.points, [*GOALS.values()])
     earned = past.figures["reward"]
     assert np.isnan(earned[0]).all()  # nothing was done before
     left = np.hypot(*np.moveaxis(past.poses[:, :, :2] - [*GOALS.values()], 2, 0))
