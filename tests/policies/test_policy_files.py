@@ -111,8 +111,9 @@ def _rewritten(content: bytes) -> Callable[[Path], None]:
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_by_a_line(
-    spoil: Callable[[Path], None], words: str, tmp_path: Path
+    spoil: Callable[[Path], None], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # where onnxruntime looks for further files
     file = saved(tmp_path / "p.onnx")
     spoil(file)
     with pytest.raises(PolicyError) as caught:
