@@ -124,7 +124,7 @@ class PolicyBehaviour(Behaviour):
         """Yield why the policy cannot be loaded, or was trained for something else."""
         path, _ = split(self.settings.file)
         try:
-            described = self.policy.description
+            described = read_policy(self.settings.file).description  # it may be gone since it was loaded
             task = self.task
         except (BadInputError, PluginError) as error:
             yield Refusal("settings.file", str(error))
