@@ -5,6 +5,7 @@ recording is replayed by the same policy or by none.
 """
 
 import json
+import os
 from collections.abc import Sequence
 from hashlib import sha256
 from importlib.metadata import version
@@ -125,7 +126,7 @@ def described(
     """
     given = {
         "task": {"name": _name_of(type(task)), "settings": task.settings.model_dump(mode="json")},
-        "terms": [Term(*term) for term in task.terms],
+        "terms": tuple(task.terms),
         "normalisation": None if mean is None or variance is None else {
             "mean": tuple(map(float, mean)), "variance": tuple(map(float, variance)), "clip": clip,
         },
@@ -165,7 +166,7 @@ def read_policy(name: str | Path) -> Contents:
     PolicyError where one is missing, too large, not what it should be, or not what it was when the name was pinned.
     """
     file, digest = split(str(name))
-    if digest and not file.exists():
+    if digest and not _there(file):
         raise PolicyError(f"{file}: is gone: put it back; `robofleet replay` finds it by `--behaviours DIR`, too")
     if file.suffix != _SUFFIX:
         raise PolicyError(f"{file}: a policy's file ends in {_SUFFIX}: name the network")
@@ -191,7 +192,7 @@ def pinned(name: str, folder: Path) -> str:
     if not digest:
         file = (folder / path).absolute()
         return f"{file}{_PIN}{read_policy(file).sha256}"
-    if not path.exists() and (moved := (folder / path.name).absolute()).exists():
+    if not _there(path) and _there(moved := (folder / path.name).absolute()):
         return f"{moved}{_PIN}{digest}"
     return name
 
@@ -200,6 +201,10 @@ def split(name: str) -> tuple[Path, str]:
     """Return the path and the digest of a pinned name; no digest: it is not pinned."""
     path, _, digest = name.partition(_PIN)
     return Path(path), digest
+
+
+def _there(file: Path) -> bool:
+    return os.path.exists(file)  # noqa: PTH110 - it raises nothing
 
 
 def _read(file: Path, most: int, mend: str) -> bytes:

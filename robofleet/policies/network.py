@@ -1,5 +1,6 @@
 """A policy that acts: observations are normalised and go through its network, on one thread of the CPU."""
 
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 _EPSILON = 1e-8  # beside the variance, as stable-baselines3 has it
+_RAISED_BY = re.compile(r"^\[ONNXRuntimeError\] : \d+ : \w+ : (/\S+:\d+ .*?\) (?=[A-Z]))?")  # a C++ function
+_LONGEST = 300  # characters of a complaint
 _TIMED = 5  # decisions
 _NO_FOLDER = "/dev/null"  # weights in further files are looked for there: they are in no digest
 
@@ -132,7 +135,6 @@ def _what_is_wrong(error: str) -> str:
         return "is no ONNX file, or damaged: export it again"
     if "External data" in error:
         return "its weights are in another file: export it with all weights in one (external_data=False)"
-    why = " ".join(error.rpartition("&) ")[2].split())  # behind the C++ function that raised it
-    return (
-        f"onnxruntime {onnxruntime.__version__} cannot run it: {why[:200]}: export it with an older opset, such as 17"
-    )
+    why = " ".join(_RAISED_BY.sub("", error).split())
+    mend = "export it with an older opset, say 17"
+    return f"onnxruntime {onnxruntime.__version__} cannot run it: {why[:_LONGEST]}: {mend}"

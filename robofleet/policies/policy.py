@@ -50,8 +50,8 @@ class PolicyBehaviour(Behaviour):
         """Which policy, and the settings of its task."""
 
         file: Annotated[Named, AfterValidator(_pinned)]
-        """The network: a path from the configuration's folder that ends in .onnx. Its JSON stands beside it. Behind
-        `#sha256=`, which robofleet writes where it keeps a configuration: what must be in both files."""
+        """The network: a path from the configuration's folder that ends in .onnx; its JSON stands beside it. Where
+        robofleet keeps a configuration, it adds `#sha256=...`: both files must still have that content."""
         task: dict[str, JsonValue] = Field({})
         """Settings of the task that are to be others than in training: the goals, for example."""
 
@@ -86,7 +86,7 @@ class PolicyBehaviour(Behaviour):
             task.begin(_FIRST, view.poses, deepcopy(self.team.rng))  # the goals that ``shapes`` shows
         reward, done = task.reward(view)[0], bool(task.done(view)[0])
         if earned := now.t > self._t >= 0.0:  # not in a hold, nor before anything was done
-            self._return += reward
+            self._return = self._return + reward  # a decision keeps the array
         if now.t > self._t:
             self._done_s = self._done_s + self.team.tick if done else 0.0
         self._t = now.t
@@ -116,6 +116,7 @@ class PolicyBehaviour(Behaviour):
         return self._made(self.policy.description)
 
     def _made(self, described: Description) -> Task:
+        reach(split(self.settings.file)[0].parent, described.task.name)
         kind, given = load_task(described.task.name), described.task.settings | self.settings.task
         return kind(kind.Settings.model_validate(given), self.team, 1)
 
@@ -123,8 +124,7 @@ class PolicyBehaviour(Behaviour):
         """Yield why the policy cannot be loaded, or was trained for something else."""
         path, _ = split(self.settings.file)
         try:
-            described = self.policy.description
-            reach(path.parent, described.task.name)
+            described = read_policy(self.settings.file).description  # it may be gone since it was loaded
             task = self.task
         except (BadInputError, PluginError) as error:
             yield Refusal("settings.file", str(error))
@@ -136,8 +136,8 @@ class PolicyBehaviour(Behaviour):
             return
         yield from (Refusal(f"settings.task.{key}", message) for key, message in task.refusals())
         again = "or train it again"
-        if (now := tuple(Term(*term) for term in task.terms)) != described.terms:
-            then, today = _shown(described.terms), _shown(now)
+        if tuple(task.terms) != described.terms:
+            then, today = _shown(described.terms), _shown(task.terms)
             message = f"{path} observes {then}, and its task {described.task.name} is {today} now: mend settings.task"
             yield Refusal("settings.file", f"{message}, {again}")
         if described.robots not in (None, len(self.team)):
@@ -157,7 +157,10 @@ class PolicyBehaviour(Behaviour):
         yield Bound("settings.file", "a decision of the network", took_s, SHARE_OF_TICK * self.team.tick, "s", mend)
 
     def shapes(self) -> list[Shape]:
-        task = self._made(read_policy(self.settings.file).description)
+        try:
+            task = self._made(read_policy(self.settings.file).description)
+        except (BadInputError, PluginError, ValidationError):
+            return []  # a viewer on another computer has no policy; a run is refused
         poses = [start or (0.0, 0.0, 0.0) for start in self.team.starts]
         task.begin(_FIRST, np.array([poses]), deepcopy(self.team.rng))
         return list(task.shapes())
@@ -169,6 +172,6 @@ class PolicyBehaviour(Behaviour):
         return found | {"final_return": statistics(past.figures["return"][-1:])}
 
 
-def _shown(terms: tuple[Term, ...]) -> str:
+def _shown(terms: Sequence[Term]) -> str:
     every = (f"{term.name} {term.size}{' ' if term.unit else ''}{term.unit} / {term.scale:g}" for term in terms)
     return f"{sum(term.size for term in terms)} numbers ({', '.join(every)})"

@@ -92,6 +92,8 @@ def test_two_runs_are_of_the_same_machine_when_versions_and_processors_are_equal
     assert recorded_there.same_machine(here)
     assert not recorded_there.same_machine(replace(here, processor="another"))
     assert not recorded_there.same_machine(replace(here, versions=here.versions | {"numba": "0.1"}))
+    older = {name: version for name, version in here.versions.items() if name != "onnxruntime"}
+    assert recorded_there.same_machine(replace(here, versions=older))  # it could not run what came later
 
 
 def test_the_same_run_in_lockstep_leaves_the_same_bytes(run_file: Path, tmp_path: Path) -> None:
