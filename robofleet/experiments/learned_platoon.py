@@ -59,7 +59,7 @@ class LearnedPlatoon(Platoon):
     def _forget(self) -> None:
         still = np.zeros((len(self.team), 5))
         self._states = np.hstack([still, self._beyond])  # when the last tick's commands began to act
-        self._parameters = np.full((len(self.team), 2), np.nan)  # on the path: of q of the one ahead, and of rho
+        self._references = np.full(len(self.team), np.nan)  # parameters on the path
         for flow in self._flows:
             flow.applied(np.zeros(2))
 
@@ -73,11 +73,11 @@ class LearnedPlatoon(Platoon):
             rollout(state, flow.u, none, team.tick, state)
             state[:3] = now.poses[i]
             if i == 0:
-                self._parameters[0, 1] = self.settings.path_rate * (now.t + T) % len(path)
+                self._references[0] = self.settings.path_rate * (now.t + T) % len(path)
             else:
-                (x, y), (near, before) = flow.plant.h(end), self._parameters[i]  # of the robot ahead
-                self._parameters[i] = follow(path, x, y, d, near, before)
-            references[i] = self._path.position(self._parameters[i, 1])
+                x, y = flow.plant.h(end)  # of the robot ahead
+                _, self._references[i] = follow(path, x, y, d, math.nan, self._references[i])
+            references[i] = self._path.position(self._references[i])
             u = flow.update(state, references[i]) if now.driving[i] else np.zeros(2)
             left, right = wheels_from_body(u[0], u[1], drive.wheel_radius, drive.wheel_base)
             u *= feasible_ratio(left, right, drive.wheel_radius, drive.max_wheel_speed, drive.max_speed)
@@ -85,7 +85,7 @@ class LearnedPlatoon(Platoon):
             velocities[i] = u
             errors.append(flow.control_error)
             rollout(state, u, none, T, end)
-        figures = {"control_error": np.array(errors), "reference_parameter": self._parameters[:, 1].copy()}
+        figures = {"control_error": np.array(errors), "reference_parameter": self._references.copy()}
         return Decision(velocities, "body", references, figures)
 
     def changed(self, velocities: Array) -> None:
