@@ -275,7 +275,6 @@ def _plant(
     known: Plant, basis: _Features, weights: Array, states: Indices, rates: Indices, centre: Array, scale: Array
 ) -> Plant:
     known_f, count, values, slopes = compiled(known.f), basis.count, basis.values, basis.slopes
-
     first, second = basis.first, basis.second
 
     def f(x: Array, u: Array) -> Array:
@@ -285,27 +284,25 @@ def _plant(
         _add_rates(weights, phi, rates, dx)
         return dx
 
+    def jacobian(known_jacobian: Any, columns: Indices, begin: int) -> Callable[[Array, Array], Array]:
+        """Return the Jacobian whose columns are those of the features' inputs from ``begin`` on."""
+
+        def slope(x: Array, u: Array) -> Array:
+            j: Array = known_jacobian(x, u).copy()
+            phi, dphi = np.empty(count), np.empty((count, len(centre)))
+            xi = _scaled(x, u, states, centre, scale)
+            values(first, second, xi, phi)
+            slopes(first, second, xi, phi, dphi)
+            _add_slopes(weights, dphi, scale, rates, columns, begin, j)
+            return j
+
+        return slope
+
+    learned = replace(known, f=f, f_x=None, f_u=None, fused=None, fastest_rate=None)
     if known.f_x is None or known.f_u is None:
-        return replace(known, f=f, fused=None, fastest_rate=None)
-    known_f_x, known_f_u = compiled(known.f_x), compiled(known.f_u)
-    by_input, behind = np.arange(known.m), len(states)
-
-    def f_x(x: Array, u: Array) -> Array:
-        j: Array = known_f_x(x, u).copy()
-        phi, dphi = np.empty(count), np.empty((count, len(centre)))
-        xi = _scaled(x, u, states, centre, scale)
-        values(first, second, xi, phi)
-        slopes(first, second, xi, phi, dphi)
-        _add_slopes(weights, dphi, scale, rates, states, 0, j)
-        return j
-
-    def f_u(x: Array, u: Array) -> Array:
-        j: Array = known_f_u(x, u).copy()
-        phi, dphi = np.empty(count), np.empty((count, len(centre)))
-        xi = _scaled(x, u, states, centre, scale)
-        values(first, second, xi, phi)
-        slopes(first, second, xi, phi, dphi)
-        _add_slopes(weights, dphi, scale, rates, by_input, behind, j)
-        return j
-
-    return replace(known, f=f, f_x=f_x, f_u=f_u, fused=None, fastest_rate=None)
+        return learned
+    return replace(
+        learned,
+        f_x=jacobian(compiled(known.f_x), states, 0),
+        f_u=jacobian(compiled(known.f_u), np.arange(known.m), len(states)),
+    )

@@ -146,7 +146,7 @@ class PlatoonLaw:
 
 
 @kernel
-def _follow(
+def follow(
     coefficients: Array, predicted_x: float, predicted_y: float, d: float, near: float, before: float
 ) -> tuple[float, float]:
     """Algorithm 1: return the parameters of q, nearest to the predecessor's predicted point, and of rho, d behind it.
@@ -176,7 +176,7 @@ def _tick(
         if i == 0:
             reference[i] = leader % len(coefficients)
         else:
-            nearest[i - 1], reference[i] = _follow(
+            nearest[i - 1], reference[i] = follow(
                 coefficients, predicted_x, predicted_y, d, nearest[i - 1], reference[i]
             )
         rho_x, rho_y = paths.point(coefficients, reference[i])

@@ -106,9 +106,12 @@ def run(parameters: ModelFreeParameters) -> Result:
     rows: list[tuple[Cell, ...]] = []
     fits: list[tuple[Cell, ...]] = []
     panels, worst = [], 0.0
-    tables_of_paper = (("closed-curve", ZHOU_2017, _closed_curve()), ("lane-change", FALCONE_2007, _changes()))
-    for name, vehicle, cases in tables_of_paper:
-        found = learned(parameters, other_driving(parameters, vehicle, parameters.speeds_m_s[name]))
+    experiments = (
+        ("Table 1", "closed-curve", ZHOU_2017, _closed_curve()),
+        ("Table 2", "lane-change", FALCONE_2007, _changes()),
+    )
+    for name, experiment, vehicle, cases in experiments:
+        found = learned(parameters, other_driving(parameters, vehicle, parameters.speeds_m_s[experiment]))
         fits += [(name, kind, *map(float, fit.unexplained)) for kind, fit in found.items()]
         plants = {"exact": bicycle_plant(vehicle), **{kind: fit.plant for kind, fit in found.items()}}
         for case, drive in cases.items():
@@ -116,7 +119,7 @@ def run(parameters: ModelFreeParameters) -> Result:
             of_each = {kind: peaks(each) for kind, each in drives.items()}
             rows += _rows(name, case, of_each)
             worst = max(worst, *(_apart(of_each[kind], of_each["exact"]) for kind in found))
-        panels.append(_panel(f"{name}, {case}", drives))
+        panels.append(_panel(f"{name}: {experiment}, {case}", drives))
     platoon, control_errors = learned_table(parameters.recorded, parameters.seed)
     tables = (_errors_table(parameters, rows), _fits_table(fits), platoon)
     data = {"worst_apart": worst, "platoon_control_error_mm": control_errors}

@@ -19,10 +19,11 @@ from robofleet.config import groups
 from robofleet.config.load import resolved_yaml
 from robofleet.core.figures import STYLE
 from robofleet.core.files import write_bytes
+from robofleet.recording import sensors
 from robofleet.recording.columns import CSV
 from robofleet.recording.run import Recording, Run
 from robofleet.recording.run_clock import time_words
-from robofleet.reports import predicted, sensors
+from robofleet.reports import predicted
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
 from robofleet.reports.canvas import Legend, RunView
 from robofleet.reports.own_figures import as_asked, heading, own_figures

@@ -10,10 +10,10 @@ from robofleet.bus.keys import SENSORS, STATUS, TRUTH, key
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
+from robofleet.recording import sensors
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording
-from robofleet.reports import sensors
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.supervisor import Phase
 from tests.process_fixtures import PLATOON

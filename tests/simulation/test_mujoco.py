@@ -1,10 +1,12 @@
 """MuJoCo's robots against their kinematics and their forces, and its pixels through the tracker."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
 
+from robofleet import cli
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
@@ -123,11 +125,35 @@ def test_what_cannot_work_is_refused(change: str, path: str, words: str) -> None
     assert words in found[path]
 
 
-def test_without_mujoco_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("key", "packages"), [("plant.model", "mujoco"), ("camera.source", "mujoco, OpenGL")])
+def test_without_mujoco_a_line_says_what_to_install(
+    key: str, packages: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(extra, "find_spec", lambda _: None)
-    found = dict(refusals(config("camera.source=mujoco")))
-    for path in ("plant.model", "camera.source"):
-        assert found[path].startswith("mujoco") and "pip install" in found[path]
+    line = checked(f"{key}=mujoco", monkeypatch, capfd)
+    assert line.startswith(f"--set {key}=mujoco: {key}: {packages} is not installed: ") and "pip install" in line
+
+
+def test_without_a_display_a_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("OpenGL")
+    monkeypatch.setattr("ctypes.util.find_library", lambda _: None)  # neither OSMesa nor EGL
+    monkeypatch.setitem(sys.modules, "mujoco.egl", None)
+    line = checked("camera.source=mujoco", monkeypatch, capfd)
+    assert line.startswith("--set camera.source=mujoco: camera.source: OpenGL cannot draw without a display here (")
+    assert line.endswith("apt-get install libosmesa6")
+
+
+def checked(change: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> str:
+    """Return the line with which ``robofleet check`` refuses a change."""
+    monkeypatch.setattr(sys, "argv", ["robofleet", "check", str(PLATOON), "--set", change])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    written = capfd.readouterr()
+    (line,) = written.err.splitlines()
+    assert (ended.value.code, written.out) == (2, "")
+    return line
 
 
 def test_the_tracker_places_what_it_draws() -> None:

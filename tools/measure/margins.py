@@ -3,7 +3,7 @@
 Three plants, each with settings that are drawn: the shipped robot with its filter and the flow of its point ahead; the
 paper's bicycle; an inverted pendulum about upright. Settings whose loop is unstable by itself are drawn again.
 
-    python -m tools.measure.margins --settings 40
+    python -m tools.measure.margins --settings 40 [--plants robot,bicycle,pendulum]
 """
 
 import math
@@ -30,16 +30,19 @@ Case = tuple[str, float, float]  # what was drawn; the predicted and the simulat
 
 
 def main() -> None:
-    options = program(__doc__, settings=(40, "settings of each plant"), seed=1).parse_args()
-    rng = np.random.default_rng(options.seed)
+    options = program(
+        __doc__, settings=(40, "settings of each plant"), plants="robot,bicycle,pendulum", seed=1
+    ).parse_args()
     kinds = {
-        "robot": robots(rng),
-        "bicycle": flows(rng, bicycle_plant(FALCONE_2007), lambda: np.array([0.0, 0.0, rng.uniform(5, 30), 0, 0, 0])),
-        "pendulum": flows(rng, INVERTED_PENDULUM, lambda: np.zeros(2)),
+        "robot": robots,
+        "bicycle": lambda rng: flows(
+            rng, bicycle_plant(FALCONE_2007), lambda: np.array([0.0, 0.0, rng.uniform(5, 30), 0, 0, 0])
+        ),
+        "pendulum": lambda rng: flows(rng, INVERTED_PENDULUM, lambda: np.zeros(2)),
     }
     apart: list[float] = []
-    for name, cases in kinds.items():
-        found = []
+    for name in options.plants.split(","):
+        cases, found = kinds[name](np.random.default_rng(options.seed)), []
         for _ in range(options.settings):
             drawn, predicted, simulated = next(cases)
             found.append(abs(predicted / simulated - 1.0) if math.isfinite(simulated) else math.inf)

@@ -1,7 +1,7 @@
 """The shipped fleets on this project's own plant and on MuJoCo, by own pixels and by MuJoCo's, in lockstep.
 
     python -m tools.measure.runs.second_physics [--fleets platoon,go-to,formation] [--duration 88] [--settings '{...}']
-    python -m tools.measure.runs.second_physics --frames 100
+    python -m tools.measure.runs.second_physics --frames 100 [--noise-gray 0]
     python -m tools.measure.runs.second_physics --rank [--duration 25]
 
 Means of one run. Control errors do not see slip; true errors do: of the platoon's path, of the formation's shape, and
@@ -74,9 +74,9 @@ def rank(duration_s: float) -> None:
         print(f"Kendall's tau, {name} error: {np.mean(agree):.2f}")
 
 
-def frames(count: int) -> None:
-    """Print errors of robots that stand anywhere under the shipped camera, on frames with its noise."""
-    config = load_config(CONFIGS / "platoon.yaml")
+def frames(count: int, noise_gray: float) -> None:
+    """Print errors of robots that stand anywhere under the shipped camera, on frames with so much noise."""
+    config = load_config(CONFIGS / "platoon.yaml", [f"camera.noise_gray={noise_gray}"])
     rows = {robot.tag: row for row, robot in enumerate(config.robots)}
     print("renderer | poses | position rms, worst mm | heading rms, worst deg | lost")
     for name, camera in (("own", SimulatedCamera), ("MuJoCo", MujocoCamera)):
@@ -102,13 +102,13 @@ def frames(count: int) -> None:
 
 def main() -> None:
     arguments = program(
-        __doc__, fleets="platoon,go-to,formation", duration=0.0, settings="{}", frames=0, rank=False
+        __doc__, fleets="platoon,go-to,formation", duration=0.0, settings="{}", frames=0, noise_gray=3.0, rank=False
     ).parse_args()
     if arguments.rank:
         rank(arguments.duration or 25.0)
         return
     if arguments.frames:
-        frames(arguments.frames)
+        frames(arguments.frames, arguments.noise_gray)
         return
     print("fleet | plant, pixels | outcome | control error | true error | pose rms | smallest gap mm | CPU s")
     for fleet in arguments.fleets.split(","):
