@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robofleet.calibration.robots import drive, identified
+from robofleet.calibration.robots import believed, drive
 from robofleet.calibration.robots.identification import HORIZONS_S
-from robofleet.calibration.robots.shooting import Noise, Shots, Wheels, relative
+from robofleet.calibration.robots.shooting import Noise, Wheels, relative
 from robofleet.calibration.store import CalibrationError
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
@@ -62,7 +62,7 @@ def simulated(config: Config, recording: Recording, calibrations: Sequence[Robot
     starts = _starts(recording)
 
     def robot_like(robot: Robot) -> Robot:
-        believed = robot.calibration or RobotCalibration(robot=robot.id)
+        measured = robot.calibration or RobotCalibration(robot=robot.id)
         model = models.get(robot.id) or robot.vehicle.simulated
         if model is None:
             raise CalibrationError(
@@ -72,7 +72,7 @@ def simulated(config: Config, recording: Recording, calibrations: Sequence[Robot
         return robot.model_copy(
             update={
                 "driver": "simulated", "settings": {}, "twin": None, "start": start,
-                "calibration": believed.model_copy(update={"simulated": model}),
+                "calibration": measured.model_copy(update={"simulated": model}),
             }
         )  # fmt: skip
 
@@ -171,8 +171,7 @@ def _open_loop(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_
             (own,) = drive.extract(recording, [row])
         except CalibrationError:
             continue
-        robot_errors = identified.believed_errors(robot)
-        shots = Shots(own, loop_period_s=robot_errors.loop_period_s, battery_life_s=robot_errors.battery_life_s)
+        shots = believed.shots(robot, own)
         for horizon_s, collected in errors.items():
             at_s, predicted, measured = shots.ahead(models[robot.id], _NOISE, horizon_s)
             off = relative(measured, predicted)
@@ -190,7 +189,7 @@ def _model(config: Config, robot: Robot, *, drawn: bool = False) -> Wheels:
     known = replace(simulation.imperfections, wheel_gain_spread=0.0, wheel_base_spread=0.0)
     build = built(simulation.drive, simulation.imperfections if drawn else known, simulation.rng)
     return replace(
-        identified.prior(config, robot).values,
+        believed.prior(config, robot).values,
         left_radius_m=build.wheel_radius * build.left_gain,
         right_radius_m=build.wheel_radius * build.right_gain,
         wheel_base_m=build.wheel_base,

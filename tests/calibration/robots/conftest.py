@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from robofleet.calibration.robots.believed import prior
 from robofleet.calibration.robots.drive_file import RobotDrive
-from robofleet.calibration.robots.identification import Identification, Prior, identify
-from robofleet.calibration.robots.identified import prior
+from robofleet.calibration.robots.identification import Identification, identify
+from robofleet.calibration.robots.information import Prior
 from robofleet.calibration.robots.shooting import Shots
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.load import load_config

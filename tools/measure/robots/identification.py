@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from robofleet.calibration.robots import drive, identified
-from robofleet.calibration.robots.identification import PARAMETERS, Identification, identify
-from robofleet.calibration.robots.shooting import Shots
+from robofleet.calibration.robots import believed, drive
+from robofleet.calibration.robots.identification import Identification, identify
+from robofleet.calibration.robots.information import PARAMETERS
 from robofleet.config import slices
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
@@ -111,10 +111,9 @@ def _worn(robot: Robot, rng: np.random.Generator) -> Robot:
 def results(recording: Recording) -> list[tuple[Identification, dict[str, float]]]:
     config, found = recording.config, []
     for robot, own in zip(config.members, drive.extract(recording, range(len(config.members))), strict=True):
-        errors = identified.believed_errors(robot)
-        shots = [Shots(own, loop_period_s=errors.loop_period_s, battery_life_s=errors.battery_life_s)]
+        shots = [believed.shots(robot, own)]
         nominal = robot.model_copy(update={"vehicle": load_checked(CONFIG, lockstep=True).robot(robot.id).vehicle})
-        found.append((identify(shots, identified.prior(config, nominal)), true(config, robot)))
+        found.append((identify(shots, believed.prior(config, nominal)), true(config, robot)))
     return found
 
 
