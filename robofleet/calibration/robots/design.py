@@ -43,7 +43,7 @@ _LEAST_TRUTH = 0.1  # [rad/s]
 _FINEST = 0.0075  # step of the fit's own grid [rad/s]
 _OFFSETS = _FINEST * np.array([0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 28, 40, 60, 90, 140])
 _FALLS_SHORT = 0.995  # of the commanded top speed: a wheel that reaches it does not tell its own
-_NOISE = {  # of poses and wheels, where nobody identified the robot: of the simulated camera through the tracker
+NOISE = {  # of poses and wheels, where nobody identified the robot: of the simulated camera through the tracker
     "noise_position_mm": 0.01, "noise_heading_deg": 0.03, "wander_slip": 4e-4, "wander_way": 3e-4,
 }  # fmt: skip
 _ROUNDING = 1e-9
@@ -150,7 +150,7 @@ class Designer:
         self._tick_s = config.controller.tick_s
         self._acceleration = robot.vehicle.max_wheel_acceleration_rad_s2
         source = None if robot.calibration is None else robot.calibration.identified
-        stated, figures = np.diag(self._prior.sigmas**2), dict(_NOISE)
+        stated, figures = np.diag(self._prior.sigmas**2), dict(NOISE)
         if source is not None and source.parameters == PARAMETERS:
             stated = np.array(source.covariance)
             figures |= {name: value for name, value in source.figures.items() if name in figures and value is not None}
@@ -191,19 +191,20 @@ class Designer:
         return covariance(knowledge.information, self._prior, thresholds)
 
     def _threshold(self, name: str, total: Array) -> float:
-        """Return a threshold's standard deviation, the geometric mean over where it may be."""
-        logs = []
+        """Return a threshold's standard deviation, the root mean square over where it may be."""
+        variances = []
         for truth, row in zip(self._truths[name], total, strict=True):
             grid = truth + _grid(truth)
             weights = np.gradient(grid) * np.exp(-0.5 * (row - row.min()))
             weights /= weights.sum()
             mean = weights @ grid
-            logs.append(math.log(weights @ (grid - mean) ** 2 + _FINEST**2 / 12.0))
-        return math.exp(0.5 * float(np.mean(logs)))
+            variances.append(weights @ (grid - mean) ** 2 + _FINEST**2 / 12.0)
+        return math.sqrt(float(np.mean(variances)))
 
     def _truths_of(self, name: str) -> list[float]:
         value, sigma = getattr(self._wheels, name), self._stated[PARAMETERS.index(name)]
-        return [max(_LEAST_TRUTH, value + sigma * share) for share in _TRUTHS]
+        least = _LEAST_TRUTH + (0.0 if name == "deadband_rad_s" else self._wheels.deadband_rad_s)
+        return [max(least, value + sigma * share) for share in _TRUTHS]
 
     def _believed(self, name: str) -> Array:
         value, sigma = getattr(self._wheels, name), self._stated[PARAMETERS.index(name)]

@@ -7,6 +7,7 @@ import numpy as np
 
 from robofleet.calibration.report import Report
 from robofleet.calibration.robots.believed import believed_errors
+from robofleet.calibration.robots.design import NOISE, Design
 from robofleet.calibration.robots.identification import Identification
 from robofleet.calibration.robots.information import PARAMETERS
 from robofleet.calibration.robots.plots import motion_figure, residual_figure
@@ -124,6 +125,7 @@ def with_identified(
         "held_out_chi_square": found.held_out_chi_square,
         **{f"held_out_{e.horizon_s:g}s_mm": e.position_rms_mm for e in found.held_out if e.count},
         "left_out_poses": float(found.left_out),
+        **dict(zip(NOISE, (*recordings[-1].pose_noise(found.noise), found.noise.slip, found.noise.way), strict=True)),
     }
     update["identified"] = provenance("identify", inputs, figures, PARAMETERS, found.covariance.tolist())
     return before.model_copy(update=update)
@@ -148,6 +150,16 @@ def table(found: Sequence[Identification]) -> Rows:
         ]
         rows.append((f"{label} [{unit}]", *cells))
     return head, rows
+
+
+def expectation_table(designs: Sequence[Design]) -> Rows:
+    """Return the standard deviations of the robots' parameters: now, and as a drive will leave them."""
+    rows = []
+    for k, name in enumerate(PARAMETERS):
+        label, unit, scale, _ = _SHOWN[name]
+        cells = [f"{scale * each.before[k]:.2g} > {scale * each.expected[k]:.2g}" for each in designs]
+        rows.append((f"{label} [{unit}]", *cells))
+    return ("standard deviation, now > then", *(each.robot for each in designs)), rows
 
 
 def untold_line(found: Identification) -> str | None:

@@ -2,7 +2,12 @@
 
 $ python -m tools.measure.robots.identification excitation
 
+$ python -m tools.measure.robots.identification designed --seconds 40
+
 $ python -m tools.measure.robots.identification platoon --runs 1
+
+`excitation` is some of each kind of manoeuvre, `designed` what `robofleet calibrate drive` proposes for these robots
+as they are shipped. Of the latter the program prints the standard deviations that were expected, too.
 
 Each run has four robots, each with parameters of its own: lag, delay, dead band, breakaway, slip, wheels. A case is one
 parameter of one robot. Asked: 95 % of the told ones within two standard deviations; wheels within 1 %, lag and delay
@@ -11,16 +16,19 @@ within 2 ms, dead band within 5 %.
 
 import argparse
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from robofleet.calibration.robots import believed, drive
+from robofleet.calibration.robots.design import Design, design
 from robofleet.calibration.robots.identification import Identification, identify
 from robofleet.calibration.robots.information import PARAMETERS
 from robofleet.config import slices
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.recording.run import Recording
 from robofleet.runs.check import load_checked
 from robofleet.runs.lockstep import Lockstep
@@ -37,16 +45,22 @@ ABSOLUTE = "motor_lag_s", "delay_s"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("drive", choices=("excitation", "platoon"))
+    parser.add_argument("drive", choices=("excitation", "designed", "platoon"))
     parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=40.0, help="of each robot's designed drive")
     parser.add_argument("--first", type=int, default=1, help="seed of the first run")
     given = parser.parse_args()
     errors: dict[str, list[float]] = defaultdict(list)
     sigmas: dict[str, list[float]] = defaultdict(list)
     missing: dict[str, int] = defaultdict(int)
+    stated: list[Array] = []
+    volumes: list[float] = []
     for seed in range(given.first, given.first + given.runs):
-        recording = driven(given.drive, seed)
+        recording = driven(given.drive, seed, given.seconds)
         for found, truth in results(recording):
+            stated.append(np.sqrt(np.diag(found.covariance)))
+            scale = found.prior.sigmas
+            volumes.append(np.linalg.slogdet(found.covariance / np.outer(scale, scale))[1])
             for name in PARAMETERS:
                 if name in found.determined:
                     value = getattr(found.wheels, name)
@@ -73,18 +87,39 @@ def main() -> None:
             print(f"{name:18}   0 {missing[name]:3}")
     every = np.concatenate([np.array(values) for values in sigmas.values()])
     print(f"all {len(every)} cases: {np.mean(np.abs(every) <= 2.0):.1%} within 2 sigma")
+    print(f"log det of the stated covariance, in the priors' standard deviations: {np.mean(volumes):.1f}")
+    if given.drive == "designed":
+        expected = np.array([each.expected for each in designs(given.seconds)])
+        for name, now, then in zip(PARAMETERS, rms(expected), rms(np.array(stated)), strict=True):
+            print(f"{name:18} expected {now:.3g} stated {then:.3g} ratio {then / now:.2f}")
 
 
-def driven(kind: str, seed: int) -> Recording:
+def rms(values: Array) -> list[float]:
+    found: list[float] = np.sqrt((values**2).mean(axis=0)).tolist()
+    return found
+
+
+def driven(kind: str, seed: int, seconds: float) -> Recording:
     """Return a lockstep recording of four robots with drawn parameters, seen by the simulated camera."""
     seeds = [f"run.seed={seed}"]
-    if kind == "excitation":
-        config, _ = drive.configure(CONFIG, (), seeds, lockstep=True)
+    if kind != "platoon":
+        config, count = drive.configure(CONFIG, (), seeds, lockstep=True)
+        if kind == "designed":
+            config = drive.with_manoeuvres(config, {each.robot: each.manoeuvres for each in designs(seconds)})
+            config = drive.lasting(config, count)
         return drive.run(drawn(config, seed), Path(), lambda _: None, lockstep=True)
     config = load_checked(CONFIG, [*seeds, f"run.duration_s={PLATOON_S:g}"], lockstep=True)
     lockstep = Lockstep(drawn(config, seed))
     lockstep.run()
     return lockstep.recording
+
+
+@cache
+def designs(seconds: float) -> list[Design]:
+    """Return what `robofleet calibrate drive` proposes for robots that nobody identified."""
+    config, count = drive.configure(CONFIG, (), lockstep=True)
+    lines = [drive.excitation(config).free_line_m(row) for row in range(count)]
+    return [design(config, robot, seconds, line) for robot, line in zip(config.members, lines, strict=True)]
 
 
 def drawn(config: Config, seed: int) -> Config:
@@ -103,6 +138,7 @@ def _worn(robot: Robot, rng: np.random.Generator) -> Robot:
             "breakaway_rad_s": deadband + rng.uniform(0.1, 0.4),
             "slip_s_per_rad": rng.uniform(0.005, 0.04),
             "wheel_base_spread": 0.03,
+            "top_speed_error": rng.uniform(-0.06, 0.03),
         }
     )
     return robot.model_copy(update={"vehicle": robot.vehicle.model_copy(update={"simulated": simulated})})

@@ -1,0 +1,68 @@
+"""``robofleet calibrate drive``: the drive that tells most of what is uncertain of each robot."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from robofleet.calibration.commands.robots import DriveConfig, DriveRobots
+from robofleet.calibration.commands.shared import Overrides
+from robofleet.calibration.robots import drive as drives
+from robofleet.calibration.robots import identified
+from robofleet.calibration.robots import results as robot_files
+from robofleet.calibration.robots.design import design
+from robofleet.config.load import load_config, resolved_yaml
+from robofleet.config.tree import Bounds
+from robofleet.core.files import write_text
+from robofleet.core.refusal import new_file
+from robofleet.runs import folder as folders
+
+_SHORTEST_S, _LONGEST_S = 5.0, 600.0
+
+
+def drive(
+    config: DriveConfig,
+    overrides: Overrides = [],  # noqa: B006 - typer copies it
+    seconds: Annotated[
+        float, typer.Option(min=_SHORTEST_S, max=_LONGEST_S, metavar="S", help="Driving time of each robot.")
+    ] = 40.0,
+    robots: DriveRobots = "",
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="File of the drive. Default: runs/<time>-drive/drive.yaml."),
+    ] = None,
+) -> None:
+    """Propose the drive that tells most of each robot.
+
+    It chooses short manoeuvres by what they tell of the parameters that are still uncertain (Fisher information), and
+    writes them as a configuration to run. The robots drive one after the other; nothing moves yet. What is uncertain
+    is what robots/ID.yaml beside CONFIG says, where `robofleet identify` wrote it, else what CONFIG believes. The table
+    has each parameter's standard deviation now, and as `robofleet identify` will state it.
+
+    $ robofleet calibrate drive configs/lab.yaml --seconds 40
+
+    $ robofleet calibrate drive configs/lab.yaml --robots r1,r3
+    """
+    file = out or folders.new("drive") / "drive.yaml"
+    names = [name.strip() for name in robots.split(",") if name.strip()]
+    tree, count = drives.excited(load_config(config, overrides), names, config)
+    behaviour = drives.excitation(tree)
+    designs = []
+    for row, robot in enumerate(tree.members[:count]):
+        known = robot_files.file_of(config, robot.id)
+        update = {"calibration": robot_files.earlier(known, robot.id)} if known.exists() else {}
+        designs.append(design(tree, robot.model_copy(update=update), seconds, behaviour.free_line_m(row)))
+    tree = drives.lasting(drives.with_manoeuvres(tree, {each.robot: each.manoeuvres for each in designs}), count)
+    tree = tree.model_copy(update={"run": tree.run.model_copy(update={"bounds": Bounds()})})
+    new_file("--out", file)
+    write_text(file, f"# Proposed by robofleet calibrate drive for {config}.\n{resolved_yaml(tree)}")
+    head, rows = identified.expectation_table(designs)
+    shown = Table(*head)
+    for cells in rows:
+        shown.add_row(*map(Text, cells))
+    Console().print(shown)
+    print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s")
+    print(f"Next: robofleet run {file}, then robofleet identify RUN --configs {config.parent}")
