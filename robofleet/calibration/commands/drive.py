@@ -4,12 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from robofleet.calibration.commands.robots import DriveConfig, DriveRobots
-from robofleet.calibration.commands.shared import Overrides
+from robofleet.calibration.commands.shared import Overrides, show
 from robofleet.calibration.robots import drive as drives
 from robofleet.calibration.robots import identified
 from robofleet.calibration.robots import results as robot_files
@@ -59,10 +56,6 @@ def drive(
     tree = tree.model_copy(update={"run": tree.run.model_copy(update={"bounds": Bounds()})})
     new_file("--out", file)
     write_text(file, f"# Proposed by robofleet calibrate drive for {config}.\n{resolved_yaml(tree)}")
-    head, rows = identified.expectation_table(designs)
-    shown = Table(*head)
-    for cells in rows:
-        shown.add_row(*map(Text, cells))
-    Console().print(shown)
+    show(identified.expectation_table(designs))
     print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s")
     print(f"Next: robofleet run {file}, then robofleet identify RUN --configs {config.parent}")

@@ -7,13 +7,10 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from robofleet.bus.keys import POSES, key
 from robofleet.bus.messages import FLEET_POSES
-from robofleet.calibration.commands.shared import ConfigsRobots, ReportFile, report_file
+from robofleet.calibration.commands.shared import ConfigsRobots, ReportFile, report_file, show
 from robofleet.calibration.robots import believed, identified, inputs
 from robofleet.calibration.robots import drive as drives
 from robofleet.calibration.robots import results as robot_files
@@ -68,11 +65,7 @@ def identify(
     ]
     page = report_file(report, "identify")
     identified.page(found, shots, _latencies(recordings)).write(page)
-    head, rows = identified.table(found)
-    shown = Table(*head)
-    for row in rows:
-        shown.add_row(*map(Text, row))
-    Console().print(shown)
+    show(identified.table(found))
     for line in filter(None, map(identified.untold_line, found)):
         print(line)
     print(page)

@@ -6,11 +6,8 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from robofleet.calibration.commands.shared import Overrides, report_file
+from robofleet.calibration.commands.shared import Overrides, report_file, show
 from robofleet.calibration.robots import believed, drive_file, heights, inputs
 from robofleet.calibration.robots import drive as drives
 from robofleet.calibration.robots import latency as latencies
@@ -172,11 +169,7 @@ def _each(driven: Iterable[Own], find: Callable[[Own], Found]) -> list[Found]:
 
 
 def _keep(config: Path, tree: Config, calibrations: Sequence[RobotCalibration], table: Rows, folder: Path) -> None:
-    head, rows = table
-    shown = Table(*head)
-    for row in rows:
-        shown.add_row(*map(Text, row))
-    Console().print(shown)
+    show(table)
     print(folder / "report.html")
     for calibration in calibrations:
         file = robot_files.file_of(config, calibration.robot)

@@ -58,7 +58,8 @@ def main() -> None:
     for seed in range(given.first, given.first + given.runs):
         recording = driven(given.drive, seed, given.seconds)
         for found, truth in results(recording):
-            stated.append(np.sqrt(np.diag(found.covariance)))
+            told = [name in found.determined for name in PARAMETERS]
+            stated.append(np.where(told, np.sqrt(np.diag(found.covariance)), np.nan))
             scale = found.prior.sigmas
             volumes.append(np.linalg.slogdet(found.covariance / np.outer(scale, scale))[1])
             for name in PARAMETERS:
@@ -95,7 +96,7 @@ def main() -> None:
 
 
 def rms(values: Array) -> list[float]:
-    found: list[float] = np.sqrt((values**2).mean(axis=0)).tolist()
+    found: list[float] = np.sqrt(np.nanmean(values**2, axis=0)).tolist()
     return found
 
 
