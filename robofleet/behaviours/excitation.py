@@ -86,7 +86,7 @@ class Excitation(Behaviour):
     class Settings(Behaviour.Settings):
         """The manoeuvres, as ``robofleet calibrate drive`` proposes them."""
 
-        manoeuvres: Annotated[dict[Name, Manoeuvres], Field(max_length=ROBOTS, default_factory=dict)]
+        manoeuvres: Annotated[dict[Name, Manoeuvres], Field(max_length=ROBOTS)] = Field(default={})
         """Manoeuvres of each robot, by the robot's id. One that has none here does some of each kind."""
 
     figures = (Figure("held", meaning="1: the robot would come too near to something, and is held", live=False),)

@@ -43,7 +43,8 @@ def drive(
 
     $ robofleet calibrate drive configs/lab.yaml --robots r1,r3
     """
-    file = out or folders.new("drive") / "drive.yaml"
+    if out is not None:
+        new_file("--out", out)
     names = [name.strip() for name in robots.split(",") if name.strip()]
     tree, count = drives.excited(load_config(config, overrides), names, config)
     behaviour = drives.excitation(tree)
@@ -54,7 +55,7 @@ def drive(
         designs.append(design(tree, robot.model_copy(update=update), seconds, behaviour.free_line_m(row)))
     tree = drives.lasting(drives.with_manoeuvres(tree, {each.robot: each.manoeuvres for each in designs}), count)
     tree = tree.model_copy(update={"run": tree.run.model_copy(update={"bounds": Bounds()})})
-    new_file("--out", file)
+    file = out or folders.new("drive") / "drive.yaml"
     write_text(file, f"# Proposed by robofleet calibrate drive for {config}.\n{resolved_yaml(tree)}")
     show(identified.expectation_table(designs))
     print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s")
