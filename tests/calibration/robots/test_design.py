@@ -10,10 +10,9 @@ from typer.testing import CliRunner
 
 from robofleet import cli
 from robofleet.behaviours.excitation import Excitation, Manoeuvre, of_each_kind, there_and_back
-from robofleet.calibration.robots.believed import prior
 from robofleet.calibration.robots.design import Design, Designer, design, manoeuvres
 from robofleet.calibration.robots.identified import with_identified
-from robofleet.calibration.robots.information import PARAMETERS
+from robofleet.calibration.robots.information import DETERMINED, PARAMETERS
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
@@ -26,7 +25,7 @@ from .conftest import Make, found, shots
 SPIN = Manoeuvre(left_rad_s=-5.0, right_rad_s=5.0, duration_s=2.0)
 LINE = Manoeuvre(left_rad_s=8.0, right_rad_s=8.0, duration_s=2.0)
 CREEP = Manoeuvre(left_rad_s=-1.5, right_rad_s=1.5, duration_s=1.5, ramp=True)
-FASTEST = Manoeuvre(left_rad_s=-12.5, right_rad_s=12.5, duration_s=0.7)
+FASTEST = Manoeuvre(left_rad_s=12.5, right_rad_s=12.5, duration_s=1.5)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +43,7 @@ def test_a_manoeuvre_tells_what_it_excites(designer: Designer) -> None:
 
     def told(each: Manoeuvre) -> set[str]:
         after = designer.sigmas(designer.known + designer.tells(each))
-        return {name for name, sigma in zip(PARAMETERS, after, strict=True) if sigma < 0.1 * before[name]}
+        return {name for name, sigma in zip(PARAMETERS, after, strict=True) if sigma < DETERMINED * before[name]}
 
     assert {"deadband_rad_s", "breakaway_rad_s"} <= told(CREEP)
     assert {"tag_forward_m", "tag_left_m"} <= told(SPIN)
@@ -80,19 +79,17 @@ def proposed(config: Config) -> Design:
 
 @pytest.mark.slow
 def test_what_is_expected_is_what_the_fit_states(driven: Make, config: Config, proposed: Design) -> None:
-    """Of the poses' noise in conftest, which nobody knew: only what does not depend on it."""
+    """The poses are noisier than it believed. What was found is what the next proposal begins with."""
     assert proposed.duration_s <= 30.0
-    identified = found(driven(manoeuvres=proposed.manoeuvres))
-    robot = config.robots[0]
-    known = with_identified(config, robot, RobotCalibration(robot="r1"), identified, [shots(driven())], {})
-    again = design(config, robot.model_copy(update={"calibration": known}), 30.0)
+    robot, drive = config.robots[0], driven(manoeuvres=proposed.manoeuvres)
+    identified = found(drive)
     stated = np.sqrt(np.diag(identified.covariance))
-    assert again.before == pytest.approx(stated, rel=1e-3)
     told = [name in identified.determined for name in PARAMETERS]
-    assert "deadband_rad_s" in identified.determined
-    assert "top_speed_rad_s" in identified.determined
+    assert {"wheel_base_m", "delay_s", "deadband_rad_s", "breakaway_rad_s"} <= set(identified.determined)
     assert ((stated / proposed.expected)[told] < 3.0).all()
-    assert (again.expected <= again.before * 1.01)[told].all()
+    known = with_identified(config, robot, RobotCalibration(robot="r1"), identified, [shots(drive)], {})
+    again = Designer(config, robot.model_copy(update={"calibration": known}))
+    assert again.sigmas(again.known) == pytest.approx(stated, rel=0.03)
 
 
 @pytest.mark.slow
@@ -116,7 +113,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Result
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_drive_that_can_be_run(run: Callable[..., Result], config: Config, tmp_path: Path) -> None:
+def test_the_command_writes_a_drive_that_can_be_run(run: Callable[..., Result], tmp_path: Path) -> None:
     done = run("calibrate", "drive", PLATOON, "--robots", "r3", "--seconds", "8", "--out", "drive.yaml")
     assert done.exit_code == 0, done.output
     assert "dead band" in done.stdout
@@ -126,7 +123,6 @@ def test_the_command_writes_a_drive_that_can_be_run(run: Callable[..., Result], 
     assert list(Excitation.Settings.model_validate(group.settings).manoeuvres) == ["r3"]
     assert load_config(tmp_path / "drive.yaml").run.duration_s < 9.0
     assert run("check", "drive.yaml").exit_code == 0
-    assert prior(config, config.robots[2]).sigma  # its configuration is as it was
 
 
 def test_bad_input_is_a_line_and_nothing_is_written(run: Callable[..., Result], tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ $ python -m tools.measure.robots.identification designed --seconds 40
 $ python -m tools.measure.robots.identification platoon --runs 1
 
 `excitation` is some of each kind of manoeuvre, `designed` what `robofleet calibrate drive` proposes for these robots
-as they are shipped. Of the latter the program prints the standard deviations that were expected, too.
+as they are shipped: the program also prints the standard deviations that were expected. `charges` is two excitations
+at different charges of the battery.
 
 Each run has four robots, each with parameters of its own: lag, delay, dead band, breakaway, slip, wheels. A case is one
 parameter of one robot. Asked: 95 % of the told ones within two standard deviations; wheels within 1 %, lag and delay
@@ -36,6 +37,7 @@ from robofleet.vehicles.plant import built
 
 CONFIG = Path("configs/platoon.yaml")
 PLATOON_S = 60.0
+SHORT_LIFE_S = 600.0  # of a battery, so that one drive takes a part of it
 ALLOWED = {  # relative, or in the parameter's unit
     "left_radius_m": 0.01, "right_radius_m": 0.01, "wheel_base_m": 0.01, "motor_lag_s": 0.002, "delay_s": 0.002,
     "deadband_rad_s": 0.05,
@@ -45,7 +47,7 @@ ABSOLUTE = "motor_lag_s", "delay_s"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("drive", choices=("excitation", "designed", "platoon"))
+    parser.add_argument("drive", choices=("excitation", "designed", "charges", "platoon"))
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=40.0, help="of each robot's designed drive")
     parser.add_argument("--first", type=int, default=1, help="seed of the first run")
@@ -56,8 +58,7 @@ def main() -> None:
     stated: list[Array] = []
     volumes: list[float] = []
     for seed in range(given.first, given.first + given.runs):
-        recording = driven(given.drive, seed, given.seconds)
-        for found, truth in results(recording):
+        for found, truth in results(driven(given.drive, seed, given.seconds)):
             told = [name in found.determined for name in PARAMETERS]
             stated.append(np.where(told, np.sqrt(np.diag(found.covariance)), np.nan))
             scale = found.prior.sigmas
@@ -100,19 +101,24 @@ def rms(values: Array) -> list[float]:
     return found
 
 
-def driven(kind: str, seed: int, seconds: float) -> Recording:
-    """Return a lockstep recording of four robots with drawn parameters, seen by the simulated camera."""
-    seeds = [f"run.seed={seed}"]
-    if kind != "platoon":
-        config, count = drive.configure(CONFIG, (), seeds, lockstep=True)
-        if kind == "designed":
-            config = drive.with_manoeuvres(config, {each.robot: each.manoeuvres for each in designs(seconds)})
-            config = drive.lasting(config, count)
-        return drive.run(drawn(config, seed), Path(), lambda _: None, lockstep=True)
-    config = load_checked(CONFIG, [*seeds, f"run.duration_s={PLATOON_S:g}"], lockstep=True)
-    lockstep = Lockstep(drawn(config, seed))
-    lockstep.run()
-    return lockstep.recording
+def driven(kind: str, seed: int, seconds: float) -> list[Recording]:
+    """Return lockstep recordings of four robots with drawn parameters, seen by the simulated camera."""
+    if kind == "platoon":
+        config = load_checked(CONFIG, [f"run.seed={seed}", f"run.duration_s={PLATOON_S:g}"], lockstep=True)
+        lockstep = Lockstep(drawn(config, seed))
+        lockstep.run()
+        return [lockstep.recording]
+    orders = ((), ("r4", "r3", "r2", "r1")) if kind == "charges" else ((),)
+    return [_driven(kind, seed, seconds, order) for order in orders]
+
+
+def _driven(kind: str, seed: int, seconds: float, order: tuple[str, ...]) -> Recording:
+    config, count = drive.configure(CONFIG, order, [f"run.seed={seed}"], lockstep=True)
+    if kind == "designed":
+        config = drive.with_manoeuvres(config, {each.robot: each.manoeuvres for each in designs(seconds)})
+        config = drive.lasting(config, count)
+    life_s = SHORT_LIFE_S if kind == "charges" else None
+    return drive.run(drawn(config, seed, life_s), Path(), lambda _: None, lockstep=True)
 
 
 @cache
@@ -123,12 +129,12 @@ def designs(seconds: float) -> list[Design]:
     return [design(config, robot, seconds, line) for robot, line in zip(config.members, lines, strict=True)]
 
 
-def drawn(config: Config, seed: int) -> Config:
+def drawn(config: Config, seed: int, battery_life_s: float | None = None) -> Config:
     rng = np.random.default_rng([seed, 33])
-    return config.model_copy(update={"robots": tuple(_worn(robot, rng) for robot in config.robots)})
+    return config.model_copy(update={"robots": tuple(_worn(robot, rng, battery_life_s) for robot in config.robots)})
 
 
-def _worn(robot: Robot, rng: np.random.Generator) -> Robot:
+def _worn(robot: Robot, rng: np.random.Generator, battery_life_s: float | None) -> Robot:
     assert robot.vehicle.simulated is not None
     deadband = rng.uniform(0.25, 0.8)
     simulated = robot.vehicle.simulated.model_copy(
@@ -140,15 +146,20 @@ def _worn(robot: Robot, rng: np.random.Generator) -> Robot:
             "slip_s_per_rad": rng.uniform(0.005, 0.04),
             "wheel_base_spread": 0.03,
             "top_speed_error": rng.uniform(-0.06, 0.03),
+            "top_speed_sag": rng.uniform(0.05, 0.2),
+            "battery_life_s": battery_life_s or robot.vehicle.simulated.battery_life_s,
         }
     )
     return robot.model_copy(update={"vehicle": robot.vehicle.model_copy(update={"simulated": simulated})})
 
 
-def results(recording: Recording) -> list[tuple[Identification, dict[str, float]]]:
-    config, found = recording.config, []
-    for robot, own in zip(config.members, drive.extract(recording, range(len(config.members))), strict=True):
-        shots = [believed.shots(robot, own)]
+def results(recordings: list[Recording]) -> list[tuple[Identification, dict[str, float]]]:
+    config, found = recordings[0].config, []
+    for robot in config.members:
+        shots = []
+        for recording in recordings:
+            (own,) = drive.extract(recording, [[each.id for each in recording.config.members].index(robot.id)])
+            shots.append(believed.shots(robot, own))
         nominal = robot.model_copy(update={"vehicle": load_checked(CONFIG, lockstep=True).robot(robot.id).vehicle})
         found.append((identify(shots, believed.prior(config, nominal)), true(config, robot)))
     return found
