@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robofleet.calibration.robots import believed, drive
-from robofleet.calibration.robots.identification import HORIZONS_S
+from robofleet.calibration.robots.held_out import HORIZONS_S
 from robofleet.calibration.robots.shooting import Noise, Wheels, relative
 from robofleet.calibration.store import CalibrationError
 from robofleet.config import slices

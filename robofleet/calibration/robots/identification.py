@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
+from robofleet.calibration.robots.held_out import HeldOut, held_out_errors
 from robofleet.calibration.robots.information import (
     HELD_OUT,
     LEAST,
@@ -31,7 +32,6 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.core.arrays import Array
 
 _OF_STOPS = ("stop_lag_s",)
-HORIZONS_S = 1.0, 2.0, 5.0
 
 _MOST = {"motor_lag_s": 2.0, "stop_lag_s": 2.0, "delay_s": 1.0, "slip_s_per_rad": 0.5}
 _DELAYS_S, _LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3), (0.01, 0.04, 0.08, 0.15, 0.3)
@@ -45,17 +45,6 @@ _COARSE, _FINE = np.linspace(0.0, 2.5, 51), np.linspace(-0.075, 0.075, 21)  # of
 _FEWEST_POSES = 100
 _LEAST_WAY_M, _LEAST_TURN_RAD = 0.2, 1.0
 _LEAST_NEAR_S = 1.0  # of commands about as fast as a threshold: with less it is not told
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeldOut:
-    """How far the tag was from where it was predicted to be, on the shots that took no part in the fit."""
-
-    horizon_s: float
-    position_rms_mm: float
-    heading_rms_deg: float
-    believed_rms_mm: float  # position, by what was believed before
-    count: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -332,27 +321,9 @@ class _Fit:
             chi_square=float((white**2).mean()),
             correlation=float((white[1:] * white[:-1]).mean() / (white**2).mean()),
             held_out_chi_square=float((held_out**2).mean()) if len(held_out) else float("nan"),
-            held_out=tuple(self._ahead(horizon_s) for horizon_s in HORIZONS_S),
+            held_out=held_out_errors(self._recordings, self._held_out, self._wheels, self._prior.values, self._noise),
             residuals=residuals,
         )
-
-    def _ahead(self, horizon_s: float) -> HeldOut:
-        found, believed = self._errors(self._wheels, horizon_s), self._errors(self._prior.values, horizon_s)
-        rms = np.sqrt((found**2).mean(axis=0)) if len(found) else np.full(3, np.nan)
-        before = np.sqrt((believed[:, :2] ** 2).sum(axis=1).mean()) if len(believed) else np.nan
-        return HeldOut(
-            horizon_s=horizon_s, position_rms_mm=1e3 * float(np.hypot(*rms[:2])),
-            heading_rms_deg=float(np.rad2deg(rms[2])), believed_rms_mm=1e3 * float(before), count=len(found),
-        )  # fmt: skip
-
-    def _errors(self, wheels: Wheels, horizon_s: float) -> Array:
-        """Return how far open-loop predictions over held-out shots are off (P, 3), in the tag's frame."""
-        errors = [np.empty((0, 3))]
-        for shots, held_out in zip(self._recordings, self._held_out, strict=True):
-            at_s, predicted, measured = shots.ahead(wheels, self._noise, horizon_s)
-            chosen = held_out[np.searchsorted(shots.at_s, at_s)]
-            errors.append(relative(measured[chosen], predicted[chosen]))
-        return np.concatenate(errors)
 
 
 def _ways(shots: Shots, wheels: Wheels) -> Array:

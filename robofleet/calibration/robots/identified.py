@@ -11,9 +11,8 @@ from robofleet.calibration.robots.design import NOISE, Design
 from robofleet.calibration.robots.identification import Identification
 from robofleet.calibration.robots.information import PARAMETERS
 from robofleet.calibration.robots.plots import motion_figure, residual_figure
-from robofleet.calibration.robots.results import Rows
+from robofleet.calibration.robots.results import Rows, source
 from robofleet.calibration.robots.shooting import Shots
-from robofleet.calibration.store import provenance
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.plant_errors import PlantErrors
@@ -120,14 +119,12 @@ def with_identified(
     )
     figures: dict[str, float | None] = {f"sigma_{name}": sigma[name] for name in found.determined}
     figures |= {
-        "chi_square": found.chi_square,
         "residual_correlation": found.correlation,
         "held_out_chi_square": found.held_out_chi_square,
         **{f"held_out_{e.horizon_s:g}s_mm": e.position_rms_mm for e in found.held_out if e.count},
-        "left_out_poses": float(found.left_out),
         **dict(zip(NOISE, (*recordings[-1].pose_noise(found.noise), found.noise.slip, found.noise.way), strict=True)),
     }
-    update["identified"] = provenance("identify", inputs, figures, PARAMETERS, found.covariance.tolist())
+    update["identified"] = source("identify", inputs, found, figures, PARAMETERS, found.covariance)
     return before.model_copy(update=update)
 
 

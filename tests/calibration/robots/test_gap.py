@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.bus.keys import STATUS, key
+from robofleet.bus.keys import STATE, key
 from robofleet.calibration.robots import gap, gap_curve
 from robofleet.calibration.robots.gap_curve import Day
 from robofleet.config.load import load_config
@@ -44,9 +44,9 @@ def test_a_run_that_is_too_short_is_refused(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.chdir(tmp_path)
     recording, run = read(RECORDED / "platoon.mcap"), tmp_path / "short"
     run.mkdir()
-    status = key(recording.config.arena.name, STATUS, "r1")
+    state = key(recording.config.arena.name, STATE)
     with RunLog(run / FILE, recording.config, drawn=False) as log:
-        log.add(status, recording.messages[status][0], 0)
+        log.add(state, recording.messages[state][0], 0)
     done = CliRunner().invoke(cli.app, ["gap", "short", "--configs", str(tmp_path)])
     assert done.exit_code == 2
     assert "short: it is too short to compare: record some seconds of driving" in " ".join(done.stderr.split())

@@ -22,6 +22,8 @@ from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.plant_errors import PlantErrors
+from robofleet.recording.log import RunLog
+from robofleet.recording.reading import read
 from robofleet.vehicles.plant import built
 from tests.robots import GTERNAL
 from tests.shipped import PLATOON
