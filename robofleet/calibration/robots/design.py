@@ -38,6 +38,7 @@ _SHARES = 0.15, 0.4, 0.7, 1.0  # of a wheel's top speed
 _CREEP_SHARES = 0.06, 0.1, 0.16
 _STEP_SHARES = (0.5, -0.5), (0.5, 0.25), (0.25, 0.5), (0.8, -0.3)
 _SPIN_S, _TOP_S, _CREEP_S, _STEP_S, _STEPS = 2.5, 0.7, 3.0, 0.165, 8
+_SHORTEST_LINE_M = 0.1
 _TRUTHS = -1.5, -0.75, 0.0, 0.75, 1.5  # where a threshold may be, in its standard deviations from what is believed
 _LEAST_TRUTH = 0.1  # [rad/s]
 _FINEST = 0.0075  # step of the fit's own grid [rad/s]
@@ -127,7 +128,7 @@ def manoeuvres(drive: DifferentialDrive, line_m: float) -> Iterator[Manoeuvre]:
         v = share * fastest
         line_s = line_m / (v * drive.wheel_radius)
         for slower in (1.0, 0.5, 0.0):
-            if line_m:
+            if line_m >= _SHORTEST_LINE_M:
                 yield Manoeuvre(left_rad_s=v, right_rad_s=slower * v, duration_s=line_s)
                 if slower < 1.0:
                     yield Manoeuvre(left_rad_s=slower * v, right_rad_s=v, duration_s=line_s)
@@ -135,8 +136,9 @@ def manoeuvres(drive: DifferentialDrive, line_m: float) -> Iterator[Manoeuvre]:
     for share in _CREEP_SHARES:
         w = share * highest
         for creep_s in (_CREEP_S / 2.0, _CREEP_S, 2.0 * _CREEP_S):
-            for left, right in ((-w, w), (w, w)):
-                yield Manoeuvre(left_rad_s=left, right_rad_s=right, duration_s=creep_s, ramp=True)
+            yield Manoeuvre(left_rad_s=-w, right_rad_s=w, duration_s=creep_s, ramp=True)
+            if w * drive.wheel_radius * creep_s / 2.0 <= line_m:
+                yield Manoeuvre(left_rad_s=w, right_rad_s=w, duration_s=creep_s, ramp=True)
     for left, right in _STEP_SHARES:
         for step_s in (_STEP_S, 2.0 * _STEP_S):
             yield Manoeuvre(left_rad_s=left * highest, right_rad_s=right * highest, duration_s=step_s, times=_STEPS)
