@@ -193,10 +193,10 @@ def test_a_recording_becomes_files_and_a_simulation_that_agrees(run: Callable[..
     assert run("run", PLATOON, "--lockstep", "--out", "made", *flags).exit_code == 0
     before = RobotCalibration(robot="r1", tag_height_m=0.08)
     save(tmp_path / "robots" / "r1.yaml", before)
-    still = stilled(tmp_path / "still.mcap", ["r3"])
+    still = stilled(tmp_path / "still.mcap", ["r2"])
     done = run("identify", "made", still, "--configs", tmp_path, "--report", "page.html")
     assert done.exit_code == 0, done.output
-    assert f"{still}: left out: r3: it was never commanded to move" in " ".join(done.stderr.split())
+    assert f"{still}: left out: r2: it was never commanded to move" in " ".join(done.stderr.split())
     assert done.stderr.count("left out") == 1
     assert (tmp_path / "page.html").read_text().count("<svg") == 8
     assert len(list((tmp_path / "robots" / "earlier").glob("r1-*.yaml"))) == 1
