@@ -17,6 +17,7 @@ from robofleet.calibration.store import CalibrationError
 from robofleet.config.tree import Config
 from robofleet.core.files import write_text
 from robofleet.recording.reading import about, file_of, read
+from robofleet.recording.run import Run
 from robofleet.reports import after, predicted
 from robofleet.reports.commands import ReplayedModules, load_behaviours, needed, readable
 from robofleet.reports.predicted import Gap
@@ -100,6 +101,9 @@ def _measured(run: Path, configs: Path, behaviours: Path | None) -> tuple[Gap, C
     with readable():
         recorded = read(run, partial(needed, run, behaviours))
         load_behaviours(run, recorded.config)
+    too_short = CalibrationError(f"{run}: it is too short to compare: record some seconds of driving")
+    if not len(Run(recorded).ticks):
+        raise too_short
     known = [robot_files.earlier(_file(configs, robot.id), robot.id) for robot in recorded.config.members]
     simulation = Lockstep(gaps.simulated(recorded.config, recorded, known))
     outcome, cause = simulation.run()
@@ -107,7 +111,7 @@ def _measured(run: Path, configs: Path, behaviours: Path | None) -> tuple[Gap, C
         raise CalibrationError(f"{run}: its simulation did not come to its end: {cause}")
     figures, robots = gaps.figures(recorded, simulation.recording)
     if not figures:
-        raise CalibrationError(f"{run}: it is too short to compare: record some seconds of driving")
+        raise too_short
     found = Gap(
         figures=figures, robots=robots, reference=_reference(recorded.config, configs),
         not_identified=tuple(each.robot for each in known if each.simulated is None),
