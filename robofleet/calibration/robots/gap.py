@@ -31,7 +31,6 @@ from robofleet.vehicles.plant import built
 _PIECE_S = 2.0  # that is resampled: longer than what it holds remembers
 _RESAMPLED = 400
 _INTERVAL = 2.5, 97.5  # percentiles
-_PREDICTED_MM = 1.0  # resolution of a pose that the commands alone predict
 _RESOLUTION = {"mm": 0.5, "m": 5e-4, "deg": 0.5, "ms": 1.0, "rad/s": 0.1}
 _OTHERS = 0.05  # of the mean, of a unit that has none
 _BANDS_HZ = (0.2, 1.0), (1.0, 5.0), (5.0, 15.0)
@@ -53,7 +52,6 @@ class _Pieces:
     values: Array
     weights: Array
     squared: bool = False
-    resolution: float | None = None  # None: its unit's
 
     def value(self, chosen: Indices | slice = slice(None)) -> float:
         mean = float((self.values[chosen] * self.weights[chosen]).sum() / self.weights[chosen].sum())
@@ -153,7 +151,7 @@ def _drawn(pieces: _Pieces, rng: np.random.Generator) -> Indices:
 
 
 def _ratio(recorded: float, simulated: float, pieces: _Pieces) -> float:
-    resolution = pieces.resolution or _RESOLUTION.get(pieces.unit, _OTHERS * abs(simulated) + 1e-9)
+    resolution = _RESOLUTION.get(pieces.unit, _OTHERS * abs(simulated) + 1e-9)
     return (abs(recorded) + resolution) / (abs(simulated) + resolution)
 
 
@@ -206,8 +204,7 @@ def _open_loop(predictions: Iterable[_Prediction]) -> Iterator[_Pieces]:
     for horizon_s in HORIZONS_S if together else ():
         at_s, off = (np.concatenate(parts) for parts in zip(*(each[horizon_s] for each in together), strict=True))
         if len(at_s):
-            pieces = _cut(_AFTER.format(horizon_s), "mm", at_s, off[:, None], squared=True)
-            yield replace(pieces, resolution=_PREDICTED_MM)
+            yield _cut(_AFTER.format(horizon_s), "mm", at_s, off[:, None], squared=True)
 
 
 def _model(config: Config, robot: Robot, *, drawn: bool = False) -> Wheels:
