@@ -28,7 +28,7 @@ _SPIN_SHARE, _STRAIGHT_SHARE = 0.4, 0.5  # of what the wheels can do
 _SPIN_ANGLE = 1.1 * math.tau  # [rad]
 _CREEP_SHARE, _CREEP_S = 0.12, 3.0  # up to a speed above the dead band, and down again
 _TOP_S = 0.7
-_STEP_SHARE, _STEP_S, _STEPS = (0.5, 0.25), 0.165, 15
+_STEP_SHARES, _STEPS_S, _STEP_TIMES, _STEPS = (0.25, 0.6), (0.099, 0.132, 0.165, 0.198), 3, 9
 _IN_PLACE_M = 0.05  # what goes further needs a free line
 _LINE_STEP = 0.02
 _LEAST_GAP_M = 0.03  # between bodies, and to the edge
@@ -206,15 +206,18 @@ def of_each_kind(vehicle: DifferentialDrive) -> tuple[Manoeuvre, ...]:
     """Return manoeuvres that tell something of each parameter of a robot."""
     radius, base, highest = vehicle.wheel_radius, vehicle.wheel_base, vehicle.max_wheel_speed
     spin, straight = _SPIN_SHARE * highest, _STRAIGHT_SHARE * min(highest, vehicle.max_speed / radius)
-    creep, steps = _CREEP_SHARE * highest, [share * highest for share in _STEP_SHARE]
+    creep, rng = _CREEP_SHARE * highest, np.random.default_rng(1)  # steps of many kinds tell delay from lag
+    speeds = rng.uniform(*_STEP_SHARES, (_STEPS, 2)) * rng.choice((-1.0, 1.0), (_STEPS, 2)) * highest
     turn_s = _SPIN_ANGLE / body_from_wheels(-spin, spin, radius, base)[1]
     return (
         Manoeuvre(left_rad_s=-spin, right_rad_s=spin, duration_s=turn_s),
         Manoeuvre(left_rad_s=straight, right_rad_s=straight, duration_s=LONGEST_LINE_M / (straight * radius)),
         Manoeuvre(left_rad_s=-creep, right_rad_s=creep, duration_s=_CREEP_S, ramp=True),
         Manoeuvre(left_rad_s=-highest, right_rad_s=highest, duration_s=_TOP_S),
-        Manoeuvre(left_rad_s=steps[0], right_rad_s=steps[1], duration_s=_STEP_S, times=_STEPS),
-        Manoeuvre(left_rad_s=-steps[1], right_rad_s=steps[0], duration_s=_STEP_S, times=_STEPS),
+        *(
+            Manoeuvre(left_rad_s=left, right_rad_s=right, duration_s=step_s, times=_STEP_TIMES)
+            for (left, right), step_s in zip(speeds.tolist(), rng.choice(_STEPS_S, _STEPS).tolist(), strict=True)
+        ),
     )
 
 
