@@ -41,22 +41,22 @@ def designer(config: Config) -> Designer:
 def test_a_manoeuvre_tells_what_it_excites(designer: Designer) -> None:
     before = dict(zip(PARAMETERS, designer.sigmas(designer.known), strict=True))
 
-    def told(each: Manoeuvre) -> set[str]:
+    def excited(each: Manoeuvre) -> set[str]:
         after = designer.sigmas(designer.known + designer.tells(each))
         return {name for name, sigma in zip(PARAMETERS, after, strict=True) if sigma < DETERMINED * before[name]}
 
-    assert {"deadband_rad_s", "breakaway_rad_s"} <= told(CREEP)
-    assert {"tag_forward_m", "tag_left_m"} <= told(SPIN)
-    assert not {"deadband_rad_s", "breakaway_rad_s", "top_speed_rad_s"} & told(SPIN)
-    assert "top_speed_rad_s" in told(FASTEST)
-    assert not {"wheel_base_m", "deadband_rad_s", "slip_s_per_rad"} & told(LINE)
+    assert {"deadband_rad_s", "breakaway_rad_s"} <= excited(CREEP)
+    assert {"tag_forward_m", "tag_left_m"} <= excited(SPIN)
+    assert not {"deadband_rad_s", "breakaway_rad_s", "top_speed_rad_s"} & excited(SPIN)
+    assert "top_speed_rad_s" in excited(FASTEST)
+    assert not {"wheel_base_m", "deadband_rad_s", "slip_s_per_rad"} & excited(LINE)
 
 
 def test_knowledge_adds_up_and_more_never_tells_less(designer: Designer) -> None:
-    one = designer.known + designer.tells(CREEP)
-    two = one + designer.tells(SPIN)
-    assert (designer.sigmas(two) <= designer.sigmas(one) * (1 + 1e-9)).all()
-    assert designer.log_determinant(two) < designer.log_determinant(one) < designer.log_determinant(designer.known)
+    creep = designer.known + designer.tells(CREEP)
+    both = creep + designer.tells(SPIN)
+    assert (designer.sigmas(both) <= designer.sigmas(creep) * (1 + 1e-9)).all()
+    assert designer.log_determinant(both) < designer.log_determinant(creep) < designer.log_determinant(designer.known)
 
 
 @pytest.mark.parametrize("line_m", [0.0, 0.1, 0.3])
@@ -84,9 +84,9 @@ def test_what_is_expected_is_what_the_fit_states(driven: Make, config: Config, p
     robot, drive = config.robots[0], driven(manoeuvres=proposed.manoeuvres)
     identified = found(drive)
     stated = np.sqrt(np.diag(identified.covariance))
-    told = [name in identified.determined for name in PARAMETERS]
+    determined = [name in identified.determined for name in PARAMETERS]
     assert {"wheel_base_m", "delay_s", "deadband_rad_s", "breakaway_rad_s"} <= set(identified.determined)
-    assert ((stated / proposed.expected)[told] < 3.0).all()
+    assert ((stated / proposed.expected)[determined] < 3.0).all()
     known = with_identified(config, robot, RobotCalibration(robot="r1"), identified, [shots(drive)], {})
     again = Designer(config, robot.model_copy(update={"calibration": known}))
     assert again.sigmas(again.known) == pytest.approx(stated, rel=0.03)

@@ -59,8 +59,8 @@ def main() -> None:
     volumes: list[float] = []
     for seed in range(given.first, given.first + given.runs):
         for found, truth in results(driven(given.drive, seed, given.seconds)):
-            told = [name in found.determined for name in PARAMETERS]
-            stated.append(np.where(told, np.sqrt(np.diag(found.covariance)), np.nan))
+            determined = [name in found.determined for name in PARAMETERS]
+            stated.append(np.where(determined, np.sqrt(np.diag(found.covariance)), np.nan))
             scale = found.prior.sigmas
             volumes.append(np.linalg.slogdet(found.covariance / np.outer(scale, scale))[1])
             for name in PARAMETERS:
