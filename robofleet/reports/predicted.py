@@ -29,6 +29,22 @@ class GapFigure(BaseModel):
     low: Finite
     high: Finite
 
+    @property
+    def growth(self) -> tuple[float, float, float]:
+        """The recorded value by the simulated one, whichever is larger, and its interval."""
+        if self.recorded >= self.simulated:
+            return self.ratio, self.low, self.high
+        return 1.0 / self.ratio, 1.0 / self.high, 1.0 / self.low
+
+
+class RobotGap(BaseModel):
+    """One robot's own figure: how far it was from where the commands alone put it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    robot: Text
+    figure: GapFigure
+
 
 class Gap(BaseModel):
     """What ``gap.json`` holds."""
@@ -37,6 +53,9 @@ class Gap(BaseModel):
 
     figures: Annotated[tuple[GapFigure, ...], Field(min_length=1, max_length=_MOST)]
     not_identified: Annotated[tuple[Text, ...], Field(max_length=_MOST)] = ()
+    robots: Annotated[tuple[RobotGap, ...], Field(max_length=_MOST)] = ()
+    reference: Annotated[dict[Text, Text], Field(max_length=_MOST)] = {}
+    """Hash of each robot's file, by which it was simulated."""
 
     @property
     def worst(self) -> GapFigure:

@@ -1,11 +1,12 @@
 """The calibrating drive, and behind it what the wheels can do of it: as the controller has them."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.behaviours.excitation import Excitation
+from robofleet.behaviours.excitation import Excitation, Manoeuvre
 from robofleet.control import wheels
 from robofleet.testing import situation, team
 from robofleet.testing.behaviours import AHEAD
@@ -19,9 +20,9 @@ RADIUS = 0.055
 class Excited:
     """A drive of GTernals."""
 
-    def __init__(self, robots: int, seed: int) -> None:
-        group = replace(team(robots), rng=np.random.default_rng(seed))
-        self.behaviour = Excitation(Excitation.Settings(), group)
+    def __init__(self, robots: int, manoeuvres: Mapping[str, Sequence[Manoeuvre]] | None = None) -> None:
+        settings = Excitation.Settings(manoeuvres={name: tuple(own) for name, own in (manoeuvres or {}).items()})
+        self.behaviour = Excitation(settings, team(robots))
         self._limits = wheels.limits((GTERNAL,) * robots)
 
     @property

@@ -7,7 +7,7 @@ paper's bicycle; an inverted pendulum about upright. Settings whose loop is unst
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -33,7 +33,7 @@ def main() -> None:
     options = program(
         __doc__, settings=(40, "settings of each plant"), plants="robot,bicycle,pendulum", seed=1
     ).parse_args()
-    kinds = {
+    kinds: dict[str, Callable[[np.random.Generator], Iterator[Case]]] = {
         "robot": robots,
         "bicycle": lambda rng: flows(
             rng, bicycle_plant(FALCONE_2007), lambda: np.array([0.0, 0.0, rng.uniform(5, 30), 0, 0, 0])

@@ -1,20 +1,18 @@
 """``robofleet identify``: what recordings tell of each robot's model."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from robofleet.bus.keys import POSES, key
 from robofleet.bus.messages import FLEET_POSES
-from robofleet.calibration.commands.shared import ConfigsRobots, ReportFile, report_file
+from robofleet.calibration.commands.shared import ConfigsRobots, ReportFile, report_file, show
+from robofleet.calibration.robots import believed, identified, inputs
 from robofleet.calibration.robots import drive as drives
-from robofleet.calibration.robots import identified
 from robofleet.calibration.robots import results as robot_files
 from robofleet.calibration.robots.identification import Identification
 from robofleet.calibration.robots.identification import identify as fit
@@ -42,32 +40,32 @@ def identify(
     """
     recordings = [_read(run) for run in runs]
     chosen = _chosen(recordings, [name.strip() for name in robots.split(",") if name.strip()], runs)
-    shots = [_shots(recordings, name) for name in chosen]
     config_of = {name: next(r.config for r in recordings if name in _ids(r.config)) for name in chosen}
+    shots: list[list[Shots]] = []
     found: list[Identification] = []
     faults: list[str] = []
-    for name, own in zip(chosen, shots, strict=True):
+    for name in chosen:
         try:
-            found.append(fit(own, identified.prior(config_of[name], config_of[name].robot(name))))
+            own, left_out = _shots(recordings, runs, name)
+            found.append(fit(own, believed.prior(config_of[name], config_of[name].robot(name))))
+            shots.append(own)
+            for line in left_out:
+                print(line, file=sys.stderr)
         except CalibrationError as refused:
             faults += refused.faults
     if faults:
         raise CalibrationError(faults)
-    inputs = {file_of(run).as_posix(): file_of(run).read_bytes() for run in runs}
+    sources = {file_of(run).as_posix(): file_of(run).read_bytes() for run in runs}
     files = {name: configs / "robots" / f"{name}.yaml" for name in chosen}
     after = [
         identified.with_identified(
-            config_of[name], config_of[name].robot(name), robot_files.earlier(files[name], name), each, own, inputs
+            config_of[name], config_of[name].robot(name), robot_files.earlier(files[name], name), each, own, sources
         )
         for name, each, own in zip(chosen, found, shots, strict=True)
     ]
     page = report_file(report, "identify")
     identified.page(found, shots, _latencies(recordings)).write(page)
-    head, rows = identified.table(found)
-    shown = Table(*head)
-    for row in rows:
-        shown.add_row(*map(Text, row))
-    Console().print(shown)
+    show(identified.table(found))
     for line in filter(None, map(identified.untold_line, found)):
         print(line)
     print(page)
@@ -96,16 +94,27 @@ def _chosen(recordings: Sequence[Recording], names: Sequence[str], runs: Sequenc
     return list(dict.fromkeys(names)) or known
 
 
-def _shots(recordings: Sequence[Recording], robot: str) -> list[Shots]:
-    """Return a robot's part of each recording in which it was driven."""
-    shots = []
-    for recording in recordings:
+def _shots(recordings: Sequence[Recording], runs: Sequence[Path], robot: str) -> tuple[list[Shots], list[str]]:
+    """Return a robot's part of each recording in which it drove, and a line for each other one.
+
+    Raises:
+        CalibrationError: it drove in none of them.
+    """
+    shots, left_out = [], []
+    for recording, run in zip(recordings, runs, strict=True):
         ids = _ids(recording.config)
-        if robot in ids:
+        if robot not in ids:
+            continue
+        try:
             (drive,) = drives.extract(recording, [ids.index(robot)])
-            errors = identified.believed_errors(recording.config.robot(robot))
-            shots.append(Shots(drive, loop_period_s=errors.loop_period_s, battery_life_s=errors.battery_life_s))
-    return shots
+            inputs.refuse_still(drive)
+        except CalibrationError as refused:
+            left_out += [f"{run}: left out: {fault}" for fault in refused.faults]
+            continue
+        shots.append(believed.shots(recording.config.robot(robot), drive))
+    if not shots:
+        raise CalibrationError(line.replace(": left out", "") for line in left_out)
+    return shots, left_out
 
 
 def _latencies(recordings: Sequence[Recording]) -> list[list[str]]:

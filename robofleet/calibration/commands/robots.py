@@ -6,18 +6,16 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from robofleet.calibration.commands.shared import Overrides, report_file
+from robofleet.calibration.commands.shared import Overrides, report_file, show
+from robofleet.calibration.robots import believed, drive_file, heights, inputs
 from robofleet.calibration.robots import drive as drives
-from robofleet.calibration.robots import drive_file, heights, identified, inputs
 from robofleet.calibration.robots import latency as latencies
 from robofleet.calibration.robots import offsets as tag_offsets
 from robofleet.calibration.robots import results as robot_files
 from robofleet.calibration.robots.drive_file import RobotDrive
-from robofleet.calibration.robots.identification import Prior, identify
+from robofleet.calibration.robots.identification import identify
+from robofleet.calibration.robots.information import Prior
 from robofleet.calibration.robots.latency import Latency
 from robofleet.calibration.robots.offsets import Offsets
 from robofleet.calibration.robots.results import Rows
@@ -68,9 +66,9 @@ def offsets(
     $ robofleet calibrate offsets configs/platoon.yaml --lockstep --robots r1 --set tracker.source=truth
     """
     tree, driven, folder, data = _drive("offsets", config, overrides, lockstep, robots, out, recording)
-    shots = [_shots(tree, drive) for drive in driven]
-    believed = [identified.prior(tree, tree.robot(drive.robot)) for drive in driven]
-    found = _each(zip(shots, believed, strict=True), _offsets)
+    shots = [believed.shots(tree.robot(drive.robot), drive) for drive in driven]
+    priors = [believed.prior(tree, tree.robot(drive.robot)) for drive in driven]
+    found = _each(zip(shots, priors, strict=True), _offsets)
     before = _each(driven, lambda drive: robot_files.earlier(robot_files.file_of(config, drive.robot), drive.robot))
     high = [heights.find(tree, drive) for drive in driven]
     after = [robot_files.with_offsets(*each, data) for each in zip(before, found, high, strict=True)]
@@ -96,9 +94,9 @@ def latency(
     $ robofleet calibrate latency configs/lab.yaml
     """
     tree, driven, folder, data = _drive("latency", config, overrides, lockstep, robots, out, recording)
-    shots = [_shots(tree, drive) for drive in driven]
-    believed = [identified.prior(tree, tree.robot(drive.robot)) for drive in driven]
-    found = _each(zip(shots, believed, strict=True), _latency)
+    shots = [believed.shots(tree.robot(drive.robot), drive) for drive in driven]
+    priors = [believed.prior(tree, tree.robot(drive.robot)) for drive in driven]
+    found = _each(zip(shots, priors, strict=True), _latency)
     before = _each(driven, lambda drive: robot_files.earlier(robot_files.file_of(config, drive.robot), drive.robot))
     after = [robot_files.with_latency(b, f, data) for b, f in zip(before, found, strict=True)]
     known = [tree.robot(drive.robot) for drive in driven]
@@ -108,23 +106,18 @@ def latency(
     _keep(config, tree, after, robot_files.latency_table(found), folder)
 
 
-def _shots(tree: Config, drive: RobotDrive) -> Shots:
-    errors = identified.believed_errors(tree.robot(drive.robot))
-    return Shots(drive, loop_period_s=errors.loop_period_s, battery_life_s=errors.battery_life_s)
-
-
 def _offsets(part: tuple[Shots, Prior]) -> Offsets:
-    shots, believed = part
+    shots, prior = part
     inputs.refuse_unusable(shots.drive)
-    tag_offsets.refuse_unusable(shots, believed.values)
-    return tag_offsets.of(identify([shots], believed))
+    tag_offsets.refuse_unusable(shots, prior.values)
+    return tag_offsets.of(identify([shots], prior))
 
 
 def _latency(part: tuple[Shots, Prior]) -> Latency:
-    shots, believed = part
+    shots, prior = part
     inputs.refuse_unusable(shots.drive)
     latencies.refuse_unusable(shots.drive)
-    return latencies.of(identify([shots], believed))
+    return latencies.of(identify([shots], prior))
 
 
 def _drive(
@@ -176,11 +169,7 @@ def _each(driven: Iterable[Own], find: Callable[[Own], Found]) -> list[Found]:
 
 
 def _keep(config: Path, tree: Config, calibrations: Sequence[RobotCalibration], table: Rows, folder: Path) -> None:
-    head, rows = table
-    shown = Table(*head)
-    for row in rows:
-        shown.add_row(*map(Text, row))
-    Console().print(shown)
+    show(table)
     print(folder / "report.html")
     for calibration in calibrations:
         file = robot_files.file_of(config, calibration.robot)

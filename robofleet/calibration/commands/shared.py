@@ -4,15 +4,21 @@ import re
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from robofleet.calibration.frames import live_config
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.tree import Config
 from robofleet.core.patterns import NAME_PATTERN
 from robofleet.runs import folder as folders
+
+if TYPE_CHECKING:
+    from robofleet.calibration.robots.results import Rows
 
 ReportFile = Annotated[
     Path | None,
@@ -103,3 +109,11 @@ def count(text: str, option: str) -> tuple[int, int]:
     if found is None:
         raise CalibrationError(f"{option}: {text!r} is not COLUMNSxROWS: write two whole numbers, as 11x8")
     return int(found[1]), int(found[2])
+
+
+def show(table: "Rows") -> None:
+    head, rows = table
+    shown = Table(*head)
+    for row in rows:
+        shown.add_row(*map(Text, row))
+    Console().print(shown)

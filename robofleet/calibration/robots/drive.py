@@ -1,7 +1,7 @@
 """A calibration drive: runs it with the fleet's own processes, and extracts the data of each robot."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.behaviours import described
-from robofleet.behaviours.excitation import Excitation
+from robofleet.behaviours.excitation import Excitation, Manoeuvre
 from robofleet.bus.arena_file import ArenaBusyError, claimed
 from robofleet.bus.endpoint import check_router, settled
 from robofleet.bus.keys import POSES, STATE, STATUS, TICK, key
@@ -44,32 +44,61 @@ _REST_AROUND_S = 0.5  # kept before the first and after the last motion
 def configure(
     file: Path, robots: Sequence[str], overrides: Sequence[str] = (), *, lockstep: bool
 ) -> tuple[Config, int]:
-    """Return the configuration of a drive in which ``robots`` (none: those of all groups) drive, and how many do.
-
-    The drive has one group: those that drive, then the other robots of the configuration's groups, which stand. It ends
-    when the first ones have driven.
+    """Return the configuration of a drive that takes place now, as ``excited``, and how many robots drive.
 
     Raises:
         ConfigError: the configuration cannot work.
         CalibrationError: an unknown robot.
     """
-    driving: tuple[str, ...] = ()
+    count = 0
 
     def one_after_the_other(config: Config) -> Config:
-        nonlocal driving
-        grouped, known = [robot.id for robot in config.members], [robot.id for robot in config.robots]
-        driving = tuple(dict.fromkeys(robots or grouped))
-        for unknown in (name for name in driving if name not in known):
-            raise CalibrationError(f"--robots: there is no robot {unknown!r} in {file} (it has {', '.join(known)})")
-        order = tuple(dict.fromkeys([*driving, *grouped]))
-        return config.model_copy(update={"groups": (Group(name=_GROUP, behaviour=_GROUP, robots=order),)})
+        nonlocal count
+        config, count = excited(config, robots, file)
+        return config
 
     config = load_checked(file, overrides, lockstep=lockstep, change=one_after_the_other)
     if config.run.attended and not lockstep and not sys.stdin.isatty():
         raise CalibrationError("run.attended: stdin is not a terminal: start the drive in one, or set it to false")
-    end_s = float(_ends(config)[len(driving) - 1])
+    return lasting(config, count), count
+
+
+def excited(config: Config, robots: Sequence[str], file: Path) -> tuple[Config, int]:
+    """Return a configuration in which ``robots`` (none: those of all groups) drive, and how many do.
+
+    It has one group: those that drive, then the other robots of the configuration's groups, which stand.
+
+    Raises:
+        CalibrationError: an unknown robot.
+    """
+    grouped, known = [robot.id for robot in config.members], [robot.id for robot in config.robots]
+    driving = tuple(dict.fromkeys(robots or grouped))
+    for unknown in (name for name in driving if name not in known):
+        raise CalibrationError(f"--robots: there is no robot {unknown!r} in {file} (it has {', '.join(known)})")
+    order = tuple(dict.fromkeys([*driving, *grouped]))
+    group = Group(name=_GROUP, behaviour=_GROUP, robots=order)
+    return config.model_copy(update={"groups": (group,)}), len(driving)
+
+
+def with_manoeuvres(config: Config, manoeuvres: Mapping[str, tuple[Manoeuvre, ...]]) -> Config:
+    """Return a drive's configuration in which robots drive these manoeuvres."""
+    (group,) = config.groups
+    settings = Excitation.Settings(manoeuvres=dict(manoeuvres)).model_dump(mode="json")
+    return config.model_copy(update={"groups": (group.model_copy(update={"settings": settings}),)})
+
+
+def lasting(config: Config, count: int) -> Config:
+    """Return a drive's configuration that ends when the first ``count`` robots have driven."""
+    end_s = float(excitation(config).ends[count - 1])
     run = config.run.model_copy(update={"duration_s": end_s + _REST_AROUND_S})
-    return config.model_copy(update={"run": run}), len(driving)
+    return config.model_copy(update={"run": run})
+
+
+def excitation(config: Config) -> Excitation:
+    """Return a drive's behaviour."""
+    (behaviour,) = groups.behaviours(config)
+    assert isinstance(behaviour, Excitation)
+    return behaviour
 
 
 def run(config: Config, folder: Path, say: Callable[[str], None], *, lockstep: bool) -> Recording:
@@ -213,15 +242,9 @@ def _cut(robot: str, requested: Timed, *others: Timed) -> Iterator[Timed]:
         yield at_s[own], values[own]
 
 
-def _ends(config: Config) -> Array:
-    (behaviour,) = groups.behaviours(config)
-    assert isinstance(behaviour, Excitation)
-    return behaviour.ends
-
-
 def _watch(config: Config, say: Callable[[str], None]) -> Watch:
     """Return what says which robot drives, or what is waited for."""
-    ends, last_text = _ends(config), ""
+    ends, last_text = excitation(config).ends, ""
     count = int(np.searchsorted(ends, config.run.duration_s))
 
     def watch(recording: Recording, phase: str) -> None:

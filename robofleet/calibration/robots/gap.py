@@ -6,14 +6,14 @@ cares; with that added to both, their ratio is the gap. Its interval comes from 
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robofleet.calibration.robots import drive, identified
-from robofleet.calibration.robots.identification import HORIZONS_S
-from robofleet.calibration.robots.shooting import Noise, Shots, Wheels, relative
+from robofleet.calibration.robots import believed, drive
+from robofleet.calibration.robots.held_out import HORIZONS_S
+from robofleet.calibration.robots.shooting import Noise, Wheels, relative
 from robofleet.calibration.store import CalibrationError
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
@@ -24,19 +24,23 @@ from robofleet.core.clock import S
 from robofleet.recording.measures import exposure_to_tick_ms, exposure_to_wheel_ms, status_at_ticks
 from robofleet.recording.run import Recording, Run
 from robofleet.reports.bounds import JUDGED_KEYS
-from robofleet.reports.predicted import GapFigure
+from robofleet.reports.predicted import GapFigure, RobotGap
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.plant import built
 
 _PIECE_S = 2.0  # that is resampled: longer than what it holds remembers
 _RESAMPLED = 400
 _INTERVAL = 2.5, 97.5  # percentiles
-_PREDICTED_MM = 1.0  # resolution of a pose that the commands alone predict
 _RESOLUTION = {"mm": 0.5, "m": 5e-4, "deg": 0.5, "ms": 1.0, "rad/s": 0.1}
 _OTHERS = 0.05  # of the mean, of a unit that has none
 _BANDS_HZ = (0.2, 1.0), (1.0, 5.0), (5.0, 15.0)
+_AFTER = "pose after {:g} s, by the commands"
+_OWN = _AFTER.format(HORIZONS_S[-1])  # what tells most of a single robot
 _SOURCES = "truth", "camera"  # of poses, that can be simulated here
 _NOISE = Noise(position=1.0, heading=1.0, slip=5e-4, way=3e-4)
+
+
+_Prediction = dict[float, tuple[Array, Array]]  # by its horizon [s]: instants (P,) [s], errors (P,) [mm]
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,6 @@ class _Pieces:
     values: Array
     weights: Array
     squared: bool = False
-    resolution: float | None = None  # None: its unit's
 
     def value(self, chosen: Indices | slice = slice(None)) -> float:
         mean = float((self.values[chosen] * self.weights[chosen]).sum() / self.weights[chosen].sum())
@@ -62,7 +65,7 @@ def simulated(config: Config, recording: Recording, calibrations: Sequence[Robot
     starts = _starts(recording)
 
     def robot_like(robot: Robot) -> Robot:
-        believed = robot.calibration or RobotCalibration(robot=robot.id)
+        measured = robot.calibration or RobotCalibration(robot=robot.id)
         model = models.get(robot.id) or robot.vehicle.simulated
         if model is None:
             raise CalibrationError(
@@ -72,7 +75,7 @@ def simulated(config: Config, recording: Recording, calibrations: Sequence[Robot
         return robot.model_copy(
             update={
                 "driver": "simulated", "settings": {}, "twin": None, "start": start,
-                "calibration": believed.model_copy(update={"simulated": model}),
+                "calibration": measured.model_copy(update={"simulated": model}),
             }
         )  # fmt: skip
 
@@ -101,32 +104,43 @@ def _starts(recording: Recording) -> dict[str, StartPose]:
     return found
 
 
-def figures(recorded: Recording, simulation: Recording, seed: int = 0) -> list[GapFigure]:
-    """Return every figure that both runs have; ``seed`` of the resampling."""
+def figures(
+    recorded: Recording, simulation: Recording, seed: int = 0
+) -> tuple[tuple[GapFigure, ...], tuple[RobotGap, ...]]:
+    """Return every figure that both runs have, and each robot's own one; ``seed`` of the resampling."""
     rng = np.random.default_rng(seed)
     models = {robot.id: _model(simulation.config, robot) for robot in simulation.config.members}
     drawn = {robot.id: _model(simulation.config, robot, drawn=True) for robot in simulation.config.members}
-    others = {pieces.name: pieces for pieces in _pieces(simulation, drawn)}
-    found = []
-    for pieces in _pieces(recorded, models):
-        other = others.get(pieces.name)
-        if other is None or not (pieces.weights.sum() and other.weights.sum()):
-            continue
-        resampled = [
-            _ratio(pieces.value(_drawn(pieces, rng)), other.value(_drawn(other, rng)), pieces)
-            for _ in range(_RESAMPLED)
-        ]
-        ratio = _ratio(pieces.value(), other.value(), pieces)
-        low, high = np.percentile(resampled, _INTERVAL).tolist()
-        if ratio < 1.0:
-            ratio, low, high = 1.0 / ratio, 1.0 / high, 1.0 / low
-        found.append(
-            GapFigure(
-                name=pieces.name, unit=pieces.unit, recorded=pieces.value(), simulated=other.value(), ratio=ratio,
-                low=low, high=high,
-            )
-        )  # fmt: skip
-    return found
+    predictions, others = _predictions(recorded, models), _predictions(simulation, drawn)
+    pooled = {pieces.name: pieces for pieces in (*_open_loop(others.values()), *_closed_loop(simulation))}
+    found = [
+        _compared(pieces, pooled[pieces.name], rng)
+        for pieces in (*_open_loop(predictions.values()), *_closed_loop(recorded))
+        if pieces.name in pooled
+    ]
+    own = [
+        RobotGap(robot=robot, figure=_compared(mine, simulated_mine, rng))
+        for robot, prediction in predictions.items()
+        if robot in others
+        for mine, simulated_mine in zip(_open_loop([prediction]), _open_loop([others[robot]]), strict=False)
+        if mine.name == _OWN
+    ]
+    return tuple(found), tuple(own)
+
+
+def _compared(pieces: _Pieces, other: _Pieces, rng: np.random.Generator) -> GapFigure:
+    """Return a figure of both runs."""
+    resampled = [
+        _ratio(pieces.value(_drawn(pieces, rng)), other.value(_drawn(other, rng)), pieces) for _ in range(_RESAMPLED)
+    ]
+    ratio = _ratio(pieces.value(), other.value(), pieces)
+    low, high = np.percentile(resampled, _INTERVAL).tolist()
+    if ratio < 1.0:
+        ratio, low, high = 1.0 / ratio, 1.0 / high, 1.0 / low
+    return GapFigure(
+        name=pieces.name, unit=pieces.unit, recorded=pieces.value(), simulated=other.value(), ratio=ratio, low=low,
+        high=high,
+    )  # fmt: skip
 
 
 def _drawn(pieces: _Pieces, rng: np.random.Generator) -> Indices:
@@ -137,13 +151,18 @@ def _drawn(pieces: _Pieces, rng: np.random.Generator) -> Indices:
 
 
 def _ratio(recorded: float, simulated: float, pieces: _Pieces) -> float:
-    resolution = pieces.resolution or _RESOLUTION.get(pieces.unit, _OTHERS * abs(simulated) + 1e-9)
+    resolution = _RESOLUTION.get(pieces.unit, _OTHERS * abs(simulated) + 1e-9)
     return (abs(recorded) + resolution) / (abs(simulated) + resolution)
 
 
-def _pieces(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_Pieces]:
-    """Yield the figures of one run, in pieces."""
-    yield from _open_loop(recording, models)
+def _closed_loop(recording: Recording) -> Iterator[_Pieces]:
+    """Yield the figures of one run, in pieces; only those that it has."""
+    for pieces in _figures_of(recording):
+        if pieces.weights.sum():
+            yield pieces
+
+
+def _figures_of(recording: Recording) -> Iterator[_Pieces]:
     run = Run(recording)
     if not len(run.ticks):
         return
@@ -162,26 +181,30 @@ def _named(name: str, target: float | None) -> str:
     return name.replace("_", " ") + (" error" if target is not None else "")
 
 
-def _open_loop(recording: Recording, models: Mapping[str, Wheels]) -> Iterator[_Pieces]:
-    """Yield the errors of the models' predictions after some seconds."""
-    errors: dict[float, list[tuple[Array, Array]]] = {horizon_s: [] for horizon_s in HORIZONS_S}
-    members = recording.config.members
-    for row, robot in enumerate(members):
+def _predictions(recording: Recording, models: Mapping[str, Wheels]) -> dict[str, _Prediction]:
+    """Return how far each robot was from where the commands alone put it, after some seconds."""
+    found = {}
+    for row, robot in enumerate(recording.config.members):
         try:
             (own,) = drive.extract(recording, [row])
         except CalibrationError:
             continue
-        robot_errors = identified.believed_errors(robot)
-        shots = Shots(own, loop_period_s=robot_errors.loop_period_s, battery_life_s=robot_errors.battery_life_s)
-        for horizon_s, collected in errors.items():
+        shots, prediction = believed.shots(robot, own), {}
+        for horizon_s in HORIZONS_S:
             at_s, predicted, measured = shots.ahead(models[robot.id], _NOISE, horizon_s)
             off = relative(measured, predicted)
-            collected.append((at_s, 1e3 * np.hypot(off[:, 0], off[:, 1])))
-    for horizon_s, collected in errors.items():
-        if collected and sum(len(at_s) for at_s, _ in collected):
-            at_s, off = (np.concatenate(parts) for parts in zip(*collected, strict=True))
-            pieces = _cut(f"pose after {horizon_s:g} s, by the commands", "mm", at_s, off[:, None], squared=True)
-            yield replace(pieces, resolution=_PREDICTED_MM)
+            prediction[horizon_s] = at_s, 1e3 * np.hypot(off[:, 0], off[:, 1])
+        found[robot.id] = prediction
+    return found
+
+
+def _open_loop(predictions: Iterable[_Prediction]) -> Iterator[_Pieces]:
+    """Yield the errors of predictions of one robot, or of several together."""
+    together = list(predictions)
+    for horizon_s in HORIZONS_S if together else ():
+        at_s, off = (np.concatenate(parts) for parts in zip(*(each[horizon_s] for each in together), strict=True))
+        if len(at_s):
+            yield _cut(_AFTER.format(horizon_s), "mm", at_s, off[:, None], squared=True)
 
 
 def _model(config: Config, robot: Robot, *, drawn: bool = False) -> Wheels:
@@ -190,7 +213,7 @@ def _model(config: Config, robot: Robot, *, drawn: bool = False) -> Wheels:
     known = replace(simulation.imperfections, wheel_gain_spread=0.0, wheel_base_spread=0.0)
     build = built(simulation.drive, simulation.imperfections if drawn else known, simulation.rng)
     return replace(
-        identified.prior(config, robot).values,
+        believed.prior(config, robot).values,
         left_radius_m=build.wheel_radius * build.left_gain,
         right_radius_m=build.wheel_radius * build.right_gain,
         wheel_base_m=build.wheel_base,

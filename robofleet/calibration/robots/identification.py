@@ -7,76 +7,44 @@ grid, all others by Gauss-Newton steps (``scipy.optimize.least_squares``). The n
 that make the residuals likeliest. Every fifth shot is held out: it takes no part in the fit.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
+from robofleet.calibration.robots.held_out import HeldOut, held_out_errors
+from robofleet.calibration.robots.information import (
+    HELD_OUT,
+    LEAST,
+    OUTLIER_SIGMA,
+    PARAMETERS,
+    THRESHOLDS,
+    Prior,
+    covariance,
+    derivative,
+    determined,
+    squares,
+)
 from robofleet.calibration.robots.shooting import Noise, Shots, Wheels, relative
 from robofleet.calibration.store import CalibrationError
 from robofleet.core.arrays import Array
 
-PARAMETERS = tuple(field.name for field in fields(Wheels))
-THRESHOLDS = "deadband_rad_s", "breakaway_rad_s"
 _OF_STOPS = ("stop_lag_s",)
-HORIZONS_S = 1.0, 2.0, 5.0
 
-_STEPS = {  # of numerical derivatives
-    "left_radius_m": 1e-6, "right_radius_m": 1e-6, "wheel_base_m": 1e-5, "motor_lag_s": 2e-4, "stop_lag_s": 2e-4,
-    "delay_s": 2e-4, "deadband_rad_s": 0.05, "breakaway_rad_s": 0.05, "top_speed_rad_s": 0.01, "top_speed_sag": 1e-2,
-    "slip_s_per_rad": 1e-4, "tag_forward_m": 1e-5, "tag_left_m": 1e-5, "tag_heading_rad": 1e-4,
-}  # fmt: skip
-_LEAST = {
-    "motor_lag_s": 1e-4,
-    "stop_lag_s": 1e-4,
-    "deadband_rad_s": 0.0,
-    "breakaway_rad_s": 0.0,
-    "delay_s": -0.02,
-    "slip_s_per_rad": -0.5,
-}
 _MOST = {"motor_lag_s": 2.0, "stop_lag_s": 2.0, "delay_s": 1.0, "slip_s_per_rad": 0.5}
-# What the residuals do not show. Commands act, and images are exposed, at instants that are known to a millisecond: of
-# a firmware's loop, an exposure, the simulated truth between two samples. Poses bend over the arena by some hundredths
-# of a millimetre and of a degree: measured on simulated platoons through the tracker.
-_SYSTEMATIC = {
-    "left_radius_m": 1.5e-6, "right_radius_m": 1.5e-6, "wheel_base_m": 3e-5, "motor_lag_s": 5e-4, "stop_lag_s": 1e-3,
-    "delay_s": 5e-4, "slip_s_per_rad": 5e-4, "tag_forward_m": 3e-5, "tag_left_m": 1e-4, "tag_heading_rad": 5e-5,
-}  # fmt: skip
 _DELAYS_S, _LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3), (0.01, 0.04, 0.08, 0.15, 0.3)
 _SPLITS_S = np.geomspace(0.005, 0.4, 16).tolist()
 _AT_FIRST = Noise(position=5.0, heading=5.0, way=3e-3)
 _ROUNDS = 4
 _LOSS_SCALE = 3.0  # from so many sigmas on a residual counts less
-_OUTLIER_SIGMA = 6.0
 _OUTLIER_SHARE = 0.2
 _OUTLIER_PASSES = 2
-_TOLD = 0.3  # a parameter is told where its standard deviation is so much less than its prior's
-_HELD_OUT = 5  # of so many shots one
 _COARSE, _FINE = np.linspace(0.0, 2.5, 51), np.linspace(-0.075, 0.075, 21)  # of thresholds [rad/s]
 _FEWEST_POSES = 100
 _LEAST_WAY_M, _LEAST_TURN_RAD = 0.2, 1.0
 _LEAST_NEAR_S = 1.0  # of commands about as fast as a threshold: with less it is not told
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is believed of a robot: values, and standard deviations by their names."""
-
-    values: Wheels
-    sigma: Mapping[str, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeldOut:
-    """How far the tag was from where it was predicted to be, on the shots that took no part in the fit."""
-
-    horizon_s: float
-    position_rms_mm: float
-    heading_rms_deg: float
-    believed_rms_mm: float  # position, by what was believed before
-    count: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,13 +115,12 @@ class _Fit:
     def __init__(self, recordings: Sequence[Shots], prior: Prior) -> None:
         self._recordings, self._prior = recordings, prior
         self._robot = recordings[0].drive.robot
-        self._sigma = np.array([prior.sigma[name] for name in PARAMETERS])
-        self._centre = np.array(astuple(prior.values))
+        self._centre, self._sigma = prior.centre, prior.sigmas
         self._wheels, self._noise = prior.values, _AT_FIRST
         self._threshold_sigma = {name: prior.sigma[name] for name in THRESHOLDS}
         self._fixed: set[str] = set()  # what is not told
         self._frozen: dict[str, float] = {}  # what was told by poses that are left out now, and its variance
-        self._held_out = [shots.shot % _HELD_OUT == _HELD_OUT - 1 for shots in recordings]
+        self._held_out = [shots.shot % HELD_OUT == HELD_OUT - 1 for shots in recordings]
         self._training = [~own for own in self._held_out]
 
     def run(self) -> None:
@@ -167,11 +134,11 @@ class _Fit:
                 self._estimate_noise()
             for name in THRESHOLDS:
                 self._threshold(name, coarse=k in (0, _ROUNDS - 2))
-        covariance = self._covariance()
-        self._fixed = set(PARAMETERS) - set(self._told(covariance))
+        found = self._covariance()
+        self._fixed = set(PARAMETERS) - set(determined(found, self._prior))
         self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
         rows = [PARAMETERS.index(name) for name in _OF_STOPS]
-        self._frozen = dict(zip(_OF_STOPS, np.diag(covariance)[rows].tolist(), strict=True))
+        self._frozen = dict(zip(_OF_STOPS, np.diag(found)[rows].tolist(), strict=True))
         for _ in range(_OUTLIER_PASSES):  # what the model cannot explain shall not bend the rest
             self._leave_out(misfits=True)
             self._estimate_noise()
@@ -198,18 +165,6 @@ class _Fit:
         values = (self._centre[rows] + x * self._sigma[rows]).tolist()
         return replace(self._wheels, **dict(zip(names, values, strict=True)))
 
-    def _jacobian(self, wheels: Wheels, names: Sequence[str]) -> Array:
-        """Return the residuals' derivative by parameters in units of their priors' sigmas."""
-        columns = []
-        for name in names:
-            step, value = _STEPS[name], getattr(wheels, name)
-            low = max(value - step, _LEAST.get(name, -np.inf))
-            change = self._residuals(replace(wheels, **{name: value + step})) - self._residuals(
-                replace(wheels, **{name: low})
-            )
-            columns.append(change / (value + step - low) * self._prior.sigma[name])
-        return np.column_stack(columns)
-
     # how
 
     def _start(self) -> None:
@@ -220,7 +175,7 @@ class _Fit:
 
         def cost(wheels: Wheels) -> float:
             e = self._residuals(wheels)
-            return float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum())
+            return float(np.minimum(e * e, OUTLIER_SIGMA**2).sum())
 
         grid = (
             replace(self._wheels, delay_s=delay, motor_lag_s=lag, stop_lag_s=lag)
@@ -232,23 +187,25 @@ class _Fit:
     def _follow_valley(self) -> None:
         """Take the best split of delay and lag: their sum is told by every drive, each of them by quick changes."""
         together_s = self._wheels.delay_s + self._wheels.motor_lag_s
-        splits = [lag_s for lag_s in _SPLITS_S if together_s - lag_s > _LEAST["delay_s"]]
+        splits = [lag_s for lag_s in _SPLITS_S if together_s - lag_s > LEAST["delay_s"]]
         models = [replace(self._wheels, motor_lag_s=lag_s, delay_s=together_s - lag_s) for lag_s in splits]
         self._wheels = min([self._wheels, *models], key=lambda model: float((self._residuals(model) ** 2).sum()))
 
     def _descend(self, *, must_converge: bool = False) -> None:
-        names = [name for name in PARAMETERS if name not in (*self._fixed, *self._frozen, *THRESHOLDS)]
+        names = tuple(name for name in PARAMETERS if name not in (*self._fixed, *self._frozen, *THRESHOLDS))
         rows = [PARAMETERS.index(name) for name in names]
         low, high = (
             (np.array([limits.get(name, far) for name in names]) - self._centre[rows]) / self._sigma[rows]
-            for limits, far in ((_LEAST, -1e9), (_MOST, 1e9))
+            for limits, far in ((LEAST, -1e9), (_MOST, 1e9))
         )
 
         def residuals(x: Array) -> Array:
             return np.concatenate([self._residuals(self._moved(x, names)), x])
 
         def jacobian(x: Array) -> Array:
-            return np.vstack([self._jacobian(self._moved(x, names), names), np.eye(len(names))])
+            return np.vstack(
+                [derivative(self._residuals, self._moved(x, names), self._prior, names), np.eye(len(names))]
+            )
 
         start = np.clip(self._scaled(self._wheels)[rows], low + 1e-9, high - 1e-9)
         solved = least_squares(
@@ -270,7 +227,7 @@ class _Fit:
             total = 0.0
             for shots, motion, own in zip(self._recordings, motions, self._training, strict=True):
                 e, log_determinant = shots.residuals(self._wheels, noise, motion, own)
-                total += 0.5 * float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum()) + log_determinant
+                total += 0.5 * float(np.minimum(e * e, OUTLIER_SIGMA**2).sum()) + log_determinant
             return total
 
         start = np.log(np.array(astuple(self._noise)))
@@ -284,7 +241,7 @@ class _Fit:
     def _leave_out(self, *, misfits: bool = False) -> None:
         """Leave out poses that are outliers; ``misfits``: and those where the model is wrong."""
         for shots in self._recordings:
-            shots.kept = ~shots.outliers(self._wheels, self._noise, _OUTLIER_SIGMA, misfits=misfits)
+            shots.kept = ~shots.outliers(self._wheels, self._noise, OUTLIER_SIGMA, misfits=misfits)
         share = np.mean([not kept for shots in self._recordings for kept in shots.kept])
         if share > _OUTLIER_SHARE:
             raise CalibrationError(
@@ -301,12 +258,9 @@ class _Fit:
             return
 
         def posterior(grid: Array) -> Array:
-            squares = []
-            for value in grid.tolist():
-                e = self._residuals(replace(self._wheels, **{name: value}))
-                x = (value - getattr(self._prior.values, name)) / self._prior.sigma[name]
-                squares.append(float(np.minimum(e * e, _OUTLIER_SIGMA**2).sum()) + x * x)
-            likelihood = np.exp(-0.5 * (np.array(squares) - min(squares)))
+            x = (grid - getattr(self._prior.values, name)) / self._prior.sigma[name]
+            total = squares(self._residuals, self._wheels, name, grid) + x * x
+            likelihood = np.exp(-0.5 * (total - total.min()))
             return np.asarray(likelihood / likelihood.sum())
 
         best = getattr(self._wheels, name)
@@ -328,42 +282,29 @@ class _Fit:
 
     def _covariance(self) -> Array:
         """Return the covariance of all parameters: of the fit, with their priors; of thresholds by their posteriors."""
-        free = [name for name in PARAMETERS if name not in THRESHOLDS]
-        j = self._jacobian(self._wheels, free)
-        rows = [PARAMETERS.index(name) for name in free]
-        covariance = np.diag([self._threshold_sigma.get(name, 0.0) ** 2 for name in PARAMETERS])
-        covariance[np.ix_(rows, rows)] = np.linalg.inv(j.T @ j + np.eye(len(free))) * np.outer(
-            self._sigma[rows], self._sigma[rows]
-        )
-        systematic = np.array([_SYSTEMATIC.get(name, 0.0) for name in PARAMETERS])
-        covariance = np.asarray(covariance + np.diag(systematic**2))
+        j = derivative(self._residuals, self._wheels, self._prior)
+        found = covariance(j.T @ j + np.eye(j.shape[1]), self._prior, self._threshold_sigma)
         for name, variance in self._frozen.items():
             row = PARAMETERS.index(name)
-            covariance[row, :] = covariance[:, row] = 0.0
-            covariance[row, row] = variance
-        return covariance
+            found[row, :] = found[:, row] = 0.0
+            found[row, row] = variance
+        return found
 
-    def _told(self, covariance: Array) -> tuple[str, ...]:
-        share = np.sqrt(np.diag(covariance)) / self._sigma
-        return tuple(name for name, own in zip(PARAMETERS, share.tolist(), strict=True) if own < _TOLD)
-
-    def _weakest(self, covariance: Array) -> tuple[str, ...]:
+    def _weakest(self, found: Array) -> tuple[str, ...]:
         """Return which combination of told parameters is told least."""
-        determined = [k for k, name in enumerate(PARAMETERS) if name not in self._fixed]
-        _, vectors = np.linalg.eigh(
-            covariance[np.ix_(determined, determined)] / np.outer(self._sigma[determined], self._sigma[determined])
-        )
-        parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), determined, strict=True), reverse=True)
+        rows = [k for k, name in enumerate(PARAMETERS) if name not in self._fixed]
+        _, vectors = np.linalg.eigh(found[np.ix_(rows, rows)] / np.outer(self._sigma[rows], self._sigma[rows]))
+        parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), rows, strict=True), reverse=True)
         return tuple(PARAMETERS[k] for part, k in parts[:3] if part > 0.3)
 
     def found(self) -> Identification:
         everything = [np.ones(len(shots.at_s), dtype=np.bool_) for shots in self._recordings]
         residuals = tuple(e for e, _ in self._all(self._wheels, everything))
-        covariance = self._covariance()
+        found = self._covariance()
         own = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._training, strict=True)]
         others = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._held_out, strict=True)]
         white, held_out = np.concatenate(own), np.concatenate(others)
-        gate = self._wheels, self._noise, _OUTLIER_SIGMA
+        gate = self._wheels, self._noise, OUTLIER_SIGMA
         single = sum(int(shots.outliers(*gate, misfits=False).sum()) for shots in self._recordings)
         without = sum(int((~shots.kept).sum()) for shots in self._recordings)
         return Identification(
@@ -371,36 +312,18 @@ class _Fit:
             prior=self._prior,
             wheels=self._wheels,
             noise=self._noise,
-            covariance=covariance,
+            covariance=found,
             determined=tuple(name for name in PARAMETERS if name not in self._fixed),
-            weakest=self._weakest(covariance),
+            weakest=self._weakest(found),
             left_out=single,
             misfits=max(0, without - single),
             poses=sum(len(shots.at_s) for shots in self._recordings),
             chi_square=float((white**2).mean()),
             correlation=float((white[1:] * white[:-1]).mean() / (white**2).mean()),
             held_out_chi_square=float((held_out**2).mean()) if len(held_out) else float("nan"),
-            held_out=tuple(self._ahead(horizon_s) for horizon_s in HORIZONS_S),
+            held_out=held_out_errors(self._recordings, self._held_out, self._wheels, self._prior.values, self._noise),
             residuals=residuals,
         )
-
-    def _ahead(self, horizon_s: float) -> HeldOut:
-        found, believed = self._errors(self._wheels, horizon_s), self._errors(self._prior.values, horizon_s)
-        rms = np.sqrt((found**2).mean(axis=0)) if len(found) else np.full(3, np.nan)
-        before = np.sqrt((believed[:, :2] ** 2).sum(axis=1).mean()) if len(believed) else np.nan
-        return HeldOut(
-            horizon_s=horizon_s, position_rms_mm=1e3 * float(np.hypot(*rms[:2])),
-            heading_rms_deg=float(np.rad2deg(rms[2])), believed_rms_mm=1e3 * float(before), count=len(found),
-        )  # fmt: skip
-
-    def _errors(self, wheels: Wheels, horizon_s: float) -> Array:
-        """Return how far open-loop predictions over held-out shots are off (P, 3), in the tag's frame."""
-        errors = [np.empty((0, 3))]
-        for shots, held_out in zip(self._recordings, self._held_out, strict=True):
-            at_s, predicted, measured = shots.ahead(wheels, self._noise, horizon_s)
-            chosen = held_out[np.searchsorted(shots.at_s, at_s)]
-            errors.append(relative(measured[chosen], predicted[chosen]))
-        return np.concatenate(errors)
 
 
 def _ways(shots: Shots, wheels: Wheels) -> Array:

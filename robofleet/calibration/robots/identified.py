@@ -1,4 +1,4 @@
-"""What ``robofleet identify`` believes before, writes into a robot's file, and shows."""
+"""What ``robofleet identify`` writes into a robot's file, and shows."""
 
 import math
 from collections.abc import Sequence
@@ -6,18 +6,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from robofleet.calibration.report import Report
-from robofleet.calibration.robots.identification import PARAMETERS, Identification, Prior
+from robofleet.calibration.robots.believed import believed_errors
+from robofleet.calibration.robots.design import NOISE, Design
+from robofleet.calibration.robots.identification import Identification
+from robofleet.calibration.robots.information import PARAMETERS
 from robofleet.calibration.robots.plots import motion_figure, residual_figure
-from robofleet.calibration.robots.results import Rows
-from robofleet.calibration.robots.shooting import Shots, Wheels
-from robofleet.calibration.store import provenance
+from robofleet.calibration.robots.results import Rows, source
+from robofleet.calibration.robots.shooting import Shots
 from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.plant_errors import PlantErrors
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.arrays import Array
-from robofleet.core.clock import S
 from robofleet.reports.pages import Marked
 
 _ANGLES = "tag_heading_rad"
@@ -44,49 +45,8 @@ _MISSING = {  # what a drive needs for a parameter
     "top_speed_rad_s": "wheels at their top speed", "top_speed_sag": "top speed at several charges of the battery",
     "slip_s_per_rad": "turns at several rates",
 }  # fmt: skip
-_IDEAL = PlantErrors(
-    motor_lag_s=0.0, speed_quantum_rad_s=0.0, loop_period_s=0.01, deadband_rad_s=0.0, breakaway_rad_s=0.0,
-    wheel_gain_spread=0.0, wheel_base_spread=0.0, slip_s_per_rad=0.0, slip_noise=0.0, top_speed_sag=0.0,
-    battery_life_s=1e9,
-)  # fmt: skip
 _WHOLE_COUNTS = 0.02  # of a count
 _LEAST_SLIP = 1e-3  # less is none: its noise says nothing [s/rad]
-
-
-def believed_errors(robot: Robot) -> PlantErrors:
-    """Return how the robot would be simulated before it is identified."""
-    known = None if robot.calibration is None else robot.calibration.simulated
-    return known or robot.vehicle.simulated or _IDEAL
-
-
-def prior(config: Config, robot: Robot) -> Prior:
-    """Return what the configuration believes of a robot, and how far it may be wrong."""
-    nominal, believed, errors = slices.vehicle_drive(robot.vehicle), slices.drive(robot), believed_errors(robot)
-    offset, difference = robot.tag_offset, errors.wheel_gain_difference / 2.0
-    values = Wheels(
-        left_radius_m=believed.wheel_radius * (1.0 - difference),
-        right_radius_m=believed.wheel_radius * (1.0 + difference),
-        wheel_base_m=believed.wheel_base,
-        motor_lag_s=believed.motor_lag,
-        stop_lag_s=believed.motor_lag if errors.stop_lag_s is None else errors.stop_lag_s,
-        delay_s=slices.delay_ns(config, robot) / S,
-        deadband_rad_s=errors.deadband_rad_s,
-        breakaway_rad_s=errors.breakaway_rad_s,
-        top_speed_rad_s=nominal.max_wheel_speed * (1.0 + errors.top_speed_error),
-        top_speed_sag=errors.top_speed_sag,
-        slip_s_per_rad=errors.slip_s_per_rad,
-        tag_forward_m=offset.forward_m,
-        tag_left_m=offset.left_m,
-        tag_heading_rad=math.radians(offset.heading_deg),
-    )
-    sigma = {
-        "left_radius_m": 0.1 * nominal.wheel_radius, "right_radius_m": 0.1 * nominal.wheel_radius,
-        "wheel_base_m": 0.1 * nominal.wheel_base, "motor_lag_s": 0.05, "stop_lag_s": 0.05, "delay_s": 0.05,
-        "deadband_rad_s": 0.4, "breakaway_rad_s": 0.4, "top_speed_rad_s": 0.1 * nominal.max_wheel_speed,
-        "top_speed_sag": 0.1,
-        "slip_s_per_rad": 0.03, "tag_forward_m": 0.05, "tag_left_m": 0.05, _ANGLES: 2.0,
-    }  # fmt: skip
-    return Prior(values, sigma)
 
 
 def counts(angles: Array) -> float:
@@ -159,13 +119,12 @@ def with_identified(
     )
     figures: dict[str, float | None] = {f"sigma_{name}": sigma[name] for name in found.determined}
     figures |= {
-        "chi_square": found.chi_square,
         "residual_correlation": found.correlation,
         "held_out_chi_square": found.held_out_chi_square,
         **{f"held_out_{e.horizon_s:g}s_mm": e.position_rms_mm for e in found.held_out if e.count},
-        "left_out_poses": float(found.left_out),
+        **dict(zip(NOISE, (*recordings[-1].pose_noise(found.noise), found.noise.slip, found.noise.way), strict=True)),
     }
-    update["identified"] = provenance("identify", inputs, figures, PARAMETERS, found.covariance.tolist())
+    update["identified"] = source("identify", inputs, found, figures, PARAMETERS, found.covariance)
     return before.model_copy(update=update)
 
 
@@ -188,6 +147,16 @@ def table(found: Sequence[Identification]) -> Rows:
         ]
         rows.append((f"{label} [{unit}]", *cells))
     return head, rows
+
+
+def expectation_table(designs: Sequence[Design]) -> Rows:
+    """Return the standard deviations of the robots' parameters: now, and as a drive will leave them."""
+    rows = []
+    for k, name in enumerate(PARAMETERS):
+        label, unit, scale, _ = _SHOWN[name]
+        cells = [f"{scale * each.before[k]:.2g} > {scale * each.expected[k]:.2g}" for each in designs]
+        rows.append((f"{label} [{unit}]", *cells))
+    return ("standard deviation, now > then", *(each.robot for each in designs)), rows
 
 
 def untold_line(found: Identification) -> str | None:

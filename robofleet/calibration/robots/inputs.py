@@ -28,8 +28,15 @@ def refuse_unusable(drive: RobotDrive) -> None:
             f"{drive.robot}: it was seen in {100 * fraction:.0f} % of the images, and once not for {gap_s:.1f} s: "
             "light its tag, clear the view, and drive again"
         )
-    far = np.ptp(drive.poses[:, :2], axis=0).max(), np.ptp(np.unwrap(drive.poses[:, 2]))
-    if far[0] < 0.01 and far[1] < 0.3:
+    refuse_still(drive)
+
+
+def refuse_still(drive: RobotDrive) -> None:
+    """Raise a CalibrationError if a robot was not seen to move."""
+    if not len(drive.poses):
+        raise CalibrationError(f"{drive.robot}: it was not seen while it drove: light its tag, and drive again")
+    extent = np.ptp(drive.poses[:, :2], axis=0).max(), np.ptp(np.unwrap(drive.poses[:, 2]))
+    if extent[0] < 0.01 and extent[1] < 0.3:
         raise CalibrationError(f"{drive.robot}: it was told to move and did not: is it switched on?")
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robofleet.calibration.robots.drive_file import RobotDrive
-from robofleet.calibration.robots.identification import PARAMETERS as MODEL
 from robofleet.calibration.robots.identification import Identification
+from robofleet.calibration.robots.information import PARAMETERS as MODEL
 from robofleet.calibration.store import CalibrationError
 from robofleet.core.arrays import Array
 

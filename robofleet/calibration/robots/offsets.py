@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robofleet.calibration.robots.identification import PARAMETERS as MODEL
 from robofleet.calibration.robots.identification import Identification
+from robofleet.calibration.robots.information import PARAMETERS as MODEL
 from robofleet.calibration.robots.shooting import Shots, Wheels
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset

@@ -1,6 +1,6 @@
 """A robot's calibration file, and the pages about its measurement."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -9,15 +9,17 @@ from matplotlib.figure import Figure
 
 from robofleet.calibration.report import Report
 from robofleet.calibration.robots import latency, offsets
-from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.drive_file import FILE, RobotDrive
 from robofleet.calibration.robots.heights import TagHeight
+from robofleet.calibration.robots.identification import Identification
 from robofleet.calibration.robots.latency import Latency
 from robofleet.calibration.robots.offsets import Offsets
 from robofleet.calibration.robots.plots import motion_figure, residual_figure
 from robofleet.calibration.robots.shooting import Shots
 from robofleet.calibration.store import CalibrationError, load, provenance
-from robofleet.config.calibrated import RobotCalibration, TagOffset
+from robofleet.config.calibrated import Provenance, RobotCalibration, TagOffset
 from robofleet.config.robots import Vehicle
+from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, QUIET, STYLE
 from robofleet.tracking.offset import centre_from_tag
 from robofleet.vehicles.differential_drive import DifferentialDrive
@@ -44,58 +46,55 @@ def earlier(file: Path, robot: str) -> RobotCalibration:
     return found
 
 
+def source(
+    command: str, inputs: Mapping[str, bytes], found: Identification, figures: Mapping[str, float | None],
+    parameters: Sequence[str], covariance: Array,
+) -> Provenance:  # fmt: skip
+    """Return where a part of a robot's file comes from; ``figures``: beside those that every fit has."""
+    fit = {"chi_square": found.chi_square, "left_out_poses": float(found.left_out)}
+    return provenance(command, inputs, {**figures, **fit}, parameters, covariance.tolist())
+
+
 def with_offsets(before: RobotCalibration, found: Offsets, height: TagHeight, recording: bytes) -> RobotCalibration:
     o, sigma = found.tag_offset, found.sigma.tolist()
     offset = TagOffset(forward_m=round(o.forward_m, 7), left_m=round(o.left_m, 7), heading_deg=round(o.heading_deg, 4))
     radius_m, base_m = found.values[3:].tolist()
     wheels = {"wheel_radius_m": round(radius_m, 7), "wheel_base_m": round(base_m, 7)}
-    figures = {
-        "sigma_forward_mm": 1e3 * sigma[0],
-        "sigma_left_mm": 1e3 * sigma[1],
-        "sigma_heading_deg": sigma[2],
-        "chi_square": found.found.chi_square,
-        "left_out_poses": float(found.found.left_out),
-    }
+    figures = {"sigma_forward_mm": 1e3 * sigma[0], "sigma_left_mm": 1e3 * sigma[1], "sigma_heading_deg": sigma[2]}
     if height.higher is not None:
         figures |= {"tag_higher_mm": 1e3 * height.higher[0], "sigma_tag_higher_mm": 1e3 * height.higher[1]}
     measured = {} if height.measured_m is None else {"tag_height_m": round(height.measured_m, 5)}
-    covariance = found.covariance.tolist()
-    source = provenance("offsets", {"drive.npz": recording}, figures, offsets.PARAMETERS, covariance)
+    origin = source("offsets", {FILE: recording}, found.found, figures, offsets.PARAMETERS, found.covariance)
     return before.model_copy(
-        update={"robot": found.robot, "tag_offset": offset, **wheels, **measured, "offsets": source}
+        update={"robot": found.robot, "tag_offset": offset, **wheels, **measured, "offsets": origin}
     )
 
 
 def with_latency(before: RobotCalibration, found: Latency, recording: bytes) -> RobotCalibration:
     sigma, late = found.sigma.tolist(), {"delay_s": round(found.delay_s, 6), "motor_lag_s": round(found.motor_lag_s, 6)}
-    figures = {
-        "sigma_delay_ms": 1e3 * sigma[0],
-        "sigma_motor_lag_ms": 1e3 * sigma[1],
-        "chi_square": found.found.chi_square,
-        "left_out_poses": float(found.found.left_out),
-    }
-    covariance = found.covariance.tolist()
-    source = provenance("latency", {"drive.npz": recording}, figures, latency.PARAMETERS, covariance)
-    return before.model_copy(update={"robot": found.robot, **late, "latency": source})
+    figures = {"sigma_delay_ms": 1e3 * sigma[0], "sigma_motor_lag_ms": 1e3 * sigma[1]}
+    origin = source("latency", {FILE: recording}, found.found, figures, latency.PARAMETERS, found.covariance)
+    return before.model_copy(update={"robot": found.robot, **late, "latency": origin})
 
 
 def offsets_table(found: Sequence[Offsets]) -> Rows:
     head = ("robot", "tag forward mm", "tag left mm", "tag heading deg", "wheel radius mm", "wheel base mm")
     scales, digits = (1e3, 1e3, 1.0, 1e3, 1e3), (3, 3, 3, 4, 2)
-    rows = []
-    for robot_offsets in found:
-        numbers = zip(robot_offsets.values, robot_offsets.sigma, scales, digits, strict=True)
-        cells = [f"{scale * value:.{n}f} ± {scale * sigma:.{n}f}" for value, sigma, scale, n in numbers]
-        rows.append((robot_offsets.robot, *cells))
-    return head, rows
+    return head, [(each.robot, *_cells(each.values, each.sigma, scales, digits)) for each in found]
 
 
 def latency_table(found: Sequence[Latency]) -> Rows:
-    rows = []
-    for robot_latency in found:
-        numbers = zip((robot_latency.delay_s, robot_latency.motor_lag_s), robot_latency.sigma, strict=True)
-        rows.append((robot_latency.robot, *(f"{1e3 * value:.2f} ± {1e3 * sigma:.2f}" for value, sigma in numbers)))
-    return ("robot", "delay ms", "motor lag ms"), rows
+    return ("robot", "delay ms", "motor lag ms"), [
+        (each.robot, *_cells((each.delay_s, each.motor_lag_s), each.sigma, (1e3, 1e3), (2, 2))) for each in found
+    ]
+
+
+def _cells(values: Iterable[float], sigma: Array, scales: Sequence[float], digits: Sequence[int]) -> list[str]:
+    """Return values with their standard deviations, in units of people."""
+    return [
+        f"{scale * value:.{n}f} ± {scale * own:.{n}f}"
+        for value, own, scale, n in zip(values, sigma, scales, digits, strict=True)
+    ]
 
 
 def offsets_page(

@@ -180,6 +180,11 @@ class Shots:
         step = relative(path[start], path[ends[start]])
         return self.at_s[start], compose(compose(estimates[start], step), offset), self.poses[ends[start]]
 
+    def pose_noise(self, noise: Noise) -> tuple[float, float]:
+        """Return the standard deviation of a pose's position [mm] and of its heading [deg], as the fit takes them."""
+        x, y, heading = np.sqrt(np.diagonal(self._noise_covariances(noise), axis1=1, axis2=2).mean(axis=0)).tolist()
+        return 1e3 * math.sqrt((x * x + y * y) / 2.0), math.degrees(heading)
+
     @cached_property
     def _half_interval_s(self) -> float:
         return float(np.median(np.diff(self.at_s))) / 2.0

@@ -1,15 +1,17 @@
 """Drives whose truth is known: a simulated robot with a tag somewhere on it, driven by the excitation alone."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from robofleet.behaviours.excitation import Manoeuvre
+from robofleet.calibration.robots.believed import prior
 from robofleet.calibration.robots.drive_file import RobotDrive
-from robofleet.calibration.robots.identification import Identification, Prior, identify
-from robofleet.calibration.robots.identified import prior
+from robofleet.calibration.robots.identification import Identification, identify
+from robofleet.calibration.robots.information import Prior
 from robofleet.calibration.robots.shooting import Shots
 from robofleet.config.calibrated import TagOffset
 from robofleet.config.load import load_config
@@ -42,10 +44,11 @@ def drive(
     noise: tuple[float, float] = (3e-5, math.radians(0.05)),
     lost: float = 0.0,
     late: int = 0,
+    manoeuvres: Sequence[Manoeuvre] = (),
 ) -> RobotDrive:
     """``late``: a command comes up to so many nanoseconds after its tick."""
     rng = np.random.default_rng(seed)
-    excitation = Excited(1, seed)
+    excitation = Excited(1, {"r1": manoeuvres} if manoeuvres else None)
     now_ns = 0
     start, own_rng = (0.2, -0.1, 0.5), np.random.default_rng(seed)
     simulation = Simulation(drive=GTERNAL, imperfections=imperfections, start=start, trouble=None, rng=own_rng)

@@ -1,7 +1,7 @@
 """Robots' models from recordings whose truth is known: found, with the sigma that they deserve, or refused."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,10 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from robofleet import cli
-from robofleet.calibration.robots import gap, identified, inputs
+from robofleet.behaviours import described
+from robofleet.bus.keys import TICK, key
+from robofleet.bus.messages import TICK_RECORD
+from robofleet.calibration.robots import identified, inputs
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.shooting import Noise, Wheels
 from robofleet.calibration.store import CalibrationError, load, save
@@ -19,9 +22,8 @@ from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.plant_errors import PlantErrors
-from robofleet.config.tree import Bounds
+from robofleet.recording.log import RunLog
 from robofleet.recording.reading import read
-from robofleet.reports.bounds import judged
 from robofleet.vehicles.plant import built
 from tests.robots import GTERNAL
 from tests.shipped import PLATOON
@@ -142,6 +144,22 @@ def test_a_simulated_robot_is_as_the_identified_one() -> None:
     assert build.max_wheel_speed == pytest.approx(0.9 * 12.5)
 
 
+def stilled(file: Path, robots: Sequence[str]) -> Path:
+    """Write the recording of an excitation in which some robots were never commanded to move, and return its file."""
+    recording = read(RECORDED / "excitation.mcap")
+    config, full = recording.config, key(recording.config.arena.name, TICK)
+    dtype = TICK_RECORD.dtype(len(config.members), described.size(recording.groups, len(config.camera_names)))
+    ticks = np.frombuffer(b"".join(recording.messages[full]), dtype=dtype).copy()
+    rows = [k for k, robot in enumerate(config.members) if robot.id in robots]
+    for side in ("left_rad_s", "right_rad_s"):
+        ticks["items"][side][:, rows] = 0.0
+    recording.messages[full] = [tick.tobytes() for tick in ticks]
+    with RunLog(file, config, drawn=False) as log:
+        for name, payloads in recording.messages.items():
+            log.add_all(((name, payload) for payload in payloads), 0)
+    return file
+
+
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Result]:
     monkeypatch.chdir(tmp_path)
@@ -158,24 +176,9 @@ def test_bad_input_is_a_line_exit_2_and_nothing_is_written(run: Callable[..., Re
     assert "'r9' was not driven in" in refusal("identify", RECORDED / "platoon.mcap", "--robots", "r9")
     assert "there is no such recording" in refusal("identify", tmp_path / "nothing")
     assert "with curves" in refusal("identify", RECORDED / "platoon.mcap", "--robots", "r2")
+    still = stilled(tmp_path.with_name("still.mcap"), ["r2"])
+    assert f"{still}: r2: it was never commanded to move" in refusal("identify", still, "--robots", "r2")
     assert "there is no such recording" in refusal("gap", tmp_path / "nothing")
-
-
-def test_a_run_has_no_gap_to_itself() -> None:
-    recording = read(RECORDED / "platoon.mcap")
-    found = gap.figures(recording, recording)
-    closed = [each for each in found if "by the commands" not in each.name]
-    assert {"control error", "exposure to tick"} <= {each.name for each in closed}
-    assert all(each.ratio == pytest.approx(1.0) for each in closed)
-    assert all(each.low <= 1.0 <= each.high for each in closed)
-
-
-def test_a_gap_is_judged_where_somebody_measured_it() -> None:
-    bounds = Bounds(gap=1.2)
-    assert judged({}, bounds) == []
-    for worst, met in ((1.1, True), (1.3, False)):
-        (verdict,) = judged({"gap": {"worst": worst}}, bounds)
-        assert verdict["pass"] == met
 
 
 @pytest.mark.slow
@@ -190,7 +193,11 @@ def test_a_recording_becomes_files_and_a_simulation_that_agrees(run: Callable[..
     assert run("run", PLATOON, "--lockstep", "--out", "made", *flags).exit_code == 0
     before = RobotCalibration(robot="r1", tag_height_m=0.08)
     save(tmp_path / "robots" / "r1.yaml", before)
-    assert run("identify", "made", "--configs", tmp_path, "--report", "page.html").exit_code == 0
+    still = stilled(tmp_path / "still.mcap", ["r2"])
+    done = run("identify", "made", still, "--configs", tmp_path, "--report", "page.html")
+    assert done.exit_code == 0, done.output
+    assert f"{still}: left out: r2: it was never commanded to move" in " ".join(done.stderr.split())
+    assert done.stderr.count("left out") == 1
     assert (tmp_path / "page.html").read_text().count("<svg") == 8
     assert len(list((tmp_path / "robots" / "earlier").glob("r1-*.yaml"))) == 1
     found = load(tmp_path / "robots" / "r1.yaml", RobotCalibration)
@@ -205,3 +212,8 @@ def test_a_recording_becomes_files_and_a_simulation_that_agrees(run: Callable[..
     done = run("gap", "made", "--configs", tmp_path)
     assert done.exit_code == 0, done.output
     assert "Predicted and observed" in (tmp_path / "made" / "report.html").read_text()
+    (tmp_path / "made").rename(tmp_path / "again")  # what was compared with these files is not simulated again
+    done = run("gap", "again", "again", "--configs", tmp_path, "--report", "days.html")
+    assert done.exit_code == 0, done.output
+    assert "no robot's predictions grew worse" in done.stdout
+    assert (tmp_path / "days.html").read_text().count("<svg") == 1
