@@ -23,7 +23,7 @@ from robofleet.envs.robots import Builds
 from robofleet.safety import barrier as safety_barrier
 from robofleet.simulation.bodies import BUILD
 from robofleet.vehicles import differential_drive
-from robofleet.vehicles.differential_drive import body_from_wheels, wheels_from_body
+from robofleet.vehicles.differential_drive import wheels_from_body
 
 
 class State(NamedTuple):
@@ -153,7 +153,9 @@ class JaxArenas:
         seen = jnp.stack([body.x, body.y, body.psi])
         if self._sigma.any():
             seen += self._sigma[:, None, None] * jax.random.normal(pose_key, seen.shape)
-        return State(state.build, body, gates, memory, seen, jnp.stack(body_from_wheels(*wheels, self._radius, self._base)))
+        return State(
+            state.build, body, gates, memory, seen, jnp.stack(plant.velocities(wheels, self._radius, self._base))
+        )
 
     def _limited(self, velocities: jax.Array, of_body: jax.Array, psi: jax.Array) -> jax.Array:
         """Return wheels (2, A, N) [rad/s] within their limits, as ``control.wheels.limited``."""
@@ -168,7 +170,8 @@ class JaxArenas:
 
 
 def _put(state: State, fresh: State, arenas: jax.Array) -> State:
-    return jax.tree.map(lambda old, new: old.at[..., arenas, :].set(new), state, fresh)
+    put: State = jax.tree.map(lambda old, new: old.at[..., arenas, :].set(new), state, fresh)
+    return put
 
 
 def _longer(history: jax.Array, ticks: int) -> jax.Array:

@@ -12,14 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from robofleet.core.arrays import Array
-from robofleet.envs.jax.plant import arc, chord_share
+from robofleet.envs.jax.plant import arc, chord_share, velocities
 from robofleet.safety import barrier as spec
 from robofleet.safety import deadlock, nearest, solid_rows
 from robofleet.vehicles import solids
-from robofleet.vehicles.differential_drive import body_from_wheels, wheels_from_body
+from robofleet.vehicles.differential_drive import wheels_from_body
 
 _FAR = 1e9  # of a row that keeps nothing [m/s]
-_TURNS = np.array(deadlock._TURNS)
 
 Row = tuple[jax.Array, jax.Array, jax.Array]
 
@@ -30,10 +29,6 @@ class Rows(NamedTuple):
     a: jax.Array
     b: jax.Array
     c: jax.Array
-
-    @property
-    def count(self) -> int:
-        return len(self.a)
 
     def over(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """Return by how much each row is broken (R, A, N)."""
@@ -73,38 +68,36 @@ class Barrier:
     def __init__(self, constants: spec.Constants, robots: int) -> None:
         self._k, self._n = constants, robots
         self._share = min(1.0, constants.rate * constants.tick)
-        rings = constants.rings.astype(int)
-        self._rings = [(slice(first, last), ring) for first, last, ring in zip(*rings.T[:2], constants.rings, strict=True)]
 
     def fresh(self, arenas: int) -> Memory:
         """Return the memory at first."""
-        n, lately = self._n, spec.fresh(self._k).lately[: self._n]
-        none = np.zeros((arenas, n), np.int64)
-        return Memory(
-            np.repeat(lately.T[:, None], arenas, axis=1), *(none,) * 5, none, np.zeros((5, arenas, n))
-        )
+        lately = spec.fresh(self._k).lately[: self._n].T[:, None]
+        none = np.zeros((arenas, self._n), np.int64)
+        return Memory(np.repeat(lately, arenas, axis=1), none, none, none, none, none, none, np.zeros((5, *none.shape)))
 
-    def filter(self, poses: jax.Array, turning: jax.Array, wheels: jax.Array, memory: Memory) -> tuple[jax.Array, Memory]:
+    def filter(
+        self, poses: jax.Array, turning: jax.Array, wheels: jax.Array, memory: Memory
+    ) -> tuple[jax.Array, Memory]:
         """Return wheels (2, A, N) changed where they must be; poses (3, A, M), turning (2, A, M)."""
         k, n = self._k, self._n
         radius, base, _, _, top, *_ = k.bodies[:n].T
         stops = self._stops(poses, turning)
-        v, omega = body_from_wheels(*wheels, radius, base)
+        v, omega = velocities(wheels, radius, base)
         x, y = v, k.point_ahead * omega
         asking = (jnp.hypot(x, y) > deadlock._ASKS * top) & (memory.stalls == 0)
-        rows, others, walls = self._rows(stops, self._believed(turning, memory))
-        along, across, memory = self._answer(x, y, rows, others, walls, asking, memory)
+        rows, obstacles, others = self._rows(stops, self._believed(turning, memory))
+        along, across, memory = self._answer(x, y, rows, obstacles, others, asking, memory)
         changed, finite = (along != x) | (across != y), jnp.isfinite(along + across)
         along, across = jnp.where(finite, along, 0.0), jnp.where(finite, across, 0.0)
         wheels = jnp.where(changed, jnp.stack(wheels_from_body(along, across / k.point_ahead, radius, base)), wheels)
-        v, omega = body_from_wheels(*wheels, radius, base)
+        v, omega = velocities(wheels, radius, base)
         memory = memory._replace(lately=jnp.concatenate([memory.lately[1:], jnp.abs(v)[None]]))
         return wheels, self._watch(poses[:, :, :n], v * k.tick, k.point_ahead * omega * k.tick, memory)
 
     def _believed(self, turning: jax.Array, memory: Memory) -> jax.Array:
         """Return how far bodies (A, M) are believed to have gone that in truth stand."""
         bodies, n = self._k.bodies, self._n
-        speed = jnp.abs(body_from_wheels(*turning, bodies[:, spec._WHEEL], bodies[:, spec._BASE])[0])
+        speed = jnp.abs(velocities(turning, bodies[:, spec._WHEEL], bodies[:, spec._BASE])[0])
         members = jnp.maximum(speed[:, :n], memory.lately.max(axis=0))
         bystanders = jnp.broadcast_to(bodies[n:, spec._TOP], speed[:, n:].shape)  # nothing is known of their commands
         return bodies[:, spec._BELIEVED] * jnp.concatenate([members, bystanders], axis=1)
@@ -112,8 +105,8 @@ class Barrier:
     def _stops(self, poses: jax.Array, turning: jax.Array) -> Stops:
         radius, base, lag, *_ = self._k.bodies.T
         ahead, l = self._k.ahead, self._k.point_ahead
-        v, omega = body_from_wheels(*turning, radius, base)
-        x, y, psi = arc(*poses, v, omega, lag)
+        v, omega = velocities(turning, radius, base)
+        x, y, psi = arc(poses[0], poses[1], poses[2], v, omega, lag)
         half = omega * lag / 2.0
         chord, small = chord_share(half), jnp.abs(half) <= 1e-4
         slope = jnp.where(small, -half / 3.0, (jnp.cos(half) - chord) / jnp.where(small, 1.0, half))
@@ -125,107 +118,102 @@ class Barrier:
         )  # fmt: skip
 
     def _rows(self, stops: Stops, believed: jax.Array) -> tuple[Rows, int, int]:
-        """Return all rows, the index of the first one that is another's or an obstacle's, and of the first other's."""
+        """Return all rows, and which are the first of the obstacles' and of the other bodies'."""
         k, n = self._k, self._n
-        own, of_all = Stops(*(field[:, :n] for field in stops)), k.bodies
-        _, base, _, _, top, edge, fastest, _, _ = of_all[:n].T
+        own = Stops(*(field[:, :n] for field in stops))
+        wheel, base, _, wheel_speed, top, edge, fastest, *_ = k.bodies[:n].T
         back = -spec._WITHDRAWING * top
-        rows: list[Row] = []
         pairs, speed = self._pairs(own, stops, believed, back)
-        turn = base / (2.0 * k.point_ahead)
-        wheel = of_all[:n, spec._WHEEL] * of_all[:n, spec._WHEEL_SPEED] * spec._INSIDE
+        turn, wheel_limit, rows = base / (2.0 * k.point_ahead), wheel * wheel_speed * spec._INSIDE, []
         for sign in (1.0, -1.0):
-            rows += [_row(sign, sign * turn, wheel), _row(sign, -sign * turn, wheel), _row(sign, 0.0, speed * spec._INSIDE)]
+            rows += [_row(sign, sign * turn, wheel_limit), _row(sign, -sign * turn, wheel_limit)]
+            rows.append(_row(sign, 0.0, speed * spec._INSIDE))
         for out_x, out_y in spec._WALLS:
             left = abs(out_x) * k.half[0] + abs(out_y) * k.half[1] - edge - out_x * own.x - out_y * own.y
             rows.append(_towards(own, out_x, out_y, jnp.maximum(k.rate * left, back)))
-        for ring in range(k.floors):
-            rows += self._solid(ring, own, edge, fastest, back)
-        others = len(rows)
-        for ring in range(k.floors, len(self._rings)):
-            rows += self._solid(ring, own, edge, fastest, back)
-        walls = len(rows)
-        shape = own.x.shape
-        single = (jnp.stack([jnp.broadcast_to(row[part], shape) for row in rows]) for part in range(3))
-        return Rows(*(jnp.concatenate(both) for both in zip(single, pairs, strict=True))), others, walls
+        firsts = []
+        for rings in (k.rings[: k.floors], k.rings[k.floors :]):
+            firsts.append(len(rows))
+            for ring in rings:
+                rows += self._solid(ring, own, edge, fastest, back)
+        singles = (jnp.stack([jnp.broadcast_to(row[part], own.x.shape) for row in rows]) for part in range(3))
+        return Rows(*map(jnp.concatenate, zip(singles, pairs, strict=True))), firsts[1], len(rows)
 
     def _pairs(self, own: Stops, stops: Stops, believed: jax.Array, back: Array) -> tuple[Row, jax.Array]:
-        """Return a row for each other body (M, A, N), and how fast robots may be beside them."""
+        """Return a row for each body (M, A, N), and how fast robots may be beside them."""
         k, n, share = self._k, self._n, self._share
-        bodies, other = k.bodies[:n].T, [field.T[:, :, None] for field in (stops.x, stops.y, believed)]
-        others = np.arange(len(k.bodies))[:, None, None] != np.arange(n)
-        x, y = other[0] - own.x, other[1] - own.y
-        distance = jnp.hypot(x, y)
-        near = bodies[spec._DISC] + k.bodies[:, spec._DISC, None, None] + sum(k.between)
-        pair_believed = jnp.maximum(believed[:, :n], other[2])
-        allowed = (1.0 - share) * (distance - near) + share * pair_believed
-        trusted = np.where(bodies[spec._BELIEVED] > 0.0, bodies[spec._BELIEVED], 1.0)
-        speed = jnp.maximum(spec._CREEPING * bodies[spec._TOP], jnp.maximum(other[2], allowed) / trusted)
-        speed = jnp.where(others & (bodies[spec._BELIEVED] > 0.0), speed, bodies[spec._TOP])
-        apart = near + pair_believed
-        reach = apart + 2.0 * bodies[spec._FASTEST] / k.rate
+        _, _, _, _, top, _, fastest, trusted, disc = k.bodies[:n].T
+        other_x, other_y, others = (field.T[:, :, None] for field in (stops.x, stops.y, believed))
+        another = np.arange(len(k.bodies))[:, None, None] != np.arange(n)
+        x, y, either = other_x - own.x, other_y - own.y, jnp.maximum(believed[:, :n], others)
+        distance, near = jnp.hypot(x, y), disc + k.bodies[:, spec._DISC, None, None] + sum(k.between)
+        allowed = (1.0 - share) * (distance - near) + share * either
+        speed = jnp.maximum(others, allowed) / np.where(trusted > 0.0, trusted, 1.0)
+        speed = jnp.maximum(spec._CREEPING * top, jnp.where(another & (trusted > 0.0), speed, top)).min(axis=0)
+        left, reaches = distance - near - either, distance <= near + either + 2.0 * fastest / k.rate
         divisor = jnp.where(distance > 0.0, distance, 1.0)
-        limit = jnp.maximum(k.rate * (distance - apart) / 2.0, back)
-        row = _towards(own, x / divisor, y / divisor, limit, others & (distance > 0.0) & (distance <= reach))
-        return row, jnp.minimum(speed.min(axis=0), bodies[spec._TOP])
+        limit = jnp.maximum(k.rate * left / 2.0, back)
+        row = _towards(own, x / divisor, y / divisor, limit, another & (distance > 0.0) & reaches)
+        return row, jnp.minimum(speed, top)
 
-    def _solid(self, ring: int, own: Stops, edge: Array, fastest: Array, back: Array) -> list[Row]:
-        """Return the rows of a solid, as ``solid_rows``: of each of its edges, and of the way out of it."""
-        edges, (at, disc) = self._k.edges, self._rings[ring]
-        kept, x, y = edge + disc[solids.RADIUS], own.x, own.y
-        near = kept + fastest / self._k.rate
-        seen = jnp.hypot(x - disc[solids.X], y - disc[solids.Y]) <= disc[solids.REACH] + near
-        from_x, from_y, to_x, to_y = edges[at].T[:, :, None, None]
-        along_x, along_y = to_x - from_x, to_y - from_y
-        squared = along_x**2 + along_y**2
-        t = ((x - from_x) * along_x + (y - from_y) * along_y) / np.where(squared > 0.0, squared, 1.0)  # (E, A, N)
-        part = jnp.clip(t, 0.0, 1.0)
-        off_x, off_y = from_x + part * along_x - x, from_y + part * along_y - y
-        away = jnp.hypot(off_x, off_y)
-        inside = jnp.zeros_like(t, bool)
-        if len(t) > 1:
+    def _solid(self, ring: Array, own: Stops, edge: Array, fastest: Array, back: Array) -> list[Row]:
+        """Return a row for each edge of a solid, and one for the way out of it, as ``solid_rows.solid_rows``."""
+        first, last = int(ring[solids.FIRST]), int(ring[solids.LAST])
+        from_x, from_y, to_x, to_y = self._k.edges[first:last].T[:, :, None, None]
+        kept = edge + ring[solids.RADIUS]
+        near = kept + fastest / self._k.rate  # nothing that the robot can do breaks a row further away
+        seen = jnp.hypot(own.x - ring[solids.X], own.y - ring[solids.Y]) <= ring[solids.REACH] + near
+        along_x, along_y, off_x, off_y = to_x - from_x, to_y - from_y, own.x - from_x, own.y - from_y
+        squared = along_x * along_x + along_y * along_y
+        t = (off_x * along_x + off_y * along_y) / np.where(squared > 0.0, squared, 1.0)  # (E, A, N)
+        within, begins = (t > 0.0) & (t < 1.0), (t <= 0.0) & (jnp.roll(t, 1, axis=0) >= 1.0)
+        if last - first == 1:
+            begins, inside = t <= 0.0, jnp.zeros_like(within)
+        else:
             before_x, before_y = np.roll(along_x, 1, axis=0), np.roll(along_y, 1, axis=0)
-            notch = before_x * along_y - before_y * along_x < 0.0  # of the solid, at the edge's beginning
-            left = along_x * (y - from_y) - along_y * (x - from_x) > 0.0
+            notch = before_x * along_y - before_y * along_x < 0.0  # where an edge begins
             corner = jnp.where(t >= 1.0, np.roll(notch, -1, axis=0), notch)
-            inside = jnp.where((t > 0.0) & (t < 1.0), left, corner)
-        begins = jnp.roll(t, 1, axis=0) >= 1.0 if len(t) > 1 else True
-        local = ((t > 0.0) & (t < 1.0)) | ((t <= 0.0) & begins)
-        distance, rate = jnp.where(away > 0.0, away, 1.0), self._k.rate
-        to_x, to_y = off_x / distance, off_y / distance
-        limit = jnp.maximum(rate * (away - kept), back)
-        kinds = seen & (away > 0.0)
-        edge_rows = _towards(own, to_x, to_y, limit, kinds & local & (away < near) & ~inside)
-        least = jnp.argmin(away, axis=0)[None]
-        nearest_of = [jnp.take_along_axis(field, least, axis=0)[0] for field in (to_x, to_y, away, inside & kinds)]
-        limit = jnp.maximum(rate * (-nearest_of[2] - kept), back)
-        out = _towards(own, -nearest_of[0], -nearest_of[1], limit, nearest_of[3])
-        return [*zip(*edge_rows, strict=True), out]
+            inside = jnp.where(within, along_x * off_y - along_y * off_x > 0.0, corner)
+        part = jnp.clip(t, 0.0, 1.0)
+        x, y = part * along_x - off_x, part * along_y - off_y
+        distance = jnp.hypot(x, y)
+        exists, divisor = seen & (distance > 0.0), jnp.where(distance > 0.0, distance, 1.0)
+
+        def away(x: jax.Array, y: jax.Array, distance: jax.Array, exists: jax.Array) -> Row:
+            return _towards(own, x, y, jnp.maximum(self._k.rate * (distance - kept), back), exists)
+
+        x, y = x / divisor, y / divisor
+        edges = away(x, y, distance, exists & (within | begins) & (distance < near) & ~inside)
+        least = jnp.argmin(distance, axis=0)[None]
+        x, y, distance, exists = (
+            jnp.take_along_axis(field, least, axis=0)[0] for field in (x, y, distance, exists & inside)
+        )
+        return [*zip(*edges, strict=True), away(-x, -y, -distance, exists)]
 
     def _answer(
-        self, x: jax.Array, y: jax.Array, rows: Rows, others: int, walls: int, asking: jax.Array, m: Memory
+        self, x: jax.Array, y: jax.Array, rows: Rows, obstacles: int, others: int, asking: jax.Array, m: Memory
     ) -> tuple[jax.Array, jax.Array, Memory]:
         """Return what robots get for (x, y), and remember whether they get on, as ``deadlock.answer``."""
         around, until_clear, *_ = self._k.times
         top, wanted = self._k.bodies[: self._n, spec._TOP], jnp.hypot(x, y)
         broken = rows.over(x, y) > nearest.TOLERANCE
-        met, walled = broken[others:].any(axis=0), broken[others:walls].any(axis=0)
-        stand = jnp.ones((len(rows.a) - walls, len(asking), 1), bool).at[: self._n].set(~asking.T[:, :, None])
-        stands = walled | (broken[walls:] & stand).any(axis=0)
+        met, walled = broken[obstacles:].any(axis=0), broken[obstacles:others].any(axis=0)
+        asking = jnp.pad(asking, ((0, 0), (0, len(self._k.bodies) - self._n)))  # bystanders do not
+        stands = walled | (broken[others:] & ~asking.T[:, :, None]).any(axis=0)
         pressing = met & (wanted > deadlock._WANTED * top)
         clear = jnp.where(met, 0, m.clear + 1)
         turn = jnp.where(clear >= until_clear, 0, m.turn)
         begins = pressing & (turn == 0) & (m.held >= around)
         turn, held, vain = jnp.where(begins, 1, turn), jnp.where(begins, 0, m.held), jnp.where(begins, 0, m.vain)
         turned = pressing & (turn > 0)
-        c, s = jnp.moveaxis(jnp.asarray(_TURNS)[jnp.maximum(turn, 1) - 1], -1, 0)
+        c, s = jnp.array(deadlock._TURNS).T[:, jnp.maximum(turn, 1) - 1]
         turn_x, turn_y = jnp.where(turned, c * x + s * y, x), jnp.where(turned, c * y - s * x, y)
         along, across = nearest_point(turn_x, turn_y, rows)
         least = deadlock._GRANTED * wanted * wanted
         gets_on = x * along + y * across >= least
         stuck = met & (jnp.hypot(along, across) < deadlock._GRANTED * wanted)
         in_vain = jnp.where(walled, turn_x * along + turn_y * across < least, stuck)
-        last = jnp.where(walled, len(_TURNS), deadlock._RIGHT)
+        last = jnp.where(walled, len(deadlock._TURNS), deadlock._RIGHT)
         tried = jnp.where(in_vain, vain + 1, jnp.maximum(0, vain - 1))
         over = turned & (tried >= around)
         further = jnp.where(stands & (turn < last), turn + 1, 0)
@@ -252,21 +240,18 @@ class Barrier:
 
 
 def nearest_point(x: jax.Array, y: jax.Array, rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return the points nearest to (x, y) that keep all rows; NaN where there is none, as ``nearest.nearest``."""
+    """Return the points nearest to (x, y) that keep all rows, as ``nearest.nearest``; NaN where there is none."""
     keeps = rows.excess(x, y) <= nearest.TOLERANCE
-    first = _project(x, y, rows)
+    first_x, first_y, found = _project(x, y, rows)
     relaxed = rows._replace(c=jnp.maximum(rows.c, 0.0))  # it cannot withdraw from all: not nearer to any
-    second = jax.lax.cond((keeps | first[2]).all(), lambda: first, lambda: _project(x, y, relaxed))
-    nan = jnp.where(second[2], 0.0, jnp.nan)
-    return tuple(
-        jnp.where(keeps, asked, jnp.where(first[2], one, other + nan))
-        for asked, one, other in zip((x, y), first, second, strict=False)
-    )  # type: ignore[return-value]
+    second_x, second_y, found_then = _project(x, y, relaxed)
+    cases, nan = [keeps, found, found_then], jnp.nan
+    return jnp.select(cases, [x, first_x, second_x], nan), jnp.select(cases, [y, first_y, second_y], nan)
 
 
 def _project(x0: jax.Array, y0: jax.Array, rows: Rows) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the points nearest to (x0, y0) that keep all rows, row by row, and where they are checked to."""
-    index = jnp.arange(rows.count)[:, None, None]
+    index = jnp.arange(len(rows.a))[:, None, None]
 
     def keep(k: jax.Array, point: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         x, y, found = point
@@ -284,7 +269,7 @@ def _project(x0: jax.Array, y0: jax.Array, rows: Rows) -> tuple[jax.Array, jax.A
             jnp.where(broken, on_x - shift * b, x), jnp.where(broken, on_y + shift * a, y), found & ~(broken & none),
         )  # fmt: skip
 
-    x, y, found = jax.lax.fori_loop(0, rows.count, keep, (x0, y0, jnp.ones_like(x0, bool)))
+    x, y, found = jax.lax.fori_loop(0, len(rows.a), keep, (x0, y0, jnp.ones_like(x0, bool)))
     return x, y, found & (rows.excess(x, y) <= nearest._CHECKED)
 
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from robofleet.core.arrays import Array
 from robofleet.safety import gate
 from robofleet.vehicles import plant
 from robofleet.vehicles.differential_drive import body_from_wheels
@@ -135,7 +136,8 @@ def advance(b: Body, p: Build, g: Gates, key: jax.Array | None, tick_ns: int) ->
         return jnp.where(moving, end_ns, at_ns), draws + 1, body
 
     start = jnp.zeros_like(p.delay_ns), jnp.zeros((), p.delay_ns.dtype), b
-    return jax.lax.while_loop(lambda loop: (loop[0] < tick_ns).any(), step, start)[2]
+    _, _, body = jax.lax.while_loop(lambda loop: (loop[0] < tick_ns).any(), step, start)
+    return Body(*body)
 
 
 def _row(rows: jax.Array, index: jax.Array) -> jax.Array:
@@ -153,9 +155,9 @@ def _step(b: Body, p: Build, commands: jax.Array, duration: jax.Array, noise: ja
     setpoints = jnp.where(p.swapped, commands[::-1], p.signs * commands)
     means, angles, speeds, counted = _turn(p, b.angles, b.speeds, b.counted, setpoints, top, duration)
     rolled = p.gains * means
-    turning = p.slip * jnp.abs(body_from_wheels(*rolled, p.wheel_radius, p.wheel_base)[1])
+    turning = p.slip * jnp.abs(velocities(rolled, p.wheel_radius, p.wheel_base)[1])
     rolled *= 1.0 - turning * jnp.maximum(0.0, 1.0 + p.slip_noise * noise)
-    v, omega = body_from_wheels(*rolled, p.wheel_radius, p.wheel_base)
+    v, omega = velocities(rolled, p.wheel_radius, p.wheel_base)
     x, y, psi = arc(b.x, b.y, b.psi, v, omega, duration)
     return Body(x, y, psi, used, angles, speeds, counted)
 
@@ -182,6 +184,11 @@ def _turn(
 
 def _or_1(divisor: jax.Array) -> jax.Array:
     return jnp.where(divisor > 0.0, divisor, 1.0)
+
+
+def velocities(wheels: jax.Array, radius: jax.Array | Array, base: jax.Array | Array) -> tuple[jax.Array, jax.Array]:
+    """Return v [m/s] and omega [rad/s] of wheels (2, ...) [rad/s]."""
+    return body_from_wheels(wheels[0], wheels[1], radius, base)  # type: ignore[arg-type, return-value]
 
 
 def arc(
