@@ -188,7 +188,7 @@ def _or_1(divisor: jax.Array) -> jax.Array:
 
 def velocities(wheels: jax.Array, radius: jax.Array | Array, base: jax.Array | Array) -> tuple[jax.Array, jax.Array]:
     """Return v [m/s] and omega [rad/s] of wheels (2, ...) [rad/s]."""
-    return body_from_wheels(wheels[0], wheels[1], radius, base)  # type: ignore[arg-type, return-value]
+    return body_from_wheels(wheels[0], wheels[1], radius, base)  # type: ignore[arg-type]
 
 
 def arc(
