@@ -74,11 +74,16 @@ def test_robots_obey_as_numbas_do() -> None:
     config = without_noise(load_config(PLATOON), actuation_delay_s=0.07)
     starts = np.repeat(STARTS[None], 8, axis=0)
     with both(config, starts, barrier=False, odd_share=0.2) as worlds:
-        for request in commands(606):
+        (numba, other), requests = worlds, np.repeat(commands(606)[:, None], 8, axis=1)
+        began = other.state
+        for request in requests:
             for world in worlds:
-                world.step(np.repeat(request[None], 8, axis=0), OF_BODY)
-        numba, other = worlds
+                world.step(request, OF_BODY)
         assert apart(numba.truths, other.truths) < CLOSE
+        with jax.enable_x64(True):  # and so does a loop of JAX's own
+            key = jax.random.key(1)
+            ended, _ = jax.lax.scan(lambda state, u: (other.advance(state, u, OF_BODY, key), None), began, requests)
+        assert np.array_equal(ended.body.x, other.truths[..., 0])
         assert np.hypot(*(numba.truths - starts)[..., :2].T).min() > 0.05
         assert jax.numpy.zeros(1).dtype == np.float32  # who trains beside it keeps numbers of 32 bits
 

@@ -1,8 +1,10 @@
 """The barrier of ``safety/barrier.py`` with its solids, its right-hand rule and its quadratic program, in JAX.
 
-Arrays end with (A, N): arenas and robots, or with (A, M): bodies. Rows (R, A, N) are those of ``safety/nearest.py``;
-one that there is not keeps nothing. All bodies are seen, nobody pushes one, and every robot may drive, so what
-depends on that is left out; so is what counts who is blocked, for which no environment asks.
+Arrays end with (A, N): arenas and robots, or with (A, M): bodies. All rows of ``safety/nearest.py`` are always there,
+(R, A, N): one that does not apply has a limit that nothing reaches. All pairs of bodies are compared.
+
+In an environment all bodies are seen, no bystander moves, and every robot may drive: the terms of these cases are left
+out. So are the counters of blocked robots: no environment reads them.
 """
 
 from typing import NamedTuple
@@ -13,12 +15,12 @@ import numpy as np
 
 from robofleet.core.arrays import Array
 from robofleet.envs.jax.plant import arc, chord_share, velocities
-from robofleet.safety import barrier as spec
+from robofleet.safety import barrier as cbf
 from robofleet.safety import deadlock, nearest, solid_rows
 from robofleet.vehicles import solids
 from robofleet.vehicles.differential_drive import wheels_from_body
 
-_FAR = 1e9  # of a row that keeps nothing [m/s]
+_FAR = 1e9  # the limit of a row that does not apply [m/s]
 
 Row = tuple[jax.Array, jax.Array, jax.Array]
 
@@ -52,7 +54,7 @@ class Memory(NamedTuple):
 
 
 class Stops(NamedTuple):
-    """Where bodies would come to rest, and that point's velocity by one of v, and by one of l omega."""
+    """Points q of the poses (A, M) where bodies come to rest, and their velocities by one of v, and of l omega."""
 
     x: jax.Array
     y: jax.Array
@@ -65,13 +67,13 @@ class Stops(NamedTuple):
 class Barrier:
     """The barrier of N robots among M bodies; ``constants`` as ``safety.barrier`` makes them."""
 
-    def __init__(self, constants: spec.Constants, robots: int) -> None:
+    def __init__(self, constants: cbf.Constants, robots: int) -> None:
         self._k, self._n = constants, robots
         self._share = min(1.0, constants.rate * constants.tick)
 
     def fresh(self, arenas: int) -> Memory:
         """Return the memory at first."""
-        lately = spec.fresh(self._k).lately[: self._n].T[:, None]
+        lately = cbf.fresh(self._k).lately[: self._n].T[:, None]
         none = np.zeros((arenas, self._n), np.int64)
         return Memory(np.repeat(lately, arenas, axis=1), none, none, none, none, none, none, np.zeros((5, *none.shape)))
 
@@ -95,14 +97,15 @@ class Barrier:
         return wheels, self._watch(poses[:, :, :n], v * k.tick, k.point_ahead * omega * k.tick, memory)
 
     def _believed(self, turning: jax.Array, memory: Memory) -> jax.Array:
-        """Return how far bodies (A, M) are believed to have gone that in truth stand."""
+        """Return how far bodies (A, M) that in truth stand are believed to have gone [m]."""
         bodies, n = self._k.bodies, self._n
-        speed = jnp.abs(velocities(turning, bodies[:, spec._WHEEL], bodies[:, spec._BASE])[0])
+        speed = jnp.abs(velocities(turning, bodies[:, cbf._WHEEL], bodies[:, cbf._BASE])[0])
         members = jnp.maximum(speed[:, :n], memory.lately.max(axis=0))
-        bystanders = jnp.broadcast_to(bodies[n:, spec._TOP], speed[:, n:].shape)  # nothing is known of their commands
-        return bodies[:, spec._BELIEVED] * jnp.concatenate([members, bystanders], axis=1)
+        bystanders = jnp.broadcast_to(bodies[n:, cbf._TOP], speed[:, n:].shape)  # as ``cbf.fresh`` has them
+        return bodies[:, cbf._BELIEVED] * jnp.concatenate([members, bystanders], axis=1)
 
     def _stops(self, poses: jax.Array, turning: jax.Array) -> Stops:
+        """Return where bodies come to rest, as ``barrier._stop``."""
         radius, base, lag, *_ = self._k.bodies.T
         ahead, l = self._k.ahead, self._k.point_ahead
         v, omega = velocities(turning, radius, base)
@@ -118,17 +121,17 @@ class Barrier:
         )  # fmt: skip
 
     def _rows(self, stops: Stops, believed: jax.Array) -> tuple[Rows, int, int]:
-        """Return all rows, and which are the first of the obstacles' and of the other bodies'."""
+        """Return all rows, and the indices where those of obstacles begin, and those of other bodies."""
         k, n = self._k, self._n
         own = Stops(*(field[:, :n] for field in stops))
         wheel, base, _, wheel_speed, top, edge, fastest, *_ = k.bodies[:n].T
-        back = -spec._WITHDRAWING * top
+        back = -cbf._WITHDRAWING * top
         pairs, speed = self._pairs(own, stops, believed, back)
-        turn, wheel_limit, rows = base / (2.0 * k.point_ahead), wheel * wheel_speed * spec._INSIDE, []
+        turn, wheel_limit, rows = base / (2.0 * k.point_ahead), wheel * wheel_speed * cbf._INSIDE, []
         for sign in (1.0, -1.0):
             rows += [_row(sign, sign * turn, wheel_limit), _row(sign, -sign * turn, wheel_limit)]
-            rows.append(_row(sign, 0.0, speed * spec._INSIDE))
-        for out_x, out_y in spec._WALLS:
+            rows.append(_row(sign, 0.0, speed * cbf._INSIDE))
+        for out_x, out_y in cbf._WALLS:
             left = abs(out_x) * k.half[0] + abs(out_y) * k.half[1] - edge - out_x * own.x - out_y * own.y
             rows.append(_towards(own, out_x, out_y, jnp.maximum(k.rate * left, back)))
         firsts = []
@@ -140,16 +143,16 @@ class Barrier:
         return Rows(*map(jnp.concatenate, zip(singles, pairs, strict=True))), firsts[1], len(rows)
 
     def _pairs(self, own: Stops, stops: Stops, believed: jax.Array, back: Array) -> tuple[Row, jax.Array]:
-        """Return a row for each body (M, A, N), and how fast robots may be beside them."""
+        """Return a row for each body (M, A, N), as ``barrier._pair``, and how fast robots may be beside them all."""
         k, n, share = self._k, self._n, self._share
         _, _, _, _, top, _, fastest, trusted, disc = k.bodies[:n].T
         other_x, other_y, others = (field.T[:, :, None] for field in (stops.x, stops.y, believed))
         another = np.arange(len(k.bodies))[:, None, None] != np.arange(n)
         x, y, either = other_x - own.x, other_y - own.y, jnp.maximum(believed[:, :n], others)
-        distance, near = jnp.hypot(x, y), disc + k.bodies[:, spec._DISC, None, None] + sum(k.between)
+        distance, near = jnp.hypot(x, y), disc + k.bodies[:, cbf._DISC, None, None] + sum(k.between)
         allowed = (1.0 - share) * (distance - near) + share * either
         speed = jnp.maximum(others, allowed) / np.where(trusted > 0.0, trusted, 1.0)
-        speed = jnp.maximum(spec._CREEPING * top, jnp.where(another & (trusted > 0.0), speed, top)).min(axis=0)
+        speed = jnp.maximum(cbf._CREEPING * top, jnp.where(another & (trusted > 0.0), speed, top)).min(axis=0)
         left, reaches = distance - near - either, distance <= near + either + 2.0 * fastest / k.rate
         divisor = jnp.where(distance > 0.0, distance, 1.0)
         limit = jnp.maximum(k.rate * left / 2.0, back)
@@ -195,7 +198,7 @@ class Barrier:
     ) -> tuple[jax.Array, jax.Array, Memory]:
         """Return what robots get for (x, y), and remember whether they get on, as ``deadlock.answer``."""
         around, until_clear, *_ = self._k.times
-        top, wanted = self._k.bodies[: self._n, spec._TOP], jnp.hypot(x, y)
+        top, wanted = self._k.bodies[: self._n, cbf._TOP], jnp.hypot(x, y)
         broken = rows.over(x, y) > nearest.TOLERANCE
         met, walled = broken[obstacles:].any(axis=0), broken[obstacles:others].any(axis=0)
         asking = jnp.pad(asking, ((0, 0), (0, len(self._k.bodies) - self._n)))  # bystanders do not
@@ -250,7 +253,7 @@ def nearest_point(x: jax.Array, y: jax.Array, rows: Rows) -> tuple[jax.Array, ja
 
 
 def _project(x0: jax.Array, y0: jax.Array, rows: Rows) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the points nearest to (x0, y0) that keep all rows, row by row, and where they are checked to."""
+    """Return the points nearest to (x0, y0) that keep all rows, and whether they do, as ``nearest._project``."""
     index = jnp.arange(len(rows.a))[:, None, None]
 
     def keep(k: jax.Array, point: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -274,7 +277,7 @@ def _project(x0: jax.Array, y0: jax.Array, rows: Rows) -> tuple[jax.Array, jax.A
 
 
 def _row(along: jax.Array | float, across: jax.Array | float, limit: jax.Array, exists: jax.Array | bool = True) -> Row:
-    """Return along v + across (l omega) <= limit, scaled to a normal of size 1."""
+    """Return the row along v + across (l omega) <= limit, scaled to a normal of size 1, as ``solid_rows.add_row``."""
     size = jnp.hypot(along, across)
     exists &= size >= solid_rows._LEAST
     divisor = jnp.where(exists, size, 1.0)
@@ -285,5 +288,5 @@ def _row(along: jax.Array | float, across: jax.Array | float, limit: jax.Array, 
 
 
 def _towards(stop: Stops, x: jax.Array, y: jax.Array, limit: jax.Array, exists: jax.Array | bool = True) -> Row:
-    """Return that robots go no faster than ``limit`` [m/s] in a direction (x, y)."""
+    """Return the row of robots that go no faster than ``limit`` [m/s] in a direction (x, y)."""
     return _row(x * stop.v_x + y * stop.v_y, x * stop.turn_x + y * stop.turn_y, limit, exists)

@@ -1,7 +1,7 @@
-"""A tick of gates' ramps and plants, all robots at once: the equations of ``safety/gate.py`` and ``vehicles/plant.py``.
+"""The equations of ``safety/gate.py`` (its ramp) and ``vehicles/plant.py`` in JAX, for a tick of all robots at once.
 
-Arrays end with (A, N): arenas and robots. Units are those of the two modules. Instants [ns] count from the tick's
-beginning, so that they fit 32 bits. A robot's cuts of time are its own: a loop steps all until the last one is there.
+Arrays end with (A, N): arenas and robots. Units are those of the two modules. Instants [ns] count from the beginning of
+the tick, so that they fit 32 bits. Each robot cuts time at its own instants: a loop goes on until all reach the end.
 """
 
 from typing import NamedTuple
@@ -19,14 +19,14 @@ _NS = 1e-9
 
 
 class Build(NamedTuple):
-    """How robots are built, as ``plant.Build``; two rows are the left and the right wheel's."""
+    """How robots are built, as ``plant.Build``. Where there are two rows, they are of the left and the right wheel."""
 
     wheel_radius: jax.Array
     wheel_base: jax.Array
     max_wheel_speed: jax.Array
     motor_lag: jax.Array
     stop_lag: jax.Array
-    count: jax.Array  # of the encoders [rad]; 0: none
+    count: jax.Array  # resolution of the encoders [rad]; 0: they are ideal
     deadband: jax.Array
     breakaway: jax.Array
     slip: jax.Array
@@ -62,16 +62,16 @@ class Body(NamedTuple):
 
 
 class Gates(NamedTuple):
-    """What gates remember, and what they gave the wheels in the tick that begins and in H - 1 before it.
+    """What gates remember, and their outputs in the newest tick and in H - 1 ticks before it.
 
-    While an output is on its way it is renewed every ``gate.RAMP_NS``: at K instants of a tick at most.
+    While an output is on its way to its target, it is renewed every ``gate.RAMP_NS``: at K instants of a tick at most.
     """
 
     output: jax.Array  # (2, A, N) [rad/s]
     target: jax.Array  # (2, A, N)
     elapsed_ns: jax.Array  # since it was renewed last
     outputs: jax.Array  # (H, K, 2, A, N)
-    renewed: jax.Array  # (H, A, N) how often after a tick's beginning
+    renewed: jax.Array  # (H, A, N): the last one of these instants, from 0
 
 
 def placed(starts: np.ndarray) -> Body:
@@ -82,7 +82,7 @@ def placed(starts: np.ndarray) -> Body:
 
 
 def closed(shape: tuple[int, int], tick_ns: int, ticks: int) -> Gates:
-    """Return gates (A, N) that gave nothing for H ticks."""
+    """Return gates (A, N) whose outputs were 0 for H ticks."""
     wheels, renewals = np.zeros((2, *shape)), -(-tick_ns // gate.RAMP_NS)
     return Gates(
         wheels, wheels, np.zeros(shape, np.int64), np.zeros((ticks, renewals, *wheels.shape)),
@@ -112,13 +112,13 @@ def obey(g: Gates, wheels: jax.Array, acceleration: jax.Array, tick_ns: int) -> 
 
 
 def advance(b: Body, p: Build, g: Gates, key: jax.Array | None, tick_ns: int) -> Body:
-    """Return bodies after a tick behind gates that have obeyed; ``key``: of the random numbers; None: no noise."""
+    """Return bodies after the newest tick of their gates; ``key``: of the random numbers; None: without noise."""
     ticks, renewals = g.outputs.shape[:2]
     outputs = g.outputs.reshape(ticks * renewals, *g.output.shape)
 
     def instants(at_ns: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the row of the output that is given at instants, and when it is renewed."""
-        tick = at_ns // tick_ns  # 0 or less
+        """Return the rows of the outputs at instants (A, N), and when the next ones follow."""
+        tick = at_ns // tick_ns  # the newest one is 0
         step = (at_ns - tick * tick_ns) // gate.RAMP_NS
         renewed = _row(g.renewed, tick + ticks - 1)
         next_ns = jnp.where(step < renewed, tick * tick_ns + (step + 1) * gate.RAMP_NS, (tick + 1) * tick_ns)
@@ -141,7 +141,7 @@ def advance(b: Body, p: Build, g: Gates, key: jax.Array | None, tick_ns: int) ->
 
 
 def _row(rows: jax.Array, index: jax.Array) -> jax.Array:
-    """Return of rows (R, ..., A, N) for each robot the one that an index (A, N) says: (..., A, N)."""
+    """Return each robot's row (..., A, N) of rows (R, ..., A, N), by an index (A, N)."""
     if len(rows) == 1:
         return rows[0]
     index = jnp.expand_dims(index, tuple(range(rows.ndim - index.ndim)))
