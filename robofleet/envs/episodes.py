@@ -13,8 +13,8 @@ from robofleet.config import barrier as config_barrier
 from robofleet.config import groups, slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config, Group
+from robofleet.core import refusal
 from robofleet.core.arrays import Array, Array32, Flags, Indices
-from robofleet.core.refusal import need_extra
 from robofleet.envs.arenas import Arenas
 from robofleet.envs.robots import builds
 from robofleet.policies.interface import Task, View, load_task, observed, velocities
@@ -73,7 +73,7 @@ class Episodes:
         Raises:
             ValidationError: Wrong settings.
             PluginError: There is no such task.
-            ValueError: No such group or backend, or a robot that cannot be simulated.
+            ValueError: No such group, or a robot that cannot be simulated.
         """
         config = groups.named(config if isinstance(config, Config) else load_config(Path(config)))
         titles = [each.title for each in config.groups]
@@ -174,7 +174,7 @@ def _arenas(backend: str, threads: int | None) -> "Callable[..., Arenas | JaxAre
         return partial(Arenas, threads=threads)
     if backend not in ("jax", "jax32"):
         raise ValueError(f"backend={backend!r}: must be 'numba', 'jax' or 'jax32'")
-    need_extra("jax", "jax")
+    refusal.need_extra("jax", "jax")
     from robofleet.envs.jax.arenas import JaxArenas  # noqa: PLC0415 - an extra
 
     return partial(JaxArenas, double=backend == "jax")
