@@ -1,9 +1,10 @@
 """Episodes of a task in many arenas: what the environments of Gymnasium and PettingZoo are made of."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,11 +13,15 @@ from robofleet.config import barrier as config_barrier
 from robofleet.config import groups, slices
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config, Group
+from robofleet.core import refusal
 from robofleet.core.arrays import Array, Array32, Flags, Indices
 from robofleet.core.errors import BadInputError
 from robofleet.envs.arenas import Arenas
 from robofleet.envs.robots import builds
 from robofleet.policies.interface import Task, View, load_task, observed, velocities
+
+if TYPE_CHECKING:
+    from robofleet.envs.jax.arenas import JaxArenas
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +54,7 @@ class Episodes:
     def __init__(
         self, config: Config | Path | str, task: str | type[Task], *, arenas: int, seed: int = 0,
         settings: Mapping[str, Any] | None = None, group: str | None = None, randomise: float = 1.0,
-        barrier: bool = True, threads: int | None = None,
+        barrier: bool = True, threads: int | None = None, backend: str = "numba",
     ) -> None:  # fmt: skip
         """Make the arenas; ``reset`` begins their first episodes.
 
@@ -63,6 +68,8 @@ class Episodes:
             randomise: How far robots differ from episode to episode, as ``envs.robots.builds`` has it.
             barrier: Whether the barrier changes commands.
             threads: How many step the arenas. None: one for each core.
+            backend: What steps the arenas: ``numba``; ``jax``, on an accelerator if there is one; ``jax32``: numbers
+                of 32 bits.
 
         Raises:
             ValidationError: Wrong settings.
@@ -85,7 +92,8 @@ class Episodes:
         if wrong := [f"settings.{key}: {message}" for key, message in self.task.refusals()]:
             raise BadInputError("\n".join(wrong))
         self._episode_ticks = round(self.task.duration_s / self.team.tick)
-        self.arenas = Arenas(config, arenas, seed, builds=builds(config, randomise), barrier=barrier, threads=threads)
+        make = _arenas(backend, threads)
+        self.arenas = make(config, arenas, seed, builds=builds(config, randomise), barrier=barrier)
         self._rng = slices.generator(seed, "episodes")
         self._beside = [
             (rows, [groups.behaviour(config, each) for _ in range(arenas)])
@@ -191,6 +199,18 @@ def point_velocities(velocities: Array, headings: Array, team: Team) -> Array:
     v, across = velocities[..., 0], team.point_ahead * velocities[..., 1]
     c, s = np.cos(headings), np.sin(headings)
     return np.stack([c * v - s * across, s * v + c * across], axis=-1)
+
+
+def _arenas(backend: str, threads: int | None) -> "Callable[..., Arenas | JaxArenas]":
+    """Return what makes arenas."""
+    if backend == "numba":
+        return partial(Arenas, threads=threads)
+    if backend not in ("jax", "jax32"):
+        raise ValueError(f"backend={backend!r}: must be 'numba', 'jax' or 'jax32'")
+    refusal.need_extra("jax", "jax")
+    from robofleet.envs.jax.arenas import JaxArenas  # noqa: PLC0415 - an extra
+
+    return partial(JaxArenas, double=backend == "jax")
 
 
 def _starts_beside(config: Config, own: Group) -> dict[str, Pose]:

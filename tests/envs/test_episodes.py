@@ -117,6 +117,7 @@ def test_other_groups_do_what_their_behaviours_decide() -> None:
         ({"task": "go_to", "group": "nobody"}, "there is no group 'nobody': the configuration has platoon"),
         ({"task": "go_to", "settings": {"accuracy_m": -1}}, "accuracy_m"),
         ({"task": "go_to", "settings": {"goals": {"r1": {"x_m": 0, "y_m": 0}}}}, "r2"),
+        ({"task": "go_to", "backend": "cuda"}, "backend='cuda': must be 'numba', 'jax' or 'jax32'"),
     ],
 )
 def test_what_cannot_be_is_refused(options: dict[str, Any], line: str) -> None:

@@ -1,0 +1,1 @@
+"""The step of ``envs/arenas.py`` in JAX, for accelerators. The extra ``jax`` brings JAX."""
