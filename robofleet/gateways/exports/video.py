@@ -99,7 +99,8 @@ class _Palette:
     def pictures(self, images: Iterable[Image]) -> Iterator[Pictures.Image]:
         """Yield images in these colours; what does not change is transparent."""
         same = len(self._colours)
-        before, shown = np.zeros(0, np.uint8), np.zeros(0, np.uint8)
+        before: Image = np.zeros(0, np.uint8)
+        shown: NDArray[np.uint8] = np.zeros(0, np.uint8)
         for image in images:
             if not shown.size:
                 shown = self._indices(image.reshape(-1, 3)).reshape(image.shape[:2])
