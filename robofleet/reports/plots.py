@@ -231,5 +231,5 @@ def sections(view: RunView) -> dict[str, list[Plot]]:
     alone = len(view.run.parts) == 1
     groups = {f"Group {part.group.name}": of_group(part, alone=alone) for part in view.run.parts}
     papers = list(paper_figures.plots(view)) if is_papers(view.config) else []
-    plots = {**HAPPENED, "The paper's figures": papers, **groups, **FLEET}
+    plots = {**HAPPENED, **groups, "The paper's figures": papers, **FLEET}
     return {section: list(entries) for section, entries in plots.items() if entries}

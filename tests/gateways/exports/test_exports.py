@@ -22,6 +22,7 @@ from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, UNIT_STATUS
 from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.cli import app
 from robofleet.core.clock import S
+from robofleet.gateways.exports import video
 from robofleet.gateways.ros2.topics import load
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.reading import about, messages
@@ -264,6 +265,24 @@ def test_a_film_shows_the_robots_where_they_were(run: RecordedRun, tmp_path: Pat
     end = {name: poses[name][poses["robot"] == "r1"][60] for name in ("x_m", "y_m")}
     scale = 320 / (run.config.arena.size_m[0] + 0.2)
     assert abs(at[0] - (160 + scale * end["x_m"])) < 12
+
+
+def test_a_gif_shows_each_image_and_holds_only_what_changes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    background = rng.choice(np.array([[255, 255, 255], [40, 60, 90], [200, 80, 20]], np.uint8), (60, 80))
+    images = [background.copy() for _ in range(30)]
+    for k, image in enumerate(images):
+        image[2:12, 2 * k : 2 * k + 10] = image[50:58, 70 - 2 * k : 78 - 2 * k] = (27, 108, 168)
+    video.gif(tmp_path / "moving.gif", iter(images), 50)
+    video.gif(tmp_path / "still.gif", iter(images[:1]), 50)
+    with Image.open(tmp_path / "moving.gif") as film:
+        assert film.n_frames == len(images)
+        for k, image in enumerate(images):
+            film.seek(k)
+            np.testing.assert_array_equal(np.asarray(film.convert("RGB")), image)
+            assert film.info["duration"] == 50
+    still, moving = ((tmp_path / f"{name}.gif").stat().st_size for name in ("still", "moving"))
+    assert moving < still + 29 * 250
 
 
 @pytest.mark.slow
