@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from robofleet.behaviours.platoon import Platoon
 from robofleet.core.arrays import Array
-from robofleet.core.figures import COLOURS, INK
+from robofleet.core.figures import COLOURS, FAINT, INK
 from robofleet.recording.gauge import Curve
 from robofleet.reports.canvas import Legend, Plot, RunView, few, level, lines, sheet, strips
 from robofleet.reports.group_plots import colours
@@ -119,9 +119,9 @@ def _trajectories(view: RunView) -> Figure:
     points = view.run.points()
     figure, (axes,) = sheet(0.8 * floor_inch(view.config))
     (path,) = (shape.points for shape in view.run.groups[0].shapes if shape.name == "path")
+    axes.plot(*np.concatenate([path, path[:1]]).T, color=FAINT, lw=7.0)
     for row, colour in enumerate(view.colours):
-        axes.plot(*trail(points[:, row]).T, color=colour, lw=6.0 - 1.5 * row)
-    axes.plot(*np.concatenate([path, path[:1]]).T, color=INK, lw=0.8, ls=(0, (4, 4)))
+        axes.plot(*trail(points[:, row]).T, color=colour, lw=3.0 - 0.7 * row)  # each shows beside the next one's
     for row, colour in enumerate(view.colours):
         axes.plot(*points[0, row], "o", ms=7, mfc=colour, mec="white")
     axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
