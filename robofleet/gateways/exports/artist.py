@@ -14,7 +14,7 @@ from robofleet.core.figures import FAINT, INK, QUIET
 from robofleet.gateways.exports.strokes import SHIFT, WHITE, Colour, Image, blend, label, line, mixed, rgb, text, trail
 from robofleet.reports.canvas import ALARM, WIDTH, RunView
 from robofleet.reports.overview import floor
-from robofleet.safety.supervisor import Phase
+from robofleet.safety.supervisor import MOVING
 
 _TRAIL_S, _TRAIL_SHOWN_S = 8.0, 2.0  # of the run, and of the film: the longer of the two
 _TRAIL_STEP = 1 / 320  # between the points of a trail [widths]
@@ -31,7 +31,6 @@ _BODY = (  # a robot from above: its wheels, its disc, an arrow; points ahead an
 _OUTLINES, _ENDS = np.concatenate(_BODY), np.cumsum([len(outline) for outline in _BODY])[:-1]
 
 Pixels = Callable[[Array], Array]  # of points of the floor (n, 2) [m] -> pixels (n, 2)
-_DRIVES = Phase.RUNNING, Phase.POSITIONING, Phase.PARKING
 
 
 class Artist:
@@ -142,7 +141,7 @@ class Artist:
     def _phase(self, t: float) -> str:
         """Return what the run did instead of running, and why; empty: it ran."""
         spans = (span for span in self._view.timeline.phases if span.t_s <= t < span.until_s)
-        return next((f"{s.name}: {s.cause}" if s.cause else s.name for s in spans if s.phase not in _DRIVES), "")
+        return next((f"{s.name}: {s.cause}" if s.cause else s.name for s in spans if s.phase not in MOVING), "")
 
     def _on_arena(self, points: Array) -> Array:
         size_m = np.array(self._view.config.arena.size_m)
