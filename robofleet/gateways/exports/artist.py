@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from numpy.typing import NDArray
 
 from robofleet.behaviours.interface import Line
 from robofleet.core.arrays import Array
@@ -17,7 +18,7 @@ from robofleet.reports.overview import floor
 from robofleet.safety.supervisor import MOVING
 
 _TRAIL_S, _TRAIL_SHOWN_S = 8.0, 2.0  # of the run, and of the film: the longer of the two
-_TRAIL_STEP = 1 / 320  # between the points of a trail [widths]
+_TRAIL_STEP = 1 / 160  # between the points of a trail [widths]
 _HEADER = 0.05  # [widths]: title and time
 _PALE: Colour = (235, 235, 235)
 _ROUND = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
@@ -46,7 +47,7 @@ class Artist:
         self._names = [text(robot, round(width / 52), bold=True) for robot in view.run.robots]
         self._heading = text(title, round(width * 0.021), bold=True)
         self._t, self._poses, self._references = view.run.clock_time_s, view.run.poses(), view.run.references
-        self._trails = [self._trail(points) for points in view.run.points().transpose(1, 0, 2)]
+        self._ways = [self._way(points) for points in view.run.points().transpose(1, 0, 2)]
         self._lines = [
             np.concatenate([shape.points, shape.points[:1]]) if shape.closed else shape.points
             for group in view.run.groups
@@ -90,9 +91,9 @@ class Artist:
                 line(on, self._pixels(points), _PALE, max(1, round(self.width / 900)))
         self._clock(image, t)
         k = min(max(int(np.searchsorted(self._t, t, "right")) - 1, 0), len(self._t) - 1)
-        for (times, points), colour in zip(self._trails, self._colours, strict=True):
-            first, last = np.searchsorted(times, (self._t[k] - self._trail_s, self._t[k]), "right")
-            trail(on, points[first:last], colour, round(self.width / 280), pale=0.85 if self._camera is None else 0.0)
+        for way, colour in zip(self._ways, self._colours, strict=True):
+            pale = 0.85 if self._camera is None else 0.0
+            trail(on, self._trail(*way, k), colour, round(self.width / 280), pale=pale)
         for row, colour in enumerate(self._colours):
             pose, reference = self._poses[k, row], self._references[k, row]
             if not np.isfinite(pose).all():
@@ -149,13 +150,20 @@ class Artist:
         height = scale * (size_m[1] + 2 * 0.1)
         return np.asarray(np.array([self.width, height]) / 2 + points * (scale, -scale) - 0.5)
 
-    def _trail(self, points: Array) -> tuple[Array, Array]:
-        """Return times (n,) and pixels (n, 2) along a robot's way (K, 2) [m], some pixels apart."""
-        known = np.isfinite(points).all(axis=1)
-        pixels = self._pixels(points[known])
-        walked = np.cumsum(np.hypot(*np.diff(pixels, axis=0, prepend=pixels[:1]).T))
-        _, kept = np.unique(walked // max(1.0, _TRAIL_STEP * self.width), return_index=True)
-        return self._t[known][kept], pixels[kept]
+    def _way(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Return a robot's pixels (K, 2), NaN where it was not known, and ticks (n,) that are some pixels apart."""
+        known = np.flatnonzero(np.isfinite(points).all(axis=1))
+        pixels = np.full(points.shape, np.nan)
+        pixels[known] = self._pixels(points[known])
+        walked = np.cumsum(np.hypot(*np.diff(pixels[known], axis=0, prepend=pixels[known[:1]]).T))
+        _, apart = np.unique(walked // max(1.0, _TRAIL_STEP * self.width), return_index=True)
+        return pixels, known[apart]
+
+    def _trail(self, pixels: Array, apart: NDArray[np.int64], k: int) -> Array:
+        """Return the pixels (n, 2) of a way's newest part, up to a tick."""
+        first = np.searchsorted(self._t, self._t[k] - self._trail_s)
+        newest = pixels[np.append(apart[(first <= apart) & (apart < k)], k)]
+        return np.asarray(newest[np.isfinite(newest[:, 0])])
 
     def _body(self, image: Image, pose: Array, radius: float, colour: Colour) -> None:
         ahead = radius * np.array([np.cos(pose[2]), np.sin(pose[2])])

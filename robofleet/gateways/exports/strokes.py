@@ -18,7 +18,7 @@ Colour = tuple[int, int, int]
 
 WHITE: Colour = (255, 255, 255)
 SHIFT = 4  # sub-pixel bits of OpenCV's drawing
-_TRAIL_PIECES = 16  # of a trail, each paler and thinner than the next one
+_TRAIL_PIECES = 12  # of a trail, each paler and thinner than the next one
 
 
 def line(image: Image, pixels: Array, colour: Colour, width: int, *, closed: bool = False) -> None:

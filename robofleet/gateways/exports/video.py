@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
@@ -32,6 +33,8 @@ def mp4(
 ) -> Iterator[Callable[[Image], None]]:
     """Give what takes the images of an MP4, in order, ``rate_hz`` of them a second; their sides are even.
 
+    An image that was given is not changed any more: it is encoded while the next one is drawn.
+
     ``keyframe_every``: so many images; a reader that jumps decodes no more than these, and finds every image. None: for
     people; an image that is given again stays, and is not encoded again.
 
@@ -40,30 +43,39 @@ def mp4(
     """
     name, count = encoder(), itertools.count()
     shown: Image | None = None
+    begun: Future[None] | None = None
     with av.open(str(file), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream: Any = container.add_stream(name, rate=rate_hz)
         if name == "libx264":
             stream.options = _FILM if keyframe_every is None else _DATASET
         if keyframe_every is not None:
             stream.gop_size = keyframe_every
-        stream.codec_context.thread_type = "FRAME"  # images are encoded while the next ones are drawn
+        stream.codec_context.thread_type = "FRAME"  # several images at the same time
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         stream.time_base = stream.codec_context.time_base = 1 / rate_hz
 
-        def add(image: Image) -> None:
-            nonlocal shown
-            number, repeated, shown = next(count), image is shown, image
-            if repeated and keyframe_every is None:  # the image before stays
-                return
+        def encode(image: Image, number: int) -> None:
             if image.ndim == 2:
                 frame = av.VideoFrame.from_ndarray(image, "gray")
-            else:
+            else:  # a third of the time that FFmpeg's own conversion takes
                 planes = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), np.uint8)
                 frame = av.VideoFrame.from_ndarray(planes, "yuv420p")
             frame.pts, frame.time_base = number, 1 / rate_hz
             container.mux(stream.encode(frame))
 
-        yield add
+        def add(image: Image) -> None:
+            nonlocal shown, begun
+            number, repeated, shown = next(count), image is shown, image
+            if repeated and keyframe_every is None:  # the image before stays
+                return
+            if begun is not None:
+                begun.result()
+            begun = encoding.submit(encode, image, number)
+
+        with ThreadPoolExecutor(1) as encoding:  # while the next image is drawn
+            yield add
+        if begun is not None:
+            begun.result()
         container.mux(stream.encode())
 
 
