@@ -15,7 +15,7 @@ from robofleet.reports.group_plots import colours
 from robofleet.reports.overview import draw_body, draw_floor, floor_inch, floor_shapes, trail
 from robofleet.reports.paper import CONTROL_ERROR_MM, FASTEST_S, SETTLED_S, SPACING_M
 
-_MEASURED = {"control_error", "path_error", "spacing"}
+_MEASURED = {"control_error", "reference_parameter", "path_error", "spacing"}
 _STILLS = 4
 _WINDOW_S = 11.0  # around a time of highest speed: half a side of the path
 _CLOSE_MM, _EQUAL_MM, _TOGETHER_S = 10.0, 10.0, 2.0  # what counts as close to the path, as equal, as the same time
@@ -82,16 +82,21 @@ def _nearly_equal(view: RunView) -> tuple[str, bool | None]:
 
 
 def _speed(view: RunView) -> Array:
-    """Return how fast r(gamma t) moves at each tick (K,) [m/s]."""
-    settings = Platoon.Settings.model_validate(view.config.groups[0].settings)
+    """Return how fast the leader's reference moves at each tick (K,) [m/s]; NaN where it had none."""
+    settings, law = Platoon.Settings.model_validate(view.config.groups[0].settings), view.config.controller
     path, rate = settings.path.path(), settings.path_rate
-    return np.asarray(rate * np.linalg.norm(path.derivative(rate * view.run.t % path.sides), axis=-1))
+    ahead = rate * (law.horizon_s + law.command_delay_s)  # what is recorded is where it is a horizon later
+    sigma = _curve(view, "reference_parameter").values[:, 0] - ahead
+    speed, known = np.full(len(sigma), np.nan), np.isfinite(sigma)
+    speed[known] = rate * np.linalg.norm(path.derivative(sigma[known] % path.sides), axis=-1)
+    return speed
 
 
 def _fastest(view: RunView) -> list[tuple[float, float]]:
     """Return time [s] and speed [m/s] of the highest speed near each of the paper's times that the run reached."""
     t, speed = view.run.t, _speed(view)
-    near = [np.flatnonzero(abs(t - fastest_s) < _WINDOW_S) for fastest_s in FASTEST_S if t[-1] > fastest_s]
+    known = np.isfinite(speed)
+    near = [np.flatnonzero(known & (abs(t - at_s) < _WINDOW_S)) for at_s in FASTEST_S if t[-1] > at_s]
     return [(float(t[k]), float(speed[k])) for k in (rows[speed[rows].argmax()] for rows in near if len(rows))]
 
 

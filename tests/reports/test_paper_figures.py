@@ -51,6 +51,12 @@ def test_a_run_that_does_something_else_differs(story: Make) -> None:
     assert captions["Fig. 18"].endswith("cm. It differs.")
 
 
+def test_a_reference_that_began_elsewhere_is_fastest_at_another_time(story: Make) -> None:
+    run = story(ticks=400)
+    run.origin = 0.0455 * (54.0 - 5.0)  # 5 s before the second time of highest speed
+    assert this_run(plots(run)["Fig. 15"]) == "it is fastest at t = 5.0 s, with 0.129 m/s. It differs."
+
+
 def test_smaller_errors_are_neither_agreement_nor_difference(story: Make) -> None:
     run = story(ticks=100)
     run.control_error[:] = 0.001
