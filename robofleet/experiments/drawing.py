@@ -1,6 +1,7 @@
 """Draws an experiment's figures with matplotlib, as PNG and SVG: no window, no global state."""
 
 from pathlib import Path
+from textwrap import fill
 
 import matplotlib as mpl
 import numpy as np
@@ -11,18 +12,45 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, INK, QUIET, STYLE
-from robofleet.experiments.results import Curve, Figure, Panel
+from robofleet.experiments.results import Curve, Figure, Panel, RunFigure
+from robofleet.reports.canvas import add_legend
 
 _LINES = {"solid": "-", "dashed": (0, (4, 3)), "dots": "none"}
 _PANEL_WIDTH_INCH, _PANEL_HEIGHT_INCH = 5.0, 2.9
+_LEGEND_INCH, _CAPTION_LETTERS = 0.25, 110
 _DPI = 160
 _DIED_AWAY_SHARE = 0.3  # of the peak
 _LABEL_HEIGHT_SHARE = 0.065  # of the axes
 _BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", "#1b6ca8"])
 
 
-def draw(figure: Figure, stem: Path) -> list[Path]:
+def draw(figure: Figure | RunFigure, stem: Path) -> list[Path]:
     """Write ``stem``.png and ``stem``.svg; return both."""
+    with mpl.rc_context(STYLE):
+        sheet = _of_run(figure) if isinstance(figure, RunFigure) else _of_panels(figure)
+        tight = "tight" if isinstance(figure, RunFigure) else None
+        files = [stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg")]
+        sheet.savefig(files[0], dpi=_DPI, bbox_inches=tight)
+        sheet.savefig(files[1], metadata={"Date": None}, bbox_inches=tight)
+    return files
+
+
+def _of_run(figure: RunFigure) -> Sheet:
+    """Draw a plot of a run with its title and its legend above, its caption below."""
+    plot, view = figure.plot, figure.view
+    sheet = plot.draw(view)
+    assert sheet is not None
+    legend, height = plot.legend(view), sheet.get_figheight()
+    if legend:
+        add_legend(sheet, legend)
+    above = (_LEGEND_INCH if legend else 0.0) / height
+    left = sheet.axes[0].get_position().x0
+    sheet.text(left, 1.0 + above, plot.title, va="bottom", fontsize=10, fontweight="bold", color=INK)
+    sheet.text(left, -0.05 / height, fill(plot.caption, _CAPTION_LETTERS), va="top", fontsize=8, color=INK)
+    return sheet
+
+
+def _of_panels(figure: Figure) -> Sheet:
     count = len(figure.panels)
     columns = 3 if count == 3 else min(count, 2)
     rows = -(-count // columns)
@@ -30,18 +58,14 @@ def draw(figure: Figure, stem: Path) -> list[Path]:
     height = _PANEL_HEIGHT_INCH * rows + 0.4
     if count == 1:
         width, height = 6.4, height + 1.2 * figure.panels[0].equal
-    with mpl.rc_context(STYLE):
-        sheet = Sheet(figsize=(width, height), layout="constrained")
-        sheet.suptitle(figure.title, x=0.01, ha="left", fontsize=10, fontweight="bold", color=INK)
-        grid = sheet.subplots(rows, columns, squeeze=False)
-        for axes, panel in zip(grid.flat, figure.panels, strict=False):
-            _panel(axes, panel)
-        for axes in grid.flat[count:]:
-            axes.remove()
-        files = [stem.with_name(f"{stem.name}.{kind}") for kind in ("png", "svg")]
-        sheet.savefig(files[0], dpi=_DPI)
-        sheet.savefig(files[1], metadata={"Date": None})
-    return files
+    sheet = Sheet(figsize=(width, height), layout="constrained")
+    sheet.suptitle(figure.title, x=0.01, ha="left", fontsize=10, fontweight="bold", color=INK)
+    grid = sheet.subplots(rows, columns, squeeze=False)
+    for axes, panel in zip(grid.flat, figure.panels, strict=False):
+        _panel(axes, panel)
+    for axes in grid.flat[count:]:
+        axes.remove()
+    return sheet
 
 
 def _panel(axes: Axes, panel: Panel) -> None:

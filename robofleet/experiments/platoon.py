@@ -27,6 +27,7 @@ from robofleet.experiments.platoon_views import (
 )
 from robofleet.experiments.results import Result
 from robofleet.recording.run import Run
+from robofleet.reports.canvas import RunView
 from robofleet.runs.lockstep import Lockstep
 
 
@@ -50,14 +51,15 @@ def run(parameters: PlatoonParameters) -> Result:
     drives = {(n, i): drive(parameters, base, n, i) for n in parameters.sizes for i in INTEGRATORS}
     gains = {integrator: robot_gains(parameters.gain, base, integrator) for integrator in INTEGRATORS}
     frequencies = np.array(parameters.gain.periods) / parameters.gain.period_s
+    figures = laboratory_figures(drives, base)
     means = {key: found.mean_errors(parameters.settle_s) * 1e3 for key, found in drives.items()}
     return Result(
         (
-            laboratory_table(drives, base),
+            laboratory_table(drives, base, figures),
             travel_table(means, parameters.position_noise_m),
             gain_table(gains, frequencies),
         ),
-        (*laboratory_figures(drives, base), travel_figure(means, gains, frequencies)),
+        (*figures, travel_figure(means, gains, frequencies)),
         {
             "control_error_mm": {f"{integrator} {n}": mean.tolist() for (n, integrator), mean in means.items()},
             "gain": {i: {f"{f:g} Hz": g for f, g in zip(frequencies, gains[i], strict=True)} for i in INTEGRATORS},
@@ -72,14 +74,16 @@ def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: 
     if outcome != "completed":
         raise RuntimeError(f"the platoon of {robots} ended: {cause}")
     found = Run(lockstep.recording)
-    points = found.points()
-    assert points is not None
     (recorded,) = found.group_figures
-    return Drive(found.t, recorded.figures["control_error"], points, settings_of(config).path.path())
+    view = RunView(found, {"stops": []}) if robots == len(base.members) else None
+    return Drive(found.t, recorded.figures["control_error"], found.points(), view)
 
 
 def scaled(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Config:
-    """Return the configuration of a longer platoon: path and arena scaled, speed and law the same."""
+    """Return the configuration of a platoon: path and arena of a longer one are scaled, speed and law are the same.
+
+    The paper's number of robots drive as long as their own configuration says: a lap.
+    """
     own = settings_of(base)
     scale = max(1.0, parameters.room * robots * own.spacing_m / own.path.path().length())
     tree = base.model_dump(mode="json")
@@ -105,7 +109,8 @@ def scaled(parameters: PlatoonParameters, base: Config, robots: int, integrator:
         "position_noise_m": parameters.position_noise_m,
         "heading_noise_rad": parameters.heading_noise_rad,
     }
-    tree["run"]["duration_s"] = parameters.duration_s
+    if robots != len(base.members):
+        tree["run"]["duration_s"] = parameters.duration_s
     return Config.model_validate(tree)
 
 

@@ -1,14 +1,15 @@
-"""Tables and figures of the platoon experiment."""
+"""Tables and figures of the platoon experiment; of the laboratory run, those of its report."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from robofleet.config.tree import Config
-from robofleet.control.path import Path
 from robofleet.core.arrays import Array
 from robofleet.experiments.platoon_gain import INTEGRATORS, Integrator, settings_of
-from robofleet.experiments.results import Cell, Curve, Figure, Panel, Table
+from robofleet.experiments.results import Cell, Curve, Figure, Panel, RunFigure, Table
+from robofleet.reports import paper_figures
+from robofleet.reports.canvas import RunView
 from robofleet.reports.paper import CONTROL_ERROR_MM
 
 Key = tuple[int, Integrator]  # robots, integrator
@@ -21,7 +22,7 @@ class Drive:
     t: Array  # [s]
     control_error: Array  # (K, N) [m]
     points: Array  # true p (K, N, 2) [m]
-    path: Path
+    view: RunView | None  # of the paper's number of robots
 
     def mean_errors(self, settle_s: float) -> Array:
         """Mean control error of each robot (N,) [m]."""
@@ -32,8 +33,16 @@ class Drive:
         return np.asarray(np.linalg.norm(np.diff(self.points, axis=1), axis=-1))
 
 
-def laboratory_table(drives: dict[Key, "Drive"], base: Config) -> Table:
-    """Row 8: the paper's four robots, beside the paper."""
+def laboratory_figures(drives: dict[Key, "Drive"], base: Config) -> tuple[RunFigure, ...]:
+    """The paper's Figs. 14 to 18."""
+    found = drives.get((len(base.members), "exact"))
+    view = None if found is None else found.view
+    return () if view is None else tuple(RunFigure(plot, view) for plot in paper_figures.plots(view))
+
+
+def laboratory_table(drives: dict[Key, "Drive"], base: Config, figures: tuple[RunFigure, ...]) -> Table:
+    """Row 8: the paper's four robots, beside the paper; and what its figures say."""
+    captions = (f"{figure.plot.title}. {figure.plot.caption}" for figure in figures)
     rows: list[tuple[Cell, ...]] = [("the paper (hardware)", CONTROL_ERROR_MM, None, None)]
     n = len(base.members)
     for integrator in INTEGRATORS:
@@ -48,7 +57,7 @@ def laboratory_table(drives: dict[Key, "Drive"], base: Config) -> Table:
         "Laboratory run: four robots",
         ("", "error mm", "worst mm", "spacing off mm"),
         tuple(rows),
-        ("The paper's robots are hardware, these are simulated.",),
+        ("The paper's robots are hardware, these are simulated.", *captions),
         ("", ".2f", ".2f", ".2f"),
     )
 
@@ -83,33 +92,6 @@ def gain_table(gains: dict[Integrator, list[float | None]], frequencies: Array) 
             "With euler even rounding grows from robot to robot until references that may not retreat cut it off.",
         ),
         ("", ".4f", ".4f"),
-    )
-
-
-def laboratory_figures(drives: dict[Key, "Drive"], base: Config) -> tuple[Figure, ...]:
-    """The paper's Figs. 15 to 18 by content."""
-    n = len(base.members)
-    if (n, "exact") not in drives:
-        return ()
-    found = drives[n, "exact"]
-    ids = [robot.id for robot in base.members]
-    rate = settings_of(base).path_rate
-    speed = np.linalg.norm(found.path.derivative(rate * found.t % found.path.sides), axis=-1) * rate
-    lap = found.path.position(np.linspace(0.0, found.path.sides, 400))
-    trails = [Curve(name, found.points[:, i, 0], found.points[:, i, 1]) for i, name in enumerate(ids)]
-    errors = [Curve(name, found.t, found.control_error[:, i] * 1e3) for i, name in enumerate(ids)]
-    gaps = [
-        Curve(f"{first} to {other}", found.t, gap * 1e3)
-        for first, other, gap in zip(ids, ids[1:], found.spacing().T, strict=False)
-    ]
-    path = Curve("path", lap[:, 0], lap[:, 1], "dashed")
-    return (
-        Figure("reference-speed", "Reference speed", (Panel("time [s]", "speed [m/s]", (Curve("", found.t, speed),)),)),
-        Figure("trajectories", "Points p", (Panel("x [m]", "y [m]", (*trails, path), equal=True),)),
-        Figure(
-            "control-error", "Control error", (Panel("time [s]", "error [mm]", tuple(errors), y_limits=(0.0, 5.0)),)
-        ),
-        Figure("spacing", "Spacing", (Panel("time [s]", "distance of successive points [mm]", tuple(gaps)),)),
     )
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from robofleet.core.arrays import Array
+from robofleet.reports.canvas import Plot, RunView
 
 Cell = str | float | None  # None: not given by its source
 
@@ -71,11 +72,23 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class RunFigure:
+    """A plot of a run, as its report has it."""
+
+    plot: Plot
+    view: RunView
+
+    @property
+    def name(self) -> str:
+        return self.plot.file_name
+
+
+@dataclass(frozen=True)
 class Result:
     """All that an experiment has to say; ``data`` is further JSON, keys with units."""
 
     tables: tuple[Table, ...]
-    figures: tuple[Figure, ...]
+    figures: tuple[Figure | RunFigure, ...]
     data: dict[str, Any]
 
 

@@ -1,5 +1,6 @@
 """What the plots of a run have in common: their size, the axis of time, one colour a robot, lines that fit a screen."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from robofleet.config.tree import Bounds, Config
@@ -166,7 +168,7 @@ def zoomed(axes: Axes, values: Array, *also: float | None) -> None:
 
 Legend = list[tuple[str, str]]  # label, colour
 
-_MOST_LABELS = 16
+_MOST_LABELS, _LABELS_A_ROW = 16, 6
 
 
 class Plot(NamedTuple):
@@ -178,6 +180,21 @@ class Plot(NamedTuple):
     legend: Callable[[RunView], Legend] = lambda _: []
     missing: str = ""  # why it was not measured
     long: bool = True  # it must not shrink to a narrow screen
+
+    @property
+    def file_name(self) -> str:
+        """Its title, as a file is named."""
+        return re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+
+
+def add_legend(figure: Figure, legend: Legend) -> None:
+    """Write a legend above a figure."""
+    dots = [Line2D([], [], ls="none", marker="o", color=colour, label=label) for label, colour in legend]
+    left = figure.axes[0].get_position().x0
+    figure.legend(
+        handles=dots, loc="lower left", bbox_to_anchor=(left, 1.0), ncols=min(len(dots), _LABELS_A_ROW),
+        borderaxespad=0.2, handletextpad=0.1, columnspacing=1.2, fontsize=8,
+    )  # fmt: skip
 
 
 def few(legend: Legend) -> Legend:

@@ -121,12 +121,14 @@ def _bodies(axes: Axes, view: RunView) -> None:
             draw_body(axes, robot, pose, QUIET)
 
 
-def draw_body(axes: Axes, robot: Robot, pose: Array, colour: str) -> None:
+def draw_body(axes: Axes, robot: Robot, pose: Array, colour: str, *, named: bool = True) -> None:
     x, y, psi = pose
     radius = robot.vehicle.body_radius_m
     axes.add_patch(Circle((x, y), radius, fc=colour, ec=colour, alpha=0.35, zorder=3))
     nose = x + radius * np.cos(psi), y + radius * np.sin(psi)
     axes.plot([x, nose[0]], [y, nose[1]], color=colour, lw=2, zorder=4)
+    if not named:
+        return
     name = axes.annotate(robot.id, (x, y), color=INK, ha="center", va="center", fontsize=8, fontweight="bold", zorder=5)
     name.set_path_effects([withStroke(linewidth=2.0, foreground="white")])  # trails cross it
 

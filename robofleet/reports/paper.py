@@ -12,7 +12,9 @@ from robofleet.config.tree import Config
 
 _FIGURE_KEY = "control_error_mm"  # of the figure that the paper tells
 CONTROL_ERROR_MM = 5.0  # IV-C: mean of the four robots after 1.4 s, on hardware
+SETTLED_S = 1.4
 SPACING_M = 0.25  # IV-C: d
+FASTEST_S = 9.5, 54.0  # IV-C: when the reference is fastest
 _PATH = SHIPPED / "paths" / "platoon.yaml"
 _ROBOTS = 4
 _PATH_RATE = 0.0455  # gamma [sides/s]
@@ -22,7 +24,7 @@ _TICK_S, _ALPHA, _HORIZON_S, _POINT_AHEAD_M = 0.033, 45.0, 0.6, 0.08
 def is_papers(config: Config) -> bool:
     """Return whether a configuration drives the paper's platoon: its robots, path, spacing, speed and law."""
     group, *others = config.groups
-    if others:
+    if others or group.behaviour != "platoon":
         return False
     law = config.controller
     settings = group.settings

@@ -15,9 +15,11 @@ from robofleet.core.clock import MS, US
 from robofleet.core.figures import COLOURS, QUIET
 from robofleet.recording import measures
 from robofleet.recording.reduced import Distribution
+from robofleet.reports import paper_figures
 from robofleet.reports.canvas import Plot, RunView, few, level, lines, phase_colour, settling, sheet, strips, zoomed
 from robofleet.reports.group_plots import NO_TRUTH, of_group
 from robofleet.reports.overview import happened, paths
+from robofleet.reports.paper import is_papers
 
 
 def _robots_lines(axes: Axes, view: RunView, values: Array) -> None:
@@ -228,5 +230,6 @@ def sections(view: RunView) -> dict[str, list[Plot]]:
     """Return all plots of a run, by section: what happened, each group's own, the whole fleet's."""
     alone = len(view.run.parts) == 1
     groups = {f"Group {part.group.name}": of_group(part, alone=alone) for part in view.run.parts}
-    plots = {**HAPPENED, **groups, **FLEET}
+    papers = list(paper_figures.plots(view)) if is_papers(view.config) else []
+    plots = {**HAPPENED, **groups, "The paper's figures": papers, **FLEET}
     return {section: list(entries) for section, entries in plots.items() if entries}

@@ -2,7 +2,6 @@
 
 import io
 import os
-import re
 import shlex
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -12,7 +11,6 @@ from urllib.parse import quote
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from robofleet.behaviours.described import JUDGED_FIGURES
 from robofleet.config import groups
@@ -25,7 +23,7 @@ from robofleet.recording.run import Recording, Run
 from robofleet.recording.run_clock import time_words
 from robofleet.reports import predicted
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS, failures, is_judged, limit, unjudged
-from robofleet.reports.canvas import Legend, RunView
+from robofleet.reports.canvas import Legend, Plot, RunView, add_legend
 from robofleet.reports.own_figures import as_asked, heading, own_figures
 from robofleet.reports.pages import Marked, Page, Tile
 from robofleet.reports.plots import HAPPENED, sections
@@ -43,35 +41,25 @@ _SHOWN_ENTRIES = 80  # of a table; a run that is worse shows its first ones
 
 _METADATA: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same every time
 _FILE_STYLE: Any = {**STYLE, "pdf.fonttype": 42}  # publishers refuse Type 3 fonts
-_LABELS_A_ROW = 6
 _PAD_INCH = 0.03
 
 
-def _figure_files(folder: Path, page: Path, title: str, figure: Figure, legend: Legend) -> list[tuple[str, str]]:
+def _figure_files(folder: Path, page: Path, plot: Plot, figure: Figure, legend: Legend) -> list[tuple[str, str]]:
     """Write a plot, which is given its legend, into a folder; returns (kind, address) of each file for a page.
 
     OSError if it cannot be.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if legend:
-        _add_legend(figure, legend)
-    name, written = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-"), []
+        add_legend(figure, legend)
+    written = []
     for kind, metadata in _METADATA.items():
-        buffer, file = io.BytesIO(), folder / f"{name}.{kind}"
+        buffer, file = io.BytesIO(), folder / f"{plot.file_name}.{kind}"
         with mpl.rc_context(_FILE_STYLE):
             figure.savefig(buffer, format=kind, metadata=metadata, bbox_inches="tight", pad_inches=_PAD_INCH, dpi=300)
         write_bytes(file, buffer.getvalue())
         written.append((kind.upper(), quote(os.path.relpath(file.resolve(), page.parent.resolve()))))
     return written
-
-
-def _add_legend(figure: Figure, legend: Legend) -> None:
-    dots = [Line2D([], [], ls="none", marker="o", color=colour, label=label) for label, colour in legend]
-    left = figure.axes[0].get_position().x0
-    figure.legend(
-        handles=dots, loc="lower left", bbox_to_anchor=(left, 1.0), ncols=min(len(dots), _LABELS_A_ROW),
-        borderaxespad=0.2, handletextpad=0.1, columnspacing=1.2, fontsize=8,
-    )  # fmt: skip
 
 
 def write(run: Run, summary: Summary, folder: Path, figures: Path | None = None) -> Path:
@@ -205,7 +193,7 @@ def _bounds(page: Page, summary: Summary) -> None:
     page.table(("figure", "verdict", "value", "bound", "key"), rows)
 
 
-def _plots(page: Page, view: RunView, files: Callable[[str, Figure, Legend], list[tuple[str, str]]] | None) -> None:
+def _plots(page: Page, view: RunView, files: Callable[[Plot, Figure, Legend], list[tuple[str, str]]] | None) -> None:
     ran = len(view.run.ticks) > 0
     for section, plots in (sections(view) if ran else HAPPENED).items():
         page.section(section)
@@ -215,7 +203,7 @@ def _plots(page: Page, view: RunView, files: Callable[[str, Figure, Legend], lis
                 page.note(f"{plot.title}. {plot.missing}")
             else:
                 legend = plot.legend(view)
-                kept = tuple if files is None else partial(files, plot.title, figure, legend)
+                kept = tuple if files is None else partial(files, plot, figure, legend)
                 page.figure(figure, plot.caption, title=plot.title, legend=legend, long=plot.long, files=kept)
         if not ran:
             page.note("The robots never drove: there is nothing more to show.")

@@ -24,7 +24,9 @@ from tests.shipped import PLATOON
 Make = Callable[..., Any]
 TITLES = [
     "On the time axis", "Paths of the points", "Control error", "Timed error", "Path error", "Centre error", "Spacing",
-    "Wheels", "The filter against the truth", "Distribution", "From the image to the wheel", "Ticks",
+    "Fig. 14: stills", "Fig. 15: reference speed", "Fig. 16: trajectories", "Fig. 17: control errors",
+    "Fig. 18: spacings", "Wheels", "The filter against the truth", "Distribution",
+    "From the image to the wheel", "Ticks",
 ]  # fmt: skip
 MANY = 100
 

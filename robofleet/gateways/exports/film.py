@@ -60,7 +60,9 @@ class Film:
             raise RefusedError(f"--from, --to: the run drove from 0 to {last_s:.1f} s: name a part of it")
         self.count = max(1, round((to_s - wanted.from_s) / wanted.speed * rate_hz))
         self._instants = (wanted.from_s + np.arange(self.count) * wanted.speed / rate_hz).tolist()
-        self._artist = Artist(view, wanted.title, wanted.speed, 2 * (wanted.width // 2))
+        width = 2 * (wanted.width // 2)
+        pixels = None if wanted.camera is None else _pixels(wanted.camera, width)
+        self._artist = Artist(view, wanted.title, wanted.speed, width, pixels)
 
     @cached_property
     def size(self) -> tuple[int, int]:
@@ -73,23 +75,15 @@ class Film:
         """Yield the images."""
         if self._wanted.camera is not None:
             return self._of_camera(self._wanted.camera)
-        artist = self._artist
-        return (artist.frame(t, artist.arena, artist.on_arena, solid=True) for t in self._instants)
+        return map(self._artist.frame, self._instants)
 
     def _of_camera(self, camera: Config) -> Iterator[Image]:
         """Yield at each instant the newest image of a camera, with what is drawn on it."""
-        model, height_m, artist = camera.camera.model, camera.tracker.tag_height_m, self._artist
-        geometry, height = CameraGeometry.from_model(model), _height(artist.width, model)
-        scale = np.array([artist.width / model.width, height / model.height])
-
-        def pixels(points: Array) -> Array:
-            at = geometry.project(np.column_stack([points, np.full(len(points), height_m)]))
-            return np.asarray((at + 0.5) * scale - 0.5)
+        size = self._artist.width, _height(self._artist.width, camera.camera.model)
 
         def drawn(recorded: RecordedImage) -> Image:
-            grey = cv2.resize(recorded.image, (artist.width, height), interpolation=cv2.INTER_AREA)
-            background = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
-            return artist.frame(recorded.t_s, background, pixels, solid=False)
+            photograph = np.asarray(cv2.resize(recorded.image, size, interpolation=cv2.INTER_AREA), np.uint8)
+            return self._artist.frame(recorded.t_s, photograph)
 
         coming = RecordedRun(self._run).images(camera.camera.name)
         newest, following = next(coming, None), next(coming, None)
@@ -130,6 +124,19 @@ def make(run: Path, file: Path, wanted: Wanted, counting: Callable[[int], Callab
     with video.mp4(file, *film.size, Fraction(rate_hz)) as add:
         for image in images():
             add(image)
+
+
+def _pixels(camera: Config, width: int) -> Callable[[Array], Array]:
+    """Return where points of the floor (n, 2) [m], at the height of the tags, are in images (n, 2) [px] of a width."""
+    model, height_m = camera.camera.model, camera.tracker.tag_height_m
+    geometry = CameraGeometry.from_model(model)
+    scale = np.array([width / model.width, _height(width, model) / model.height])
+
+    def pixels(points: Array) -> Array:
+        at = geometry.project(np.column_stack([points, np.full(len(points), height_m)]))
+        return np.asarray((at + 0.5) * scale - 0.5)
+
+    return pixels
 
 
 def _height(width: int, model: CameraModel) -> int:

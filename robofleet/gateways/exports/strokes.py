@@ -1,6 +1,6 @@
 """What films and pictures are drawn with: lines, words, colours."""
 
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 
 import cv2
@@ -18,23 +18,29 @@ Colour = tuple[int, int, int]
 
 WHITE: Colour = (255, 255, 255)
 SHIFT = 4  # sub-pixel bits of OpenCV's drawing
-_TRAIL_PIECES = 16  # of a trail, each paler and thinner than the next one
+_TRAIL_PIECES = 12  # of a trail, each paler and thinner than the next one
 
 
 def line(image: Image, pixels: Array, colour: Colour, width: int, *, closed: bool = False) -> None:
     """Draw a line through pixels (n, 2)."""
-    points = np.round(pixels * (1 << SHIFT)).astype(np.int32).reshape(-1, 1, 2)
-    cv2.polylines(image, [points], closed, colour, width, cv2.LINE_AA, SHIFT)
+    cv2.polylines(image, [_fixed_point(pixels)], closed, colour, width, cv2.LINE_AA, SHIFT)
 
 
 def trail(image: Image, pixels: Array, colour: Colour, width: int, *, pale: float) -> None:
     """Draw a trail through pixels (n, 2), the newest last; the oldest is thin, and ``pale`` of it is white."""
     pieces = _TRAIL_PIECES if pale else width + 1  # of one colour each has another width
-    edges = np.linspace(0, len(pixels) - 1, min(pieces, max(len(pixels), 2))).astype(int)
+    edges = np.linspace(0, len(pixels) - 1, min(pieces, max(len(pixels), 2))).astype(int).tolist()
+    points = _fixed_point(pixels)
     for piece, (start, end) in enumerate(pairwise(edges)):
         age = 1.0 - (piece + 1) / (len(edges) - 1)
-        shade = mixed(colour, WHITE, pale * age)
-        line(image, pixels[start : end + 1], shade, max(1, round(width * (1.0 - 0.7 * age))))
+        stroke = max(1, round(width * (1.0 - 0.7 * age)))
+        cv2.polylines(
+            image, [points[start : end + 1]], False, mixed(colour, WHITE, pale * age), stroke, cv2.LINE_AA, SHIFT
+        )
+
+
+def _fixed_point(pixels: Array) -> NDArray[np.int32]:
+    return np.round(pixels * (1 << SHIFT)).astype(np.int32).reshape(-1, 1, 2)
 
 
 def label(image: Image, words: Image, pixel: Array, colour: Colour, rim: int) -> None:
@@ -51,6 +57,7 @@ def _font(family: str, weight: str, height: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(font_manager.findfont(font_manager.FontProperties(family=family, weight=weight)), height)
 
 
+@lru_cache(maxsize=32)
 def text(words: str, height: int, *, bold: bool = False, fixed: bool = False) -> Image:
     """Return how dark each pixel of a text is."""
     font = _font("DejaVu Sans Mono" if fixed else "DejaVu Sans", "bold" if bold else "normal", height)

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,17 @@ from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, UNIT_STATUS
 from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
 from robofleet.cli import app
 from robofleet.core.clock import S
+from robofleet.gateways.exports import video
+from robofleet.gateways.exports.artist import Artist
 from robofleet.gateways.ros2.topics import load
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.reading import about, messages
+from robofleet.recording.run import Run
+from robofleet.reports.canvas import RunView
 from robofleet.reports.recorded_run import RecordedRun
+from robofleet.safety.supervisor import Event, Phase
 from tests.recording import recorded
+from tests.recording_fixtures import Story
 
 LEROBOT = "ROBOFLEET_LEROBOT"  # names a Python that has LeRobot
 
@@ -264,6 +271,40 @@ def test_a_film_shows_the_robots_where_they_were(run: RecordedRun, tmp_path: Pat
     end = {name: poses[name][poses["robot"] == "r1"][60] for name in ("x_m", "y_m")}
     scale = 320 / (run.config.arena.size_m[0] + 0.2)
     assert abs(at[0] - (160 + scale * end["x_m"])) < 12
+
+
+def test_a_film_says_when_the_robots_are_held(
+    story: Callable[..., Story], add_status: Callable[..., None], add_state: Callable[..., None]
+) -> None:
+    made = story(ticks=120)
+    recording = made.recording()
+    for k in range(120):
+        add_status(recording, "r1", made.stamp(k))
+        if k in {0, 40}:
+            add_state(recording, *((Phase.RUNNING, Event.PROVED) if k == 0 else (Phase.HOLD, Event.HOLD_REQUESTED)))
+    artist = Artist(RunView(Run(recording), {"stops": []}), "Title", 1.0, 640)
+    alarm = [
+        np.abs(artist.frame(t)[: artist.header].astype(int) - (0xB3, 0x26, 0x1E)).sum(axis=2).min() for t in (1.0, 2.0)
+    ]
+    assert alarm[0] > 100 and alarm[1] < 30
+
+
+def test_a_gif_shows_each_image_and_holds_only_what_changes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    background = rng.choice(np.array([[255, 255, 255], [40, 60, 90], [200, 80, 20]], np.uint8), (60, 80))
+    images = [background.copy() for _ in range(30)]
+    for k, image in enumerate(images):
+        image[2:12, 2 * k : 2 * k + 10] = image[50:58, 70 - 2 * k : 78 - 2 * k] = (27, 108, 168)
+    video.gif(tmp_path / "moving.gif", iter(images), 50)
+    video.gif(tmp_path / "still.gif", iter(images[:1]), 50)
+    with Image.open(tmp_path / "moving.gif") as film:
+        assert film.n_frames == len(images)
+        for k, image in enumerate(images):
+            film.seek(k)
+            np.testing.assert_array_equal(np.asarray(film.convert("RGB")), image)
+            assert film.info["duration"] == 50
+    still, moving = ((tmp_path / f"{name}.gif").stat().st_size for name in ("still", "moving"))
+    assert moving < still + 29 * 250
 
 
 @pytest.mark.slow
