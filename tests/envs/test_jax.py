@@ -131,7 +131,7 @@ def test_episodes_are_the_same() -> None:
             assert world.arenas.ticks.tolist() == [30, 19, 30]
             steps.append(brought)
     for numba, other in zip(*steps, strict=True):
-        assert numba == pytest.approx(other, abs=1e-4)
+        assert numba == pytest.approx(other, abs=CLOSE)
 
 
 def test_noise_is_what_the_configuration_says_and_comes_from_the_seed() -> None:
