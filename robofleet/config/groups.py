@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from pydantic import JsonValue
@@ -91,6 +92,16 @@ def made(group: Group, team: Team) -> Behaviour:
 def behaviours(config: Config) -> tuple[Behaviour, ...]:
     """Return what the groups do, in their order."""
     return tuple(behaviour(config, group) for group in config.groups)
+
+
+def relocated(config: Config, folder: Path) -> Config:
+    """Return the configuration with files of a folder where those that its groups name are gone."""
+    found = [
+        kind(group).Settings.model_validate(group.settings, context={"folder": folder}).model_dump(mode="json")
+        for group in config.groups
+    ]
+    every = (group.model_copy(update={"settings": own}) for group, own in zip(config.groups, found, strict=True))
+    return config.model_copy(update={"groups": tuple(every)})
 
 
 def scripted(config: Config) -> tuple[str, ...]:

@@ -125,7 +125,7 @@ def described(
     """
     given = {
         "task": {"name": _name_of(type(task)), "settings": task.settings.model_dump(mode="json")},
-        "terms": [Term(*term) for term in task.terms],
+        "terms": tuple(task.terms),
         "normalisation": None if mean is None or variance is None else {
             "mean": tuple(map(float, mean)), "variance": tuple(map(float, variance)), "clip": clip,
         },
@@ -159,14 +159,22 @@ def save_policy(file: Path, network: bytes, description: Description) -> None:
         raise PolicyError(f"{error.filename or file}: cannot be written: {error.strerror}") from error
 
 
-def read_policy(file: Path) -> Contents:
-    """Read a policy's two files; PolicyError where one is missing, too large, or not what it should be."""
+def read_policy(name: str | Path) -> Contents:
+    """Read a policy's two files by the network's name, pinned or not.
+
+    PolicyError where one is missing, too large, not what it should be, or not what it was when the name was pinned.
+    """
+    file, digest = split(str(name))
+    if digest and not file.exists():
+        raise PolicyError(f"{file}: is gone: put it back; `robofleet replay` finds it by `--behaviours DIR`, too")
     if file.suffix != _SUFFIX:
         raise PolicyError(f"{file}: a policy's file ends in {_SUFFIX}: name the network")
     network = _read(file, LARGEST_NETWORK_BYTES, "mend its name")
     text = _read(beside(file), _LARGEST_DESCRIPTION_BYTES, "a policy's JSON stands beside it: copy both files")
-    digest = sha256(sha256(network).digest() + sha256(text).digest()).hexdigest()
-    return Contents(network, _description(beside(file), text), digest)
+    found = sha256(sha256(network).digest() + sha256(text).digest()).hexdigest()
+    if digest not in ("", found):
+        raise PolicyError(f"{file}: it or its JSON is not what it was (sha256 {digest[:12]}...): put that policy back")
+    return Contents(network, _description(beside(file), text), found)
 
 
 def beside(file: Path) -> Path:

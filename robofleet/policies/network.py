@@ -1,5 +1,6 @@
 """A policy that acts: observations are normalised and go through its network, on one thread of the CPU."""
 
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -10,12 +11,14 @@ import numpy as np
 from robofleet.core.arrays import Array, Array32
 from robofleet.core.clock import S, stopwatch_ns
 from robofleet.core.refusal import need_extra
-from robofleet.policies.description import Description, PolicyError, read_policy, split
+from robofleet.policies.description import Description, PolicyError, pinned, read_policy, split
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 _EPSILON = 1e-8  # beside the variance, as stable-baselines3 has it
+_RAISED_BY = re.compile(r"^\[ONNXRuntimeError\] : \d+ : \w+ : (/\S+:\d+ .*?\) (?=[A-Z]))?")  # a C++ function
+_LONGEST = 300  # characters of a complaint
 _TIMED = 5  # decisions
 _NO_FOLDER = "/dev/null"  # weights in further files are looked for there: they are in no digest
 
@@ -76,16 +79,13 @@ def load_policy(file: Path | str) -> Policy:
         PolicyError: A file is missing, damaged, too large, of another version, or not what the name is pinned to.
         RefusedError: ``onnxruntime`` is not installed.
     """
-    path, digest = split(str(file))
-    return _loaded(path, digest or read_policy(path).sha256)
+    return _loaded(pinned(str(file), Path()))
 
 
 @lru_cache(maxsize=8)
-def _loaded(path: Path, digest: str) -> Policy:
+def _loaded(name: str) -> Policy:
     need_extra("policy", "onnxruntime")
-    contents = read_policy(path)
-    if contents.sha256 != digest:
-        raise PolicyError(f"{path}: it or its JSON is not what it was (sha256 {digest[:12]}...): put that policy back")
+    contents, (path, _) = read_policy(name), split(name)
     network, d = _session(path, contents.network), contents.description
     for word, ends, size in (("input", network.get_inputs(), d.inputs), ("output", network.get_outputs(), d.outputs)):
         if len(ends) != 1 or ends[0].type != "tensor(float)" or not _fits(ends[0].shape, size):
@@ -135,7 +135,6 @@ def _what_is_wrong(error: str) -> str:
         return "is no ONNX file, or damaged: export it again"
     if "External data" in error:
         return "its weights are in another file: export it with all weights in one (external_data=False)"
-    why = " ".join(error.rpartition("&) ")[2].split())  # behind the C++ function that raised it
-    return (
-        f"onnxruntime {onnxruntime.__version__} cannot run it: {why[:200]}: export it with an older opset, such as 17"
-    )
+    why = " ".join(_RAISED_BY.sub("", error).split())
+    mend = "export it with an older opset, say 17"
+    return f"onnxruntime {onnxruntime.__version__} cannot run it: {why[:_LONGEST]}: {mend}"

@@ -4,10 +4,10 @@ The same task that it was trained for observes here, and says what each tick ear
 that of the training.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import AfterValidator, Field, JsonValue, ValidationError, ValidationInfo
@@ -29,7 +29,7 @@ from robofleet.core.arrays import Array
 from robofleet.core.errors import BadInputError
 from robofleet.core.plugins import PluginError, reach
 from robofleet.core.settings import Model, Named
-from robofleet.policies.description import Description, pinned, split
+from robofleet.policies.description import Description, pinned, read_policy, split
 from robofleet.policies.interface import Task, Term, View, load_task, observed, velocities
 from robofleet.policies.network import Policy, inference_s, load_policy
 
@@ -50,15 +50,15 @@ class PolicyBehaviour(Behaviour):
         """Which policy, and the settings of its task."""
 
         file: Annotated[Named, AfterValidator(_pinned)]
-        """The network: a path from the configuration's folder that ends in .onnx. Its JSON stands beside it. Behind
-        `#sha256=`, which robofleet writes where it keeps a configuration: what must be in both files."""
+        """The network: a path from the configuration's folder that ends in .onnx; its JSON stands beside it. Where
+        robofleet keeps a configuration, it adds `#sha256=...`: both files must still have that content."""
         task: dict[str, JsonValue] = Field({})
         """Settings of the task that are to be others than in training: the goals, for example."""
 
     settings: Settings
-    figures = (
+    figures: ClassVar[Sequence[Figure]] = (
         Figure("reward", meaning="what the tick before earned by the task"),
-        Figure("return", meaning="sum of the rewards since the start", live=False),
+        Figure("return", meaning="sum of the rewards until the task was done, or its time was over", live=False),
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
@@ -70,6 +70,7 @@ class PolicyBehaviour(Behaviour):
         self._t = -np.inf  # of the tick before
         self._poses, self._u = np.zeros((n, 3)), np.zeros((n, 2))
         self._return, self._done_s = np.zeros(n), 0.0
+        self._over = False  # the episode, as the task was trained in
 
     def changed(self, velocities: Array) -> None:
         self._u = velocities.copy()
@@ -85,10 +86,12 @@ class PolicyBehaviour(Behaviour):
         if self._t < 0.0:
             task.begin(_FIRST, view.poses, deepcopy(self.team.rng))  # the goals that ``shapes`` shows
         reward, done = task.reward(view)[0], bool(task.done(view)[0])
-        if earned := now.t > self._t >= 0.0:  # not in a hold, nor before anything was done
-            self._return += reward
+        earned = now.t > self._t >= 0.0  # not in a hold, nor before anything was done
+        if earned and not self._over:
+            self._return = self._return + reward  # a decision keeps the array
         if now.t > self._t:
             self._done_s = self._done_s + self.team.tick if done else 0.0
+        self._over |= done or now.t >= task.duration_s
         self._t = now.t
         actions = self._policy.act(observed(task, view))[0]
         figures: dict[str, Array | float] = {"reward": reward if earned else np.nan, "return": self._return}
@@ -111,19 +114,18 @@ class PolicyBehaviour(Behaviour):
 
     @cached_property
     def _task(self) -> Task:
-        kind, given = load_task(self._described.task.name), self._described.task.settings | self.settings.task
-        return kind(kind.Settings.model_validate(given), self.team, 1)
+        return self._made(self._policy.description)
 
-    @property
-    def _described(self) -> Description:
-        return self._policy.description
+    def _made(self, described: Description) -> Task:
+        reach(split(self.settings.file)[0].parent, described.task.name)
+        kind, given = load_task(described.task.name), described.task.settings | self.settings.task
+        return kind(kind.Settings.model_validate(given), self.team, 1)
 
     def refusals(self) -> Iterator[Refusal]:
         """Yield why the policy cannot be loaded, or was trained for something else."""
         path, _ = split(self.settings.file)
         try:
-            described = self._described
-            reach(path.parent, described.task.name)
+            described = self._policy.description
             task = self._task
         except (BadInputError, PluginError) as error:
             yield Refusal("settings.file", str(error))
@@ -135,8 +137,8 @@ class PolicyBehaviour(Behaviour):
             return
         yield from (Refusal(f"settings.task.{key}", message) for key, message in task.refusals())
         again = "or train it again"
-        if (now := tuple(Term(*term) for term in task.terms)) != described.terms:
-            then, today = _shown(described.terms), _shown(now)
+        if tuple(task.terms) != described.terms:
+            then, today = _shown(described.terms), _shown(task.terms)
             message = f"{path} observes {then}, and its task {described.task.name} is {today} now: mend settings.task"
             yield Refusal("settings.file", f"{message}, {again}")
         if described.robots not in (None, len(self.team)):
@@ -156,20 +158,21 @@ class PolicyBehaviour(Behaviour):
         yield Bound("settings.file", "a decision of the network", took_s, SHARE_OF_TICK * self.team.tick, "s", mend)
 
     def shapes(self) -> list[Shape]:
-        if any(self.refusals()):
-            return []
-        task = type(self._task)(self._task.settings, self.team, 1)
+        try:
+            task = self._made(read_policy(self.settings.file).description)
+        except (BadInputError, PluginError, ValidationError):
+            return []  # a viewer on another computer has no policy; a run is refused
         poses = [start or (0.0, 0.0, 0.0) for start in self.team.starts]
         task.begin(_FIRST, np.array([poses]), deepcopy(self.team.rng))
         return list(task.shapes())
 
     def summary(self, past: Past) -> dict[str, Any]:
-        """Return the rewards, and the return in the end."""
+        """Return the rewards, and the return of the episode that the run began with."""
         found = super().summary(past)
         del found["return"]
         return found | {"final_return": statistics(past.figures["return"][-1:])}
 
 
-def _shown(terms: tuple[Term, ...]) -> str:
+def _shown(terms: Sequence[Term]) -> str:
     every = (f"{term.name} {term.size}{' ' if term.unit else ''}{term.unit} / {term.scale:g}" for term in terms)
     return f"{sum(term.size for term in terms)} numbers ({', '.join(every)})"

@@ -41,7 +41,7 @@ Modules = Annotated[
 ]
 ReplayedModules = Annotated[
     Path | None,
-    typer.Option("--behaviours", metavar="DIR", help="Folder of your own behaviours, if the run has any."),
+    typer.Option("--behaviours", metavar="DIR", help="Folder of your own behaviours, and of policies that were moved."),
 ]
 RunFolder = Annotated[
     Path | None, typer.Argument(metavar="RUN", help="A run's folder or its run.mcap. Default: the newest in runs/.")
@@ -63,7 +63,7 @@ def replay(run: RunFolder = None, behaviours: ReplayedModules = None) -> None:
     times_ns = [stopwatch_ns()]
     with readable():
         recording = read(run, partial(needed, run, behaviours))
-        load_behaviours(run, recording.config)
+        recording.config = load_behaviours(run, recording.config, behaviours)
         times_ns.append(stopwatch_ns())
         compile_kernels(recording.config)
         times_ns.append(stopwatch_ns())
@@ -79,13 +79,19 @@ def replay(run: RunFolder = None, behaviours: ReplayedModules = None) -> None:
         raise typer.Exit(1)
 
 
-def load_behaviours(run: Path, config: "Config") -> None:
-    """Load the recording's behaviours; RefusedError where one is not here."""
-    for group in config.groups:
-        try:
-            groups.kind(group)
-        except PluginError as error:
-            raise RefusedError(f"{run}: {error}") from error
+def load_behaviours(run: Path, config: "Config", folder: Path | None) -> "Config":
+    """Load the recording's behaviours, and the files that they name; RefusedError where one is not here.
+
+    Returns the configuration with the files where they are now: in the user's folder where they are gone.
+    """
+    try:
+        config = config if folder is None else groups.relocated(config, folder)
+        for group, behaviour in zip(config.groups, groups.behaviours(config), strict=True):
+            for refusal in behaviour.refusals():
+                raise RefusedError(printable(f"{run}: group {group.title}: {refusal.key}: {refusal.message}"))
+    except PluginError as error:
+        raise RefusedError(f"{run}: {error}") from error
+    return config
 
 
 def repair(run: RunFolder = None) -> None:

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
 import yaml
 from onnx import TensorProto, helper, numpy_helper
 
@@ -23,15 +22,19 @@ def go_to(robots: int = 4, **settings: Any) -> Task:
     return kind(kind.Settings.model_validate(settings), team(robots), 1)
 
 
-def linear(weights: Array, *, opset: int = 17, ir: int = 8, batch: str | int = "batch", scale: float = 1.0) -> bytes:
-    """Return the network x W, as ONNX."""
+def network(*weights: Array, opset: int = 17, ir: int = 8, batch: str | int = "batch") -> bytes:
+    """Return a network of layers x W with tanh between them, as ONNX."""
+    nodes, value = [], "observation"
+    for k in range(len(weights)):
+        if k:
+            nodes.append(helper.make_node("Tanh", [value], [value := f"tanh{k}"]))
+        nodes.append(helper.make_node("MatMul", [value, f"W{k}"], [value := f"layer{k}"]))
+    kept = [numpy_helper.from_array(each.astype(np.float32), f"W{k}") for k, each in enumerate(weights)]
     ends = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, [batch, size])
-        for name, size in zip(("observation", "action"), weights.shape, strict=True)
+        for name, size in (("observation", weights[0].shape[0]), (value, weights[-1].shape[1]))
     ]
-    kept = numpy_helper.from_array((scale * weights).astype(np.float32), "weights")
-    node = helper.make_node("MatMul", ["observation", "weights"], ["action"])
-    graph = helper.make_graph([node], "policy", ends[:1], ends[1:], [kept])
+    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], kept)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)])
     model.ir_version = ir
     found: bytes = model.SerializeToString()
@@ -45,10 +48,10 @@ def to_goal(task: Task) -> Array:
     return weights
 
 
-def saved(file: Path, network: bytes | None = None, description: Description | None = None) -> Path:
+def saved(file: Path, content: bytes | None = None, description: Description | None = None) -> Path:
     """Write a policy that drives to goals, or another one."""
     task = go_to()
-    save_policy(file, network or linear(to_goal(task)), description or described(task))
+    save_policy(file, content or network(to_goal(task)), description or described(task))
     return file
 
 
@@ -58,7 +61,11 @@ def laboratory(folder: Path, **settings: Any) -> Path:
         {"id": robot, "tag": k, "vehicle": "gternal", "start": {"x_m": x, "y_m": y, "heading_deg": heading}}
         for k, (robot, (x, y, heading)) in enumerate(STARTS.items())
     ]
-    group = {"behaviour": "policy", "robots": [*STARTS], "settings": {"file": "go_to.onnx", "task": SETTINGS} | settings}
+    group = {
+        "behaviour": "policy",
+        "robots": [*STARTS],
+        "settings": {"file": "go_to.onnx", "task": SETTINGS} | settings,
+    }
     tree = {
         "arena": {"name": "policy", "size_m": [3.2, 2.0]}, "robots": robots, "groups": [group],
         "controller": {"tick_s": 0.033, "alpha": 45, "horizon_s": 0.6, "point_ahead_m": 0.08},
@@ -69,6 +76,3 @@ def laboratory(folder: Path, **settings: Any) -> Path:
     file = folder / "policy.yaml"
     file.write_text(yaml.safe_dump(tree, sort_keys=False))
     return file
-
-
-__all__ = ["GOALS", "SETTINGS", "STARTS", "go_to", "laboratory", "linear", "onnx", "saved", "to_goal"]

@@ -34,7 +34,7 @@ def gap(run: RunFolder = None, configs: ConfigsRobots = Path("configs"), behavio
     run = chosen(run)
     with readable():
         recorded = read(run, partial(needed, run, behaviours))
-        load_behaviours(run, recorded.config)
+        recorded.config = load_behaviours(run, recorded.config, behaviours)
     files = {robot.id: configs / "robots" / f"{robot.id}.yaml" for robot in recorded.config.members}
     known = [robot_files.earlier(file, robot) for robot, file in files.items()]
     not_identified = tuple(each.robot for each in known if each.simulated is None)
