@@ -87,7 +87,7 @@ def test_it_observes_what_its_robots_were_asked_for_in_truth(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("task", "words"),
     [
-        ({"neighbours": 5}, "settings.file: {file} observes 15 numbers (goal 2 m / 1, "),
+        ({"neighbours": 5}, "settings.file: {file} observes 21 numbers (goal 2 m / 1, "),
         ({"goals": {"r1": SETTINGS["goals"]["r1"]}}, "settings.task.goals: r2 has no goal"),
         ({"goals": SETTINGS["goals"] | {"r9": SETTINGS["goals"]["r1"]}}, "settings.task.goals.r9: r9 is not in the gr"),
         ({"accuracy": 1.0}, "settings.task.accuracy: Extra inputs are not permitted: it is a key of the task go_to"),
