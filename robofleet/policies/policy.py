@@ -33,7 +33,7 @@ from robofleet.policies.description import Description, pinned, read_policy, spl
 from robofleet.policies.interface import Task, Term, View, load_task, observed, velocities
 from robofleet.policies.network import Policy, inference_s, load_policy
 
-_DONE_S = 0.5  # so long a task must be done for the run to end
+DONE_S = 0.5  # so long a task must be done for the run to end
 _FIRST = np.zeros(1, dtype=np.int64)  # the only arena of a run
 
 
@@ -58,7 +58,7 @@ class PolicyBehaviour(Behaviour):
     settings: Settings
     figures: ClassVar[Sequence[Figure]] = (
         Figure("reward", meaning="what the tick before earned by the task"),
-        Figure("return", meaning="sum of the rewards until the task was done, or its time was over", live=False),
+        Figure("return", meaning="sum of the rewards since the start", live=False),
     )
 
     def __init__(self, settings: Settings, team: Team) -> None:
@@ -70,7 +70,6 @@ class PolicyBehaviour(Behaviour):
         self._t = -np.inf  # of the tick before
         self._poses, self._u = np.zeros((n, 3)), np.zeros((n, 2))
         self._return, self._done_s = np.zeros(n), 0.0
-        self._over = False  # the episode, as the task was trained in
 
     def changed(self, velocities: Array) -> None:
         self._u = velocities.copy()
@@ -78,22 +77,20 @@ class PolicyBehaviour(Behaviour):
     @property
     def arrived(self) -> bool:
         """Whether the task has been done for a while."""
-        return self._done_s > _DONE_S
+        return self._done_s > DONE_S
 
     def decide(self, now: Situation) -> Decision:
         """Return the body velocities that the network's actions ask for."""
-        view, task = self._view(now), self._task
+        view, task = self._view(now), self.task
         if self._t < 0.0:
             task.begin(_FIRST, view.poses, deepcopy(self.team.rng))  # the goals that ``shapes`` shows
         reward, done = task.reward(view)[0], bool(task.done(view)[0])
-        earned = now.t > self._t >= 0.0  # not in a hold, nor before anything was done
-        if earned and not self._over:
+        if earned := now.t > self._t >= 0.0:  # not in a hold, nor before anything was done
             self._return = self._return + reward  # a decision keeps the array
         if now.t > self._t:
             self._done_s = self._done_s + self.team.tick if done else 0.0
-        self._over |= done or now.t >= task.duration_s
         self._t = now.t
-        actions = self._policy.act(observed(task, view))[0]
+        actions = self.policy.act(observed(task, view))[0]
         figures: dict[str, Array | float] = {"reward": reward if earned else np.nan, "return": self._return}
         return Decision(velocities(actions, self.team), "body", figures=figures)
 
@@ -109,12 +106,14 @@ class PolicyBehaviour(Behaviour):
         )  # fmt: skip
 
     @cached_property
-    def _policy(self) -> Policy:
+    def policy(self) -> Policy:
+        """The policy; PolicyError where it cannot be loaded."""
         return load_policy(self.settings.file)
 
     @cached_property
-    def _task(self) -> Task:
-        return self._made(self._policy.description)
+    def task(self) -> Task:
+        """The task that it was trained for, with this group's settings."""
+        return self._made(self.policy.description)
 
     def _made(self, described: Description) -> Task:
         reach(split(self.settings.file)[0].parent, described.task.name)
@@ -125,8 +124,8 @@ class PolicyBehaviour(Behaviour):
         """Yield why the policy cannot be loaded, or was trained for something else."""
         path, _ = split(self.settings.file)
         try:
-            described = self._policy.description
-            task = self._task
+            described = self.policy.description
+            task = self.task
         except (BadInputError, PluginError) as error:
             yield Refusal("settings.file", str(error))
             return
@@ -151,7 +150,7 @@ class PolicyBehaviour(Behaviour):
     def bounds(self) -> Iterator[Bound]:
         """Yield whether the network is fast enough."""
         try:
-            took_s = inference_s(self._policy, len(self.team))
+            took_s = inference_s(self.policy, len(self.team))
         except (BadInputError, ValueError):
             return  # refused
         mend = "the robots would stand, so train a smaller network"
@@ -167,7 +166,7 @@ class PolicyBehaviour(Behaviour):
         return list(task.shapes())
 
     def summary(self, past: Past) -> dict[str, Any]:
-        """Return the rewards, and the return of the episode that the run began with."""
+        """Return the rewards, and the return in the end."""
         found = super().summary(past)
         del found["return"]
         return found | {"final_return": statistics(past.figures["return"][-1:])}

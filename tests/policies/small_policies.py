@@ -41,6 +41,12 @@ def network(*weights: Array, opset: int = 17, ir: int = 8, batch: str | int = "b
     return found
 
 
+def column(name: str) -> int:
+    """Return where a term of the task go_to begins in what a robot observes."""
+    terms = go_to().terms
+    return sum(term.size for term in terms[: [term.name for term in terms].index(name)])
+
+
 def to_goal(task: Task) -> Array:
     """Return the weights of a proportional law: forwards by the goal's x, turning by its y, in the robot's frame."""
     weights = np.zeros((width(task), 2))

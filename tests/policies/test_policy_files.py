@@ -12,7 +12,7 @@ from onnx.external_data_helper import convert_model_to_external_data
 
 from robofleet.policies import PolicyError, Task, described, export_torch, load_policy, save_policy
 from robofleet.policies.interface import width
-from tests.policies.small_policies import go_to, network, saved, to_goal
+from tests.policies.small_policies import column, go_to, network, saved, to_goal
 
 F = width(go_to())
 
@@ -35,10 +35,10 @@ def test_it_acts_as_its_network_on_normalised_observations(form: Literal["robot"
 
 def test_what_is_not_finite_is_nan(tmp_path: Path) -> None:
     weights = to_goal(go_to())
-    weights[2, 1] = np.inf
+    weights[column("speed"), 1] = np.inf
     policy = load_policy(saved(tmp_path / "p.onnx", network(weights)))
     observations = np.zeros((1, 2, F), dtype=np.float32)
-    observations[0, 1, 2] = 1.0
+    observations[0, 1, column("speed")] = 1.0
     assert np.isnan(policy.act(observations)[0, 1, 1])
 
 
@@ -111,8 +111,9 @@ def _rewritten(content: bytes) -> Callable[[Path], None]:
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_by_a_line(
-    spoil: Callable[[Path], None], words: str, tmp_path: Path
+    spoil: Callable[[Path], None], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # where onnxruntime looks for further files
     file = saved(tmp_path / "p.onnx")
     spoil(file)
     with pytest.raises(PolicyError) as caught:

@@ -33,7 +33,7 @@ class Timed(PolicyBehaviour):
     figures = (*PolicyBehaviour.figures, Figure("inference", "s"), Figure("deciding", "s"))
 
     def decide(self, now: Situation) -> Decision:
-        act, took_ns = self._policy.act, 0
+        act, took_ns = self.policy.act, 0
 
         def timed(observations: Array32) -> Array:
             nonlocal took_ns
@@ -42,11 +42,11 @@ class Timed(PolicyBehaviour):
             took_ns = stopwatch_ns() - began_ns
             return actions
 
-        self._policy.act = timed  # type: ignore[method-assign]
+        self.policy.act = timed  # type: ignore[method-assign]
         began_ns = stopwatch_ns()
         decision = super().decide(now)
         deciding_ns = stopwatch_ns() - began_ns
-        del self._policy.act
+        del self.policy.act
         return decision._replace(figures={**decision.figures, "inference": took_ns / S, "deciding": deciding_ns / S})
 
 
