@@ -14,21 +14,21 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
 from robofleet.envs import Episodes
-from robofleet.envs.sb3 import SB3FleetEnv
-from robofleet.policies import described, export_torch
+from robofleet.envs.sb3 import SB3FleetEnv, export
 
 CONFIG = Path(__file__).parents[1] / "policy.yaml"
 FILE = Path("go_to.onnx")
 STEPS = 8_000_000  # of robots
 
 if __name__ == "__main__":
+    torch.set_num_threads(1)  # with small networks more threads wait for each other
     episodes = Episodes(CONFIG, "go_to", arenas=128, settings={"accuracy_m": 0.03})  # a run asks for 0.05
+    world = SB3FleetEnv(episodes)
     model = PPO(
-        "MlpPolicy", VecMonitor(SB3FleetEnv(episodes)), n_steps=64, batch_size=8192, n_epochs=4, seed=0, verbose=1,
+        "MlpPolicy", VecMonitor(world), n_steps=64, batch_size=8192, n_epochs=4, seed=0, verbose=1,
         learning_rate=lambda left: 1e-3 * left, policy_kwargs={"net_arch": [64, 64], "log_std_init": -0.5},
         device="cpu",
     )  # fmt: skip
     model.learn(STEPS)
-    network = torch.nn.Sequential(model.policy.mlp_extractor.policy_net, model.policy.action_net)
-    export_torch(network, FILE, described(episodes.task))
+    export(model, world, FILE)
     print(f"{FILE.absolute()}: drive it with robofleet run {CONFIG} --set groups.0.settings.file={FILE.absolute()}")

@@ -15,23 +15,23 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from robofleet.config.load import load_config
 from robofleet.envs import Episodes
-from robofleet.envs.sb3 import SB3FleetEnv
-from robofleet.policies import described, export_torch
+from robofleet.envs.sb3 import SB3FleetEnv, export
 
 CONFIG = Path(__file__).parents[1] / "platoon.yaml"
 FILE = Path("platoon.onnx")
 STEPS = 3_000_000  # of robots
 
 if __name__ == "__main__":
+    torch.set_num_threads(1)  # with small networks more threads wait for each other
     config = load_config(CONFIG)
     settings = {key: config.groups[0].settings[key] for key in ("path", "spacing_m", "path_rate")}
     episodes = Episodes(config, "platoon", arenas=128, settings=settings)
+    world = SB3FleetEnv(episodes)
     model = PPO(
-        "MlpPolicy", VecMonitor(SB3FleetEnv(episodes)), n_steps=64, batch_size=8192, n_epochs=4, seed=0, verbose=1,
+        "MlpPolicy", VecMonitor(world), n_steps=64, batch_size=8192, n_epochs=4, seed=0, verbose=1,
         learning_rate=lambda left: 1e-3 * left, policy_kwargs={"net_arch": [64, 64], "log_std_init": -0.5},
         gamma=0.95, device="cpu",
     )  # fmt: skip
     model.learn(STEPS)
-    network = torch.nn.Sequential(model.policy.mlp_extractor.policy_net, model.policy.action_net)
-    export_torch(network, FILE, described(episodes.task))
+    export(model, world, FILE)
     print(f"{FILE.absolute()}: drive it with the behaviour policy")
