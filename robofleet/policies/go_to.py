@@ -40,15 +40,12 @@ class GoTo(Task):
 
     @property
     def terms(self) -> Sequence[Term]:
-        goal, towards = Term("goal", 2, "m", 1.0), Term("goal_direction", 2)
         own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
-        return goal, towards, *own, Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
+        return Term("goal", 2, "m", 1.0), *own, Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
 
     def observe(self, view: View) -> Sequence[Array]:
         near = neighbours(view, self.settings.neighbours, self.settings.range_m)
-        goal = in_frames(view.poses, self._goals)
-        towards = goal / np.maximum(np.sqrt((goal * goal).sum(axis=2, keepdims=True)), 1e-9)
-        return goal, towards, view.velocities[..., :1], view.velocities[..., 1:], near
+        return in_frames(view.poses, self._goals), view.velocities[..., :1], view.velocities[..., 1:], near
 
     def reward(self, view: View) -> Array:
         """Return the share of the top speed with which the goal came nearer, less for the time and for being near."""
