@@ -32,6 +32,8 @@ if __name__ == "__main__":
         learning_rate=lambda left: 1e-3 * left, policy_kwargs={"net_arch": [64, 64], "log_std_init": -0.5},
         gamma=0.95, device="cpu",
     )  # fmt: skip
+    # A mean beyond the limits would be cut off, and noise would change nothing.
+    model.policy.action_net = torch.nn.Sequential(model.policy.action_net, torch.nn.Tanh())
     model.learn(STEPS)
     export(model, world, FILE)
     print(f"{FILE.absolute()}: drive it with the behaviour policy")
