@@ -66,8 +66,7 @@ def main() -> None:
     with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:
         for trial in pool.map(partial(drive, arguments.source, arguments.policy), seeds):
             trials.append(trial)
-            if not trial.arrived:
-                print(trial, file=sys.stderr, flush=True)
+            print(trial, file=sys.stderr, flush=True)
     gaps, times = [trial.gap_mm for trial in trials], [trial.seconds for trial in trials if trial.arrived]
     print(f"{arguments.source}, {len(trials)} seeds: arrived {len(times)}, smallest gap {min(gaps):.1f} mm", end="")
     print(f", touches {sum(gap <= 0.0 for gap in gaps)}, time {np.median(times) if times else math.nan:.1f} s (median)")
