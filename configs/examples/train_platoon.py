@@ -1,7 +1,7 @@
 """Train a platoon: the leader follows the path on time, every other robot the one ahead of it.
 
 The robots of 128 arenas learn one network, by proximal policy optimisation (PPO) of stable-baselines3. It takes about
-five minutes on two idle cores, and writes platoon.onnx and platoon.json to the current folder. It needs
+ten minutes on two idle cores, and writes platoon.onnx and platoon.json to the current folder. It needs
 `pip install 'robofleet[envs]' stable-baselines3 onnx`.
 
 Start it with: python configs/examples/train_platoon.py
@@ -19,7 +19,7 @@ from robofleet.envs.sb3 import SB3FleetEnv, export
 
 CONFIG = Path(__file__).parents[1] / "platoon.yaml"
 FILE = Path("platoon.onnx")
-STEPS = 3_000_000  # of robots
+STEPS = 8_000_000  # of robots
 
 if __name__ == "__main__":
     torch.set_num_threads(1)  # with small networks more threads wait for each other
