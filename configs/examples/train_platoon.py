@@ -19,7 +19,7 @@ from robofleet.envs.sb3 import SB3FleetEnv, export
 
 CONFIG = Path(__file__).parents[1] / "platoon.yaml"
 FILE = Path("platoon.onnx")
-STEPS = 8_000_000  # of robots
+STEPS = 5_000_000  # of robots
 
 if __name__ == "__main__":
     torch.set_num_threads(1)  # with small networks more threads wait for each other
@@ -29,7 +29,7 @@ if __name__ == "__main__":
     world = SB3FleetEnv(episodes)
     model = PPO(
         "MlpPolicy", VecMonitor(world), n_steps=64, batch_size=8192, n_epochs=4, seed=0, verbose=1,
-        learning_rate=lambda left: 1e-3 * left, policy_kwargs={"net_arch": [64, 64], "log_std_init": -0.5},
+        learning_rate=lambda left: 1e-3 * max(left, 0.4), policy_kwargs={"net_arch": [64, 64], "log_std_init": -0.5},
         gamma=0.95, device="cpu",
     )  # fmt: skip
     # A mean beyond the limits would be cut off, and noise would change nothing.
