@@ -1,7 +1,7 @@
 """Train four robots to drive to goals, without touching and without waiting for each other for ever.
 
-The robots of 128 arenas learn one network, by proximal policy optimisation (PPO) of stable-baselines3. It takes about
-ten minutes on two idle cores, and writes go_to.onnx and go_to.json to the current folder. It needs
+The robots of 128 arenas learn one network, by proximal policy optimisation (PPO) of stable-baselines3. It takes three
+to four minutes of CPU time, and writes go_to.onnx and go_to.json to the current folder. It needs
 `pip install 'robofleet[envs]' stable-baselines3 onnx`.
 
 Start it with: python configs/examples/train_go_to.py

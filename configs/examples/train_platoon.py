@@ -1,7 +1,7 @@
 """Train a platoon: the leader follows the path on time, every other robot the one ahead of it.
 
-The robots of 128 arenas learn one network, by proximal policy optimisation (PPO) of stable-baselines3. It takes about
-ten minutes on two idle cores, and writes platoon.onnx and platoon.json to the current folder. It needs
+The robots of 128 arenas learn one network, by proximal policy optimisation (PPO) of stable-baselines3. It takes three
+to four minutes of CPU time, and writes platoon.onnx and platoon.json to the current folder. It needs
 `pip install 'robofleet[envs]' stable-baselines3 onnx`.
 
 Start it with: python configs/examples/train_platoon.py
