@@ -1,14 +1,19 @@
 """Many arenas as stable-baselines3 has environments, for its algorithms."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from robofleet.core.arrays import Array32
 from robofleet.envs.episodes import Episodes
 from robofleet.envs.gymnasium import VectorFleetEnv
+from robofleet.policies.description import described
+from robofleet.policies.torch_export import export_torch
 
 
 class SB3FleetEnv(VecEnv):  # type: ignore[misc]
@@ -16,11 +21,12 @@ class SB3FleetEnv(VecEnv):  # type: ignore[misc]
 
     Attributes:
         episodes: The episodes.
+        each: What an agent is.
     """
 
     def __init__(self, episodes: Episodes, *, each: str = "robot") -> None:
         """Take episodes, and what an agent is, as ``VectorFleetEnv`` does."""
-        self.episodes, self._env = episodes, VectorFleetEnv(episodes, each=each)
+        self.episodes, self.each, self._env = episodes, each, VectorFleetEnv(episodes, each=each)
         super().__init__(self._env.num_envs, self._env.single_observation_space, self._env.single_action_space)
 
     def reset(self) -> Array32:
@@ -61,3 +67,18 @@ class SB3FleetEnv(VecEnv):  # type: ignore[misc]
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> Sequence[bool]:
         """Return that no arena is."""
         return [False] * self.num_envs
+
+
+def export(model: OnPolicyAlgorithm, world: SB3FleetEnv, file: Path) -> None:
+    """Write a policy's two files.
+
+    Args:
+        model: PPO or A2C with ``MlpPolicy``, trained in ``world`` without further normalisation.
+        world: The arenas.
+        file: Of the network; it ends in .onnx.
+
+    Raises:
+        PolicyError: The files cannot be written.
+    """
+    network = torch.nn.Sequential(model.policy.mlp_extractor.policy_net, model.policy.action_net)
+    export_torch(network, file, described(world.episodes.task, form="group" if world.each == "arena" else "robot"))

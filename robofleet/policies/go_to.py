@@ -40,8 +40,8 @@ class GoTo(Task):
 
     @property
     def terms(self) -> Sequence[Term]:
-        near = Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
-        return Term("goal", 2, "m", 1.0), Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0), near
+        own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
+        return Term("goal", 2, "m", 1.0), *own, Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
 
     def observe(self, view: View) -> Sequence[Array]:
         near = neighbours(view, self.settings.neighbours, self.settings.range_m)
@@ -63,9 +63,13 @@ class GoTo(Task):
         self._left[arenas] = away(poses, self._goals[arenas])
 
     def refusals(self) -> Iterator[Refusal]:
-        missing = set(self.team.robots) - set(self.settings.goals)
-        if self.settings.goals and missing:
-            yield Refusal("goals", f"{', '.join(sorted(missing))}: no goal: add it, or let goals be drawn for all")
+        """Yield robots without a goal, and goals without a robot, where goals are given."""
+        for robot in self.settings.goals:
+            if robot not in self.team.robots:
+                yield Refusal(f"goals.{robot}", f"{robot} is not in the group: remove its goal")
+        for robot in self.team.robots if self.settings.goals else ():
+            if robot not in self.settings.goals:
+                yield Refusal("goals", f"{robot} has no goal: add `{robot}: {{x_m: ..., y_m: ...}}`, or remove all")
 
     def shapes(self) -> Sequence[Shape]:
         return (Dots("goals", self._goals[0]),)

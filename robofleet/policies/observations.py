@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NEIGHBOUR = 5  # numbers of a neighbour
 NEAR_M = 0.1  # of other bodies, obstacles and edges: nearer is too near
 _TRIES = 200  # draws of a pose with free way; then the arena is too small
-_MARGIN_M = 0.02  # of drawn poses, beyond what the barrier keeps of robots under way
+_MARGIN_M = 0.05  # of drawn poses, beyond what the barrier keeps of robots under way
 
 
 def in_frames(poses: Array, points: Array) -> Array:
