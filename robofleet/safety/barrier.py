@@ -167,7 +167,17 @@ class Barrier:
         wheels, u, pushed = wheels.copy(), u.copy(), self._still if pushed is None else pushed
         change, blocked = np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
         filter_commands(
-            poses, turning, unseen, pushed, driving, wheels, u, change, blocked, *self._memory, *self._constants  # type: ignore[arg-type]
+            poses,
+            turning,
+            unseen,
+            pushed,
+            driving,
+            wheels,
+            u,
+            change,
+            blocked,
+            *self._memory,
+            *self._constants,  # type: ignore[arg-type]
         )
         return Filtered(wheels, u, change, blocked)
 
