@@ -66,9 +66,7 @@ def fit(seen: Sequence[Seen], size: tuple[int, int]) -> Fit:
         raise FitError(f"{len(pixels)} tags of the pattern were read, {LEAST} are needed")
     used = _near_homography(pixels, floor)
     if np.count_nonzero(used) < LEAST:
-        raise FitError(
-            "the tags that were read form no plane picture: clear the floor, or calibrate the cameras again"
-        )
+        raise FitError("the tags that were read form no plane picture: clear the floor, or calibrate the cameras again")
     start = _start(pixels[used], floor[used], size)
     whiten = np.linalg.inv(np.linalg.cholesky(np.concatenate([own.covariance for own in seen])))
     bundle = _Bundle(start, pixels, floor, whiten, _by_cameras(seen))

@@ -87,10 +87,10 @@ class Projector:
         below = (points - self.geometry.position) @ self.geometry.T_world_camera[:3, :3]
         front: NDArray[np.bool_] = np.asarray(below[:, 2] > 0.0)
         straight = below[front, :2] / below[front, 2:] * np.diag(self.geometry.K)[:2] + self.geometry.K[:2, 2]
-        front[front] = (np.abs(straight / self.size - 0.5) < 1.0).all(axis=1)
+        front[front] = np.abs(straight / self.size - 0.5).max(axis=1) < 1.0
         if front.any():
             bent = self.geometry.project(points[front])
-            inside = (np.abs((bent + 0.5) / self.size - 0.5) <= 0.5).all(axis=1)
+            inside = np.abs((bent + 0.5) / self.size - 0.5).max(axis=1) <= 0.5
             pixels[front] = np.where(inside[:, None], bent, np.nan)
         return pixels
 
