@@ -8,6 +8,7 @@ covariance. Priors hold what a floor does not tell near what projectors have.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -27,7 +28,7 @@ _TURN, _SHIFT, _FOCAL, _ACROSS, _DOWN = 1.0, 1.0, 0.4, 0.1, 0.6
 _DISTORTION = 0.2, 0.2, 0.005, 0.005
 LEAST = 12  # tags
 _NEAR_M = 0.02  # of a homography, which knows no lens
-_OUTLIER = 4.5  # standard deviations
+_OUTLIER = 5.0  # standard deviations
 _ROUNDS = 4
 
 
@@ -40,7 +41,7 @@ class Seen(NamedTuple):
 
     pixels: Array  # (N, 2) of the projector
     floor: Array  # (N, 2) where their light seems to be [m; world]
-    covariance: Array  # (N, 2, 2) of each by itself [m^2]
+    covariance: Array  # (N, 2, 2) of each by itself, but for a factor that all have in common [m^2]
     by_camera: Array  # (N, 2, K) how they move with K errors of the camera, each of standard deviation 1 [m]
 
 
@@ -50,9 +51,7 @@ class Fit(NamedTuple):
     projector: Projector
     error: Array  # (N, 2) of all that was seen, from where the projector lights [m]
     used: NDArray[np.bool_]  # (N,)
-    chi_square: float  # of what was used; a draw from the chi-square distribution of ``freedom`` if all is as supposed
-    freedom: int
-    noise: float  # by which the errors are larger than their stated covariance; the projector's covariance counts it
+    noise: float  # errors, over what their covariance says; the projector's covariance counts it
 
 
 def fit(seen: Sequence[Seen], size: tuple[int, int]) -> Fit:
@@ -72,26 +71,23 @@ def fit(seen: Sequence[Seen], size: tuple[int, int]) -> Fit:
     bundle = _Bundle(start, pixels, floor, whiten, _by_cameras(seen))
     noise = 1.0
     for _ in range(_ROUNDS):
-        change, covariance = bundle.solved(used, noise)
-        distance = np.linalg.norm(bundle.residuals(change), axis=1) / math.sqrt(2.0)
-        noise = max(1.0, float(np.median(distance[used])) / _MEDIAN)
+        change, _ = bundle.solved(used, noise)
+        distance = np.linalg.norm(bundle.residuals(change), axis=1)
+        noise = float(np.median(distance[used])) / _MEDIAN
         inside = distance < _OUTLIER * noise
         if (inside == used).all():
             break
         used = inside
-        if np.count_nonzero(used) < LEAST:
-            raise FitError("the tags that were read contradict each other: calibrate the cameras again")
-    chi_square = float((bundle.residuals(change)[used] ** 2).sum())
-    freedom = 2 * int(used.sum()) - 8 - len(_DISTORTION)
-    noise = max(1.0, math.sqrt(chi_square / freedom))
+    freedom = 2 * int(used.sum()) - _TOLD
+    noise = math.sqrt(float((distance[used] ** 2).sum()) / freedom)
     change, covariance = bundle.solved(used, noise)
     count = len(VALUES)
-    projector = start.changed(change[:count])
-    projector = Projector(projector.geometry, size, covariance[:count, :count])
-    return Fit(projector, bundle.errors(change), used, chi_square, freedom, noise)
+    projector = replace(start.changed(change[:count]), covariance=covariance[:count, :count])
+    return Fit(projector, bundle.errors(change), used, noise)
 
 
-_MEDIAN = math.sqrt(math.log(2.0))  # of the length of two standard normal draws, over the root of 2
+_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # of the length of two standard normal draws
+_TOLD = 12  # numbers that a floor tells of a projector: a homography's 8 and the distortion's 4
 
 
 def _near_homography(pixels: Array, floor: Array) -> NDArray[np.bool_]:

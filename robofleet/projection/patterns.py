@@ -23,7 +23,7 @@ FAMILY: FamilyName = "36h11"
 _ROWS = 9  # of tags; as many columns as fit
 _QUIET_CELLS = 2  # between two tags' black squares: white, which a tag needs around it
 _LEAST_LIGHT = 8.0  # of white less black, which tells a pixel's share [grey levels]
-_SATURATED = 254.0
+_SATURATED = 250.0  # of a mean: noise is cut off at 255
 
 
 @dataclass(frozen=True)

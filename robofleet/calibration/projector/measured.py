@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -20,7 +21,7 @@ from robofleet.projection.patterns import Grid, Reading, bends
 from robofleet.tracking.camera import CameraGeometry
 
 COLUMNS, ROWS = 33, 21  # of the points at which the error is predicted
-_LAID_PX = 0.01  # to which a print is laid over an image, alike in all of it
+_LAID_PX = 0.01  # to which a camera sees prints where they are, however many it averages
 _LEAST_LIT = 0.005  # share of an image in which light that falls into it tells
 _SATURATED = 0.5  # share of its light
 _BLUR_M = 0.006  # standard deviation of an edge, above which lines are smeared
@@ -81,7 +82,9 @@ def measure(
             _seen(grid, own, geometries[camera], cameras[camera], bends(grid, own.tags, geometries[camera], first))
             for camera, own in reading.items()
         ]
-        found = fit(seen, grid.size)
+        found = _with_common(
+            fit(seen, grid.size), max(_m_per_px(geometries[camera], own) for camera, own in reading.items())
+        )
     except FitError as refused:
         raise CalibrationError(f"projector {name}: {refused}") from refused
     points, pixels = floor_points(arena_m), np.concatenate([own.pixels for own in seen])
@@ -96,7 +99,7 @@ def measure(
         "tags_used": float(found.used.sum()),
         "tags_left_out": float((~found.used).sum()),
         "residual_rms_mm": 1e3 * math.sqrt(float((found.error[found.used] ** 2).sum(axis=1).mean())),
-        "residual_ratio": math.sqrt(found.chi_square / found.freedom),
+        "residual_ratio": found.noise,
         "predicted_rms_mm": 1e3 * math.sqrt(float(np.nanmean(sigma**2))) if reached.any() else None,
         "predicted_max_mm": 1e3 * float(np.nanmax(sigma)) if reached.any() else None,
         "covered": float(lit.mean()),
@@ -159,8 +162,7 @@ def _seen(grid: Grid, own: Reading, camera: CameraGeometry, model: CameraModel, 
     steps = _STEP_PX * np.eye(2)
     moved = [camera.to_plane(pixels + step, 0.0) - camera.to_plane(pixels - step, 0.0) for step in steps]
     J = np.stack(moved, axis=2) / (2.0 * _STEP_PX)
-    variance = own.sigma_px**2 + _LAID_PX**2
-    covariance = variance[:, None, None] * (J @ J.transpose(0, 2, 1))
+    covariance = own.sigma_px[:, None, None] ** 2 * (J @ J.transpose(0, 2, 1))
     by_camera = np.zeros((len(pixels), 2, 0))
     if model.arena is not None and model.arena.covariance:
         values, vectors = np.linalg.eigh(covariance_of("camera: arena", model.arena.covariance, len(PARAMETERS)))
@@ -174,6 +176,14 @@ def _m_per_px(camera: CameraGeometry, own: Reading) -> float:
     """Return how far apart the floor's points are that two neighbouring pixels see, in the pattern's middle."""
     u, v = np.median(own.pixels, axis=0)
     return float(np.linalg.norm(np.diff(camera.to_plane(np.array([[u, v], [u + 1.0, v]]), 0.0), axis=0)))
+
+
+def _with_common(found: Fit, m_per_px: float) -> Fit:
+    """Return a fit that may be off by what no average betters, as a shift."""
+    covariance = found.projector.covariance.copy()
+    along = [VALUES.index("shift_x_m"), VALUES.index("shift_y_m")]
+    covariance[along, along] += (_LAID_PX * m_per_px) ** 2
+    return found._replace(projector=replace(found.projector, covariance=covariance))
 
 
 def _reached(projector: Projector, pixels: Array, points: Array, around_px: float) -> NDArray[np.bool_]:
