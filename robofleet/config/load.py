@@ -1,10 +1,10 @@
 """Reads a configuration: the file, the files that it names, ``--faults`` and ``--set``. All errors at once.
 
-A bare name in ``robots[].vehicle``, ``robots[].calibration``, ``groups[].settings.path``, ``camera.model``,
-``projectors[].calibration`` or ``projectors[].simulated.model`` is a file of ``robots/``, ``paths/``, ``cameras/`` or
-``projectors/`` beside the configuration, else of the shipped ``configs/``; a name that ends in .yaml is a path from the
-configuration's folder; a mapping stands for itself. A reference's ``csv`` is a path from the configuration's folder
-that ends in .csv; its rows take the name's place.
+A bare name in ``robots[].vehicle``, ``robots[].calibration``, ``groups[].settings.path``, ``camera.model`` or
+``projectors[].calibration`` is a file of ``robots/``, ``paths/``, ``cameras/`` or ``projectors/`` beside the
+configuration, else of the shipped ``configs/``; a name that ends in .yaml is a path from the configuration's folder; a
+mapping stands for itself. A reference's ``csv`` is a path from the configuration's folder that ends in .csv; its rows
+take the name's place.
 """
 
 import re
@@ -46,7 +46,6 @@ FOLDERS: dict[tuple[str, ...], str] = {
     ("camera", "model"): "cameras",
     ("cameras", "*", "model"): "cameras",
     ("projectors", "*", "calibration"): "projectors",
-    ("projectors", "*", "simulated", "model"): "projectors",
 }
 # CSV files, and their headers
 TABLES: dict[tuple[str, ...], tuple[str, ...]] = {

@@ -69,9 +69,9 @@ def fit(seen: Sequence[Seen], size: tuple[int, int]) -> Fit:
     start = _start(pixels[used], floor[used], size)
     whiten = np.linalg.inv(np.linalg.cholesky(np.concatenate([own.covariance for own in seen])))
     bundle = _Bundle(start, pixels, floor, whiten, _by_cameras(seen))
-    noise = 1.0
+    noise, change = 1.0, np.zeros(bundle.count)
     for _ in range(_ROUNDS):
-        change, _ = bundle.solved(used, noise)
+        change = bundle.solved(used, noise, change)
         distance = np.linalg.norm(bundle.residuals(change), axis=1)
         noise = float(np.median(distance[used])) / _MEDIAN
         inside = distance < _OUTLIER * noise
@@ -80,9 +80,9 @@ def fit(seen: Sequence[Seen], size: tuple[int, int]) -> Fit:
         used = inside
     freedom = 2 * int(used.sum()) - _TOLD
     noise = math.sqrt(float((distance[used] ** 2).sum()) / freedom)
-    change, covariance = bundle.solved(used, noise)
-    count = len(VALUES)
-    projector = replace(start.changed(change[:count]), covariance=covariance[:count, :count])
+    change = bundle.solved(used, noise, change)
+    projector = bundle.projector(change)
+    projector = replace(projector, covariance=bundle.covariance(projector, used, noise))
     return Fit(projector, bundle.errors(change), used, noise)
 
 
@@ -128,22 +128,33 @@ class _Bundle:
         width, height = start.size
         values = [_TURN] * 3 + [_SHIFT] * 3 + [_FOCAL, _ACROSS * width, _DOWN * height, *_DISTORTION]
         self._sigma = np.array(values + [1.0] * by_cameras.shape[2])
+        self.count = len(self._sigma)
+
+    def projector(self, change: Array) -> Projector:
+        return self._start.changed(change[: len(VALUES)])
 
     def errors(self, change: Array) -> Array:
         """Return what was seen from where the projector lights (N, 2) [m]."""
-        lit = self._start.changed(change[: len(VALUES)]).floor(self._pixels)
+        lit = self.projector(change).floor(self._pixels)
         return np.asarray(self._floor - self._by_cameras @ change[len(VALUES) :] - lit, np.float64)
 
     def residuals(self, change: Array) -> Array:
         """Return the errors (N, 2) in standard deviations."""
         return np.asarray(np.einsum("nij,nj->ni", self._whiten, self.errors(change)), np.float64)
 
-    def solved(self, used: NDArray[np.bool_], noise: float) -> tuple[Array, Array]:
-        """Return the best change, and its covariance, where errors are ``noise`` times as large as stated."""
+    def solved(self, used: NDArray[np.bool_], noise: float, near: Array) -> Array:
+        """Return the best change ``near`` one, where errors are ``noise`` times those stated."""
 
         def whole(scaled: Array) -> Array:
             return np.concatenate([self.residuals(self._sigma * scaled)[used].ravel() / noise, scaled])
 
-        best = least_squares(whole, np.zeros(len(self._sigma)), jac="3-point", xtol=1e-9, ftol=1e-9)
-        covariance = np.linalg.inv(best.jac.T @ best.jac) * np.outer(self._sigma, self._sigma)
-        return self._sigma * best.x, covariance
+        best = least_squares(whole, near / self._sigma, jac="3-point", xtol=1e-8, ftol=1e-8)
+        return np.asarray(self._sigma * best.x, np.float64)
+
+    def covariance(self, projector: Projector, used: NDArray[np.bool_], noise: float) -> Array:
+        """Return the covariance (13, 13) of a solution's VALUES: of changes from there, not from the start."""
+        moves = np.concatenate([projector.derivatives(self._pixels[used]), self._by_cameras[used]], axis=2)
+        J = (self._whiten[used] @ moves * self._sigma / noise).reshape(-1, self.count)
+        information = J.T @ J + np.eye(self.count)
+        covariance = np.linalg.inv(information) * np.outer(self._sigma, self._sigma)
+        return np.asarray(covariance[: len(VALUES), : len(VALUES)], np.float64)

@@ -133,7 +133,8 @@ def blending(projectors: list[Projector], ramp_m: float) -> list[Array]:
     return [_shares(projectors, own, ramp_m) for own in range(len(projectors))]
 
 
-_COARSE = 16  # pixels between those whose shares are computed; the others' are interpolated
+_COARSE = 8  # pixels between those whose weights are computed; the others' are interpolated
+_LEAST = 1e-3  # weight at a picture's very edge: also there light comes from somewhere
 
 
 def _shares(projectors: list[Projector], own: int, ramp_m: float) -> Array:
@@ -141,23 +142,23 @@ def _shares(projectors: list[Projector], own: int, ramp_m: float) -> Array:
     across, down = -(-width // _COARSE) + 1, -(-height // _COARSE) + 1
     u, v = np.meshgrid(np.linspace(0.0, width - 1.0, across), np.linspace(0.0, height - 1.0, down))
     floor = projectors[own].floor(np.column_stack([u.ravel(), v.ravel()]))
-    weights = [_weight(projector, floor, ramp_m) for projector in projectors]
-    total = np.sum(weights, axis=0)
-    share = np.where(total > 0.0, weights[own] / np.maximum(total, 1e-12), 1.0).reshape(down, across)
     columns = np.linspace(0.0, across - 1.0, width, dtype=np.float32)
     rows = np.linspace(0.0, down - 1.0, height, dtype=np.float32)
     x, y = np.meshgrid(columns, rows)
-    return np.asarray(cv2.remap(share, x, y, cv2.INTER_LINEAR), np.float64)
+    weights = [
+        cv2.remap(_weight(projector, floor, ramp_m).reshape(down, across), x, y, cv2.INTER_LINEAR)
+        for projector in projectors
+    ]
+    return np.asarray(weights[own] / np.maximum(np.sum(weights, axis=0), _LEAST), np.float64)
 
 
 def _weight(projector: Projector, floor: Array, ramp_m: float) -> Array:
-    """Return how far places (N, 2) lie inside a picture, (N,) in [0, 1]: 1 from ``ramp_m`` on."""
+    """Return how far places (N, 2) lie inside a picture, in [0, 1]: 1 from ``ramp_m`` on, 0 where it lights none."""
     pixels = projector.pixels(np.column_stack([floor, np.zeros(len(floor))]))
     last = np.array(projector.size) - 1.0
-    edges = np.linalg.norm(
-        projector.corners - np.roll(projector.corners, 1, axis=0), axis=1
-    )  # left, top, right, bottom
-    px_per_m = last / [(edges[1] + edges[3]) / 2.0, (edges[0] + edges[2]) / 2.0]
-    inside = np.nan_to_num(np.minimum(pixels, last - pixels) / px_per_m, nan=0.0).min(axis=1)
+    left, top, right, bottom = np.linalg.norm(projector.corners - np.roll(projector.corners, 1, axis=0), axis=1)
+    px_per_m = last / [(top + bottom) / 2.0, (left + right) / 2.0]
+    inside = (np.minimum(pixels, last - pixels) / px_per_m).min(axis=1)
     t = np.clip(inside / ramp_m, 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t), np.float64)
+    weight = _LEAST + (1.0 - _LEAST) * t * t * (3.0 - 2.0 * t)
+    return np.nan_to_num(weight, nan=0.0)

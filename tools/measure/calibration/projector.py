@@ -49,7 +49,8 @@ def drawn(rng: np.random.Generator, name: str, x: float, focal_px: float, height
     """Return a projector that hangs near x on the arena's long axis, as a configuration has it."""
     around = rng.uniform(-math.pi, math.pi)
     tilt = math.radians(_KEYSTONE_DEG) * np.array([math.cos(around), math.sin(around), 0.0])
-    R = np.diag([1.0, -1.0, -1.0]) @ cv2.Rodrigues(tilt)[0] @ cv2.Rodrigues(np.array([0, 0, rng.normal(0, 0.01)]))[0]
+    about = cv2.Rodrigues(tilt)[0] @ cv2.Rodrigues(np.array([0.0, 0.0, rng.normal(0.0, 0.01)]))[0]
+    R = np.asarray(np.diag([1.0, -1.0, -1.0]) @ about, np.float64)
     aim = np.array([x, 0.0, 0.0]) + np.append(rng.normal(0.0, 0.02, 2), 0.0)
     eye = aim - R[:, 2] * height_m / -R[2, 2]
     model = {
