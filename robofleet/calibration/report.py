@@ -35,7 +35,7 @@ _WORDS = {  # of figures and parameters, as a calibration's file names them
     "tags_left_out": "tags of the pattern that were left out",
     "residual_ratio": "tags from where the projector lights them, over what is expected",
     "covered": "share of the arena that is lit",
-    "edge_mm": "standard deviation of an edge on the floor, mm",
+    "edge_mm": "standard deviation of an edge on the floor, without the camera's blur, mm",
     "delay_ms": "time from a picture's drawing to its light, ms",
     "arena_in_sight": "share of the arena in sight",
     "f_x_px": "focal length along x, px",

@@ -20,7 +20,9 @@ def photographed(curve: Callable[[np.ndarray], np.ndarray], blur_px: float = 1.5
     floor = cv2.resize(rng.uniform(0.2, 0.9, (25, 40)), IMAGE, interpolation=cv2.INTER_NEAREST)
     seen = {}
     for name, picture in GRID.pictures().items():
-        shown = cv2.warpPerspective(cv2.GaussianBlur(picture / 255.0, (0, 0), blur_px), ONTO, IMAGE, flags=cv2.INTER_LINEAR)
+        shown = cv2.warpPerspective(
+            cv2.GaussianBlur(picture / 255.0, (0, 0), blur_px), ONTO, IMAGE, flags=cv2.INTER_LINEAR
+        )
         seen[name] = 255.0 * curve(floor * (0.5 + light * shown)) + rng.normal(0.0, 1.0, floor.shape)
     return seen
 

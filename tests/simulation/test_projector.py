@@ -106,9 +106,9 @@ def test_light_comes_after_the_projectors_own_delay() -> None:
 
 
 def test_a_projector_that_shows_nothing_changes_no_image() -> None:
-    clocks, alone = (Skipping(), Skipping()), config().model_copy(update={"projectors": ()})
-    pair = [SimulatedCamera(CameraContext.without_run(each, own)) for each, own in zip((config(), alone), clocks)]
-    assert np.array_equal(*(camera.read().image for camera in pair))
+    pair = config(), config().model_copy(update={"projectors": ()})
+    cameras = [SimulatedCamera(CameraContext.without_run(each, Skipping())) for each in pair]
+    assert np.array_equal(*(camera.read().image for camera in cameras))
 
 
 def test_the_truth_is_a_projector() -> None:

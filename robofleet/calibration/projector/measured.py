@@ -26,6 +26,7 @@ _LEAST_LIT = 0.005  # share of an image in which light that falls into it tells
 _SATURATED = 0.5  # share of its light
 _BLUR_M = 0.006  # standard deviation of an edge, above which lines are smeared
 _USABLE_M = 0.002  # predicted error
+_CAMERA_BLUR_PX = 0.8  # standard deviation of an edge by a sharp camera's lens and pixels
 _STEP_PX = 0.1
 
 
@@ -94,7 +95,10 @@ def measure(
     for other in others:
         if other is not None:
             lit |= other.lights(points)
-    blur_m = min(own.blur_px * _m_per_px(geometries[camera], own) for camera, own in reading.items())
+    blur_m = min(
+        math.sqrt(max(own.blur_px**2 - _CAMERA_BLUR_PX**2, 0.0)) * _m_per_px(geometries[camera], own)
+        for camera, own in reading.items()
+    )
     figures = {
         "tags_used": float(found.used.sum()),
         "tags_left_out": float((~found.used).sum()),
