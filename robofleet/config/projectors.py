@@ -11,8 +11,8 @@ from robofleet.core.settings import Delay, Fraction, Model, Name, Pixels, Text, 
 Complaint = tuple[str, str]  # dotted path, what is wrong and how to mend it
 
 
-class ProjectorModel(Model):
-    """A calibrated projector (a file of ``projectors``): a camera whose light goes the other way."""
+class ProjectorOptics(Model):
+    """A projector's lens, pose and delay: a camera whose light goes the other way."""
 
     width: Pixels
     """Width of its picture in pixels."""
@@ -29,6 +29,11 @@ class ProjectorModel(Model):
     """Pose of the projector: x to its picture's right, y down, z along its light."""
     delay_s: Delay = 0.0
     """Time from a picture's drawing until its light is on the floor."""
+
+
+class ProjectorModel(ProjectorOptics):
+    """A calibrated projector (a file of ``projectors``)."""
+
     calibrated: Provenance | None = None
     """How it was measured."""
 
@@ -36,7 +41,7 @@ class ProjectorModel(Model):
 class SimulatedProjectorSettings(Model):
     """What a simulated projector is. Its light falls on floor, tags and robots that the simulated cameras see."""
 
-    model: ProjectorModel
+    model: ProjectorOptics
     """Its true lens and pose. Its ``delay_s`` is the projector's own, two to four pictures long."""
     brightness: Annotated[float, within(0.001, 100)] = 0.5
     """Light of a white picture in its middle, as a share of the room's full light."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.config.calibrated import PoseSettings
-from robofleet.config.projectors import ProjectorModel
+from robofleet.config.projectors import ProjectorModel, ProjectorOptics
 from robofleet.core.arrays import Array
 from robofleet.tracking.camera import CameraGeometry
 
@@ -36,25 +36,25 @@ class Projector:
     covariance: Array = field(default_factory=lambda: np.zeros((len(VALUES), len(VALUES))))  # of VALUES
 
     @classmethod
-    def from_model(cls, model: ProjectorModel) -> "Projector":
+    def from_model(cls, model: ProjectorOptics) -> "Projector":
         (f_x, f_y), (c_x, c_y) = model.focal_px, model.centre_px
         K = [[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]]
         T = np.eye(4)
         T[:3, :3] = cv2.Rodrigues(np.array(model.T_world_projector.rotation_rad))[0]
         T[:3, 3] = model.T_world_projector.position_m
         geometry, size = CameraGeometry(K, model.distortion, T), (model.width, model.height)
-        if model.calibrated is None or not model.calibrated.covariance:
+        if not isinstance(model, ProjectorModel) or model.calibrated is None or not model.calibrated.covariance:
             return cls(geometry, size)
         return cls(geometry, size, np.array(model.calibrated.covariance))
 
     @property
-    def model(self) -> ProjectorModel:
-        """The projector as its file has it, without where that comes from."""
+    def model(self) -> ProjectorOptics:
+        """The projector as a configuration has it."""
         K, T = self.geometry.K, self.geometry.T_world_camera
         x, y, z = T[:3, 3].tolist()
         a, b, c = cv2.Rodrigues(T[:3, :3])[0].ravel().tolist()
         k1, k2, p1, p2 = self.geometry.distortion.tolist()
-        return ProjectorModel(
+        return ProjectorOptics(
             width=self.size[0], height=self.size[1],
             focal_px=(float(K[0, 0]), float(K[1, 1])), centre_px=(float(K[0, 2]), float(K[1, 2])),
             distortion=(k1, k2, p1, p2), T_world_projector=PoseSettings(position_m=(x, y, z), rotation_rad=(a, b, c)),
@@ -161,4 +161,4 @@ def _weight(projector: Projector, floor: Array, ramp_m: float) -> Array:
     inside = (np.minimum(pixels, last - pixels) / px_per_m).min(axis=1)
     t = np.clip(inside / ramp_m, 0.0, 1.0)
     weight = _LEAST + (1.0 - _LEAST) * t * t * (3.0 - 2.0 * t)
-    return np.nan_to_num(weight, nan=0.0)
+    return np.asarray(np.nan_to_num(weight, nan=0.0), np.float64)

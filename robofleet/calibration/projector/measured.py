@@ -21,7 +21,7 @@ from robofleet.projection.patterns import Grid, Reading, bends
 from robofleet.tracking.camera import CameraGeometry
 
 COLUMNS, ROWS = 33, 21  # of the points at which the error is predicted
-_LAID_PX = 0.01  # to which a camera sees prints where they are, however many it averages
+_LAID_PX = 0.007  # to which a camera sees prints where they are, however many it averages: measured in simulation
 _LEAST_LIT = 0.005  # share of an image in which light that falls into it tells
 _SATURATED = 0.5  # share of its light
 _BLUR_M = 0.006  # standard deviation of an edge, above which lines are smeared
@@ -113,7 +113,8 @@ def measure(
     notes = _notes(cameras, readings, others, least_covered, float(lit.mean()))
     _refuse_poor(name, figures, others, least_covered, blur_m)
     where = provenance("projector", inputs, figures, VALUES, found.projector.covariance.tolist())
-    model = found.projector.model.model_copy(update={"delay_s": round(delay_s, 4), "calibrated": where})
+    optics = found.projector.model.model_copy(update={"delay_s": round(delay_s, 4)})
+    model = ProjectorModel(**dict(optics), calibrated=where)
     return Found(model, found, np.concatenate([own.floor for own in seen]), points, sigma, float(lit.mean()), notes)
 
 
