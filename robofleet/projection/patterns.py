@@ -127,16 +127,17 @@ def _blur_px(share: Array, squares: list[Array], tags: list[int]) -> float:
     """Return how blurred the edges between cells are: the area in which the share goes from -1/2 to 1/2, over their
     length, is 1.349 standard deviations wide."""
     cells = FAMILIES[FAMILY].cells
-    widths = []
+    between, widths = np.abs(share) < 0.5, []
     for corners, tag in zip(squares, tags, strict=True):
-        shown = pattern(tag, FAMILY)
+        shown = np.pad(pattern(tag, FAMILY), 1, constant_values=True)
         edges = int((shown[1:] != shown[:-1]).sum() + (shown[:, 1:] != shown[:, :-1]).sum())
-        mask = np.zeros(share.shape, np.uint8)
-        cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 1)
-        left, top = np.maximum(corners.min(0).astype(int), 0)
-        right, bottom = corners.max(0).astype(int) + 2
-        part = (slice(top, bottom), slice(left, right))
         side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
-        middle = np.count_nonzero((np.abs(share[part]) < 0.5) & (mask[part] > 0))
-        widths.append(middle / (edges * side / cells) / 1.349)
+        middle = corners.mean(axis=0)
+        around = middle + (corners - middle) * (cells + _QUIET_CELLS / 2.0) / cells  # with half of the white rim
+        mask = np.zeros(share.shape, np.uint8)
+        cv2.fillConvexPoly(mask, np.rint(around).astype(np.int32), 1)
+        left, top = np.maximum(around.min(axis=0).astype(int), 0)
+        right, bottom = around.max(axis=0).astype(int) + 2
+        part = slice(top, bottom), slice(left, right)
+        widths.append(np.count_nonzero(between[part] & (mask[part] > 0)) / (edges * side / cells) / 1.349)
     return float(np.median(widths))

@@ -1,5 +1,6 @@
 """``robofleet calibrate projector``: where a projector's light falls."""
 
+from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
@@ -61,25 +62,33 @@ def projector(
     chosen = _chosen(config, config_file, name, verify=verify)
     page = shared.report_file(report, "projector")
     known = {each.name: each.calibration for each in config.projectors}
-    for each in chosen:
-        found = _measured(config, each, known, least_percent / 100.0, kiosk=kiosk, wait_s=wait_s)
-        for note in found.notes:
-            print(note)
-        if verify:
-            assert each.calibration is not None
-            print(measured.verify(each.name, each.calibration, found))
-            continue
-        own = page if len(chosen) == 1 else page.with_name(f"{page.stem}-{each.name}{page.suffix}")
-        write_page(own, each.name, found)
-        file = config_file.parent / "projectors" / f"{each.name}.yaml"
-        kept = save(file, found.model)
-        known[each.name] = found.model
-        rms, most = found.figures["predicted_rms_mm"], found.figures["predicted_max_mm"]
-        print(f"expected error on the floor: {rms:.2f} mm rms, {most:.2f} mm at most")
-        print(f"{file}: written" + (f"; the one before it is {kept}" if kept else ""))
-        if each.calibration is None:
-            print(f"write `calibration: {each.name}` to the projector {each.name} in {config_file}")
-        print(f"report: {own}")
+    with ExitStack() as opened:
+        cameras: dict[str, Camera] = {}
+        for _, camera in config.camera_keys:
+            view = config.model_copy(update={"camera": camera})
+            cameras[camera.name] = opened.enter_context(closing(open_camera(view)))
+        for each in chosen:
+            found = _measured(config, each, cameras, known, least_percent / 100.0, kiosk=kiosk, wait_s=wait_s)
+            for note in found.notes:
+                print(note)
+            if verify:
+                assert each.calibration is not None
+                print(measured.verify(each.name, each.calibration, found))
+                continue
+            known[each.name] = found.model
+            _write(config_file, each, found, page.with_stem(f"{page.stem}-{each.name}") if chosen[1:] else page)
+
+
+def _write(config_file: Path, projector: ProjectorSettings, found: measured.Found, page: Path) -> None:
+    write_page(page, projector.name, found)
+    file = config_file.parent / "projectors" / f"{projector.name}.yaml"
+    kept = save(file, found.model)
+    rms, most = found.figures["predicted_rms_mm"], found.figures["predicted_max_mm"]
+    print(f"expected error on the floor: {rms:.2f} mm rms, {most:.2f} mm at most")
+    print(f"{file}: written" + (f"; the one before it is {kept}" if kept else ""))
+    if projector.calibration is None:
+        print(f"write `calibration: {projector.name}` to the projector {projector.name} in {config_file}")
+    print(f"report: {page}")
 
 
 def _chosen(config: Config, file: Path, name: str, *, verify: bool) -> list[ProjectorSettings]:
@@ -107,6 +116,7 @@ def _chosen(config: Config, file: Path, name: str, *, verify: bool) -> list[Proj
 def _measured(
     config: Config,
     chosen: ProjectorSettings,
+    cameras: Mapping[str, Camera],
     known: dict[str, ProjectorModel | None],
     least_covered: float,
     *,
@@ -115,14 +125,8 @@ def _measured(
 ) -> measured.Found:
     clock, grid = WallClock(), Grid((chosen.width, chosen.height))
     models = {camera.name: camera.model for _, camera in config.camera_keys}
-    with ExitStack() as opened:
-        cameras: dict[str, Camera] = {}
-        for _, camera in config.camera_keys:
-            cameras[camera.name] = opened.enter_context(
-                closing(open_camera(config.model_copy(update={"camera": camera})))
-            )
-        try:
-            display = opened.enter_context(closing(_display(chosen, cameras, clock, wait_s=wait_s)))
+    try:
+        with closing(_display(chosen, cameras, clock, wait_s=wait_s)) as display:
             if isinstance(display, BrowserDisplay):
                 _open(display, chosen.name, kiosk=kiosk)
             photographer, pictures = Photographer(display, cameras, clock), grid.pictures()
@@ -132,8 +136,8 @@ def _measured(
             brightest = max(readings, key=lambda camera: readings[camera].lit)
             delay_s = photographer.delay_s(brightest, pictures, seen[brightest]) if readings[brightest].lit else 0.0
             display.show(pictures["black"])
-        except DisplayError as away:
-            raise CalibrationError(str(away)) from away
+    except DisplayError as away:
+        raise CalibrationError(str(away)) from away
     inputs = {f"{camera}: {shown}": mean.tobytes() for shown, means in taken.items() for camera, mean in means.items()}
     others = [
         None if model is None else Projector.from_model(model) for other, model in known.items() if other != chosen.name
@@ -143,7 +147,7 @@ def _measured(
     )
 
 
-def _display(chosen: ProjectorSettings, cameras: dict[str, Camera], clock: Clock, *, wait_s: float) -> Display:
+def _display(chosen: ProjectorSettings, cameras: Mapping[str, Camera], clock: Clock, *, wait_s: float) -> Display:
     if chosen.simulated is not None:
         return SimulatedDisplay(chosen.name, cameras, clock)
     return BrowserDisplay(chosen, clock, wait_s=wait_s)
