@@ -15,7 +15,7 @@ def test_a_pixel_lights_the_place_that_it_is_the_pixel_of() -> None:
 def test_what_the_picture_does_not_light_has_no_pixel() -> None:
     """Also where a strong lens would bring far places back into the picture, and behind the projector."""
     projector = tilted(k1=-0.3)
-    far = on_floor(np.array([[9.0, 0.0], [0.0, -14.0], [-40.0, 30.0], [3.0, 0.0]]))
+    far = on_floor(np.column_stack([np.linspace(2.5, 40.0, 300), np.zeros(300)]))
     above = np.array([[0.0, 0.0, 5.0]])
     assert not projector.lights(np.vstack([far, above])).any()
     assert projector.lights(np.zeros((1, 3))).all()
