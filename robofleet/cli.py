@@ -70,6 +70,7 @@ COMMANDS = (
     Row("calibrate intrinsics", "calibration.commands.intrinsics", "intrinsics"),
     *(Row(f"calibrate {name}", "calibration.commands.place", name) for name in ("arena", "verify")),
     Row("calibrate drive", "calibration.commands.drive", "drive"),
+    Row("calibrate projector", "calibration.commands.projector", "projector"),
     *(Row(f"calibrate {name}", "calibration.commands.robots", name) for name in ("offsets", "latency")),
     Row("track", "gateways.videos.command", "track", _LABORATORY),
     Row("ros2", "gateways.ros2.command", "ros2", _PROGRAMS),

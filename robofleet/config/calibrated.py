@@ -36,9 +36,9 @@ class Provenance(Model):
     tool: Text
     """Tool that wrote it, with its version."""
     inputs: Annotated[dict[Text, Text], Field(max_length=MANY)]
-    """Names of the measured files, each with the hash of its bytes."""
+    """Measured files, each with the hash of its bytes."""
     figures: Annotated[dict[Text, Annotated[float, within(-1e15, 1e15)] | None], Field(max_length=MANY)]
-    """Names of the figures, with units, each with its value."""
+    """Figures by name, with units."""
     parameters: Annotated[tuple[Text, ...], Field(max_length=MANY, strict=False)] = ()
     """Names of the parameters, with units, in the order of the covariance's rows."""
     covariance: Annotated[tuple[Row, ...], Field(max_length=MANY, strict=False)] = ()

@@ -8,7 +8,7 @@ from typing import get_args, get_origin
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from robofleet.config import bodies, cameras, obstacles, units
+from robofleet.config import bodies, cameras, obstacles, projectors, units
 from robofleet.config.camera import SimulatedCameraSettings
 from robofleet.config.robots import UNTAGGED
 from robofleet.config.tree import Config
@@ -105,6 +105,7 @@ def cross_checks(config: Config) -> list[Complaint]:
         *_troubles(config),
         *_endpoint(config),
         *cameras.complaints(config),
+        *projectors.complaints(config.projectors, tuple((path, c.source) for path, c in config.camera_keys)),
         *_calibrations(config),
         *_simulated(config),
         *_sensors(config),

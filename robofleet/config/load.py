@@ -1,9 +1,10 @@
 """Reads a configuration: the file, the files that it names, ``--faults`` and ``--set``. All errors at once.
 
-A bare name in ``robots[].vehicle``, ``robots[].calibration``, ``groups[].settings.path`` or ``camera.model`` is a file
-of ``robots/``, ``paths/`` or ``cameras/`` beside the configuration, else of the shipped ``configs/``; a name that ends
-in .yaml is a path from the configuration's folder; a mapping stands for itself. A reference's ``csv`` is a path from
-the configuration's folder that ends in .csv; its rows take the name's place.
+A bare name in ``robots[].vehicle``, ``robots[].calibration``, ``groups[].settings.path``, ``camera.model`` or
+``projectors[].calibration`` is a file of ``robots/``, ``paths/``, ``cameras/`` or ``projectors/`` beside the
+configuration, else of the shipped ``configs/``; a name that ends in .yaml is a path from the configuration's folder; a
+mapping stands for itself. A reference's ``csv`` is a path from the configuration's folder that ends in .csv; its rows
+take the name's place.
 """
 
 import re
@@ -44,6 +45,7 @@ FOLDERS: dict[tuple[str, ...], str] = {
     ("groups", "*", "settings", "references", "*", "path"): "paths",
     ("camera", "model"): "cameras",
     ("cameras", "*", "model"): "cameras",
+    ("projectors", "*", "calibration"): "projectors",
 }
 # CSV files, and their headers
 TABLES: dict[tuple[str, ...], tuple[str, ...]] = {

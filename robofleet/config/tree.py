@@ -14,6 +14,7 @@ from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
 from robofleet.config.mocap import MocapSettings
 from robofleet.config.obstacles import Arena
+from robofleet.config.projectors import ProjectorSettings
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import InjectedFault
 from robofleet.core.patterns import ENDPOINT_PATTERN, NETWORK_PATTERN, PRIVATE, TRACKER, driver_role, tracker_role
@@ -239,6 +240,8 @@ class Config(Model):
     """The overhead camera. Required, unless there is ``cameras``; both are refused."""
     cameras: Annotated[tuple[CameraSettings, ...], Field(max_length=CAMERAS, strict=False)] = ()
     """Several overhead cameras, each with a name of its own. Their views may overlap."""
+    projectors: Annotated[tuple[ProjectorSettings, ...], Field(max_length=CAMERAS, strict=False)] = ()
+    """Projectors that light the floor."""
     run: RunSettings
     """Length, seed, start and judgement of a run."""
     drivers: DriverSettings = DriverSettings()

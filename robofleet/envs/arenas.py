@@ -31,7 +31,7 @@ from robofleet.simulation import bodies as simulated
 from robofleet.simulation.bodies import BODY, BUILD, COMING
 from robofleet.vehicles import differential_drive, plant
 
-_CHUNK = 128  # arenas that share random numbers
+_CHUNK = 256  # arenas that share random numbers
 _UNDER_WAY = 16  # commands of a robot that do not act yet, at most: 80 ms of them
 _NOISE = 128  # random numbers of a robot that are drawn at once
 _follow, _advance, _command = kernel_of_plain(gate.follow), simulated.advance, simulated.command

@@ -73,14 +73,15 @@ class SceneRenderer:
         self._height = max(target.height for target in robots)
         width, height = image_size
         v, u = np.mgrid[:height, :width].astype(np.float64)
-        self._blur_px = math.sqrt(lens_sigma_px**2 + _PIXEL_VARIANCE)
+        self.blur_px = math.sqrt(lens_sigma_px**2 + _PIXEL_VARIANCE)
         self._even = _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
         if shade is not None:
             self._even *= shade
+        self._shade = np.float32(1.0) if shade is None else shade
         self._light = np.float32(light)
-        self._gain = self._light * self._even
+        self._projected: tuple[Array32, Array32] | None = None  # light on the floor and at the tags' height
         self._floor = Floor(
-            self._plane_at(geometry, 0.0), geometry.position, self._whole, self._blur_px, rng, obstacles
+            self._plane_at(geometry, 0.0), geometry.position, self._whole, self.blur_px, rng, obstacles
         )
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
@@ -105,7 +106,7 @@ class SceneRenderer:
         self._plane = plane[0].astype(np.float32), plane[1].astype(np.float32)
         away = plane - geometry.position[:2, None, None]
         near = np.maximum(*np.abs(away)) < WIDEST * geometry.position[2]
-        self._blurs = self._blur_px * _scales(plane, near)
+        self._blurs = self.blur_px * _scales(plane, near)
         self._further = self._further_by(self._heights)
         away *= self._further_by(np.zeros(1))[0, 0]
         plane += away
@@ -124,11 +125,24 @@ class SceneRenderer:
             bank = np.rint((self._quiet_bank.astype(np.float32) - self._quiet_offset) * noise) + self._offset
             self._bank = np.clip(bank, 0, 2 * self._offset).astype(np.uint8)
         self._light = np.float32(light)
-        self._gain = self._light * self._even
+        self._light_ground()
+
+    def planes(self) -> tuple[tuple[Array32, Array32, float], ...]:
+        """Return where the pixels' rays meet the floor, and the tags' plane: x and y (H, W) [m], and the height."""
+        floor_x, floor_y = self._plane_at(self._geometry, 0.0).astype(np.float32)
+        return (floor_x, floor_y, 0.0), (*self._plane, self._height)
+
+    def project(self, floor: Array32, tags: Array32) -> None:
+        """Let projectors' light (H, W) fall on the floor, and on tags and robots, from now on: beside the room's, in
+        the same shares."""
+        self._projected = floor * self._shade, tags * self._shade
         self._light_ground()
 
     def _light_ground(self) -> None:
-        self._ground = np.minimum(np.rint(self._floor_grays * self._gain), 255).astype(np.uint8)
+        self._gain = floor_gain = self._light * self._even
+        if self._projected is not None:
+            floor_gain, self._gain = self._gain + self._projected[0], self._gain + self._projected[1]
+        self._ground = np.minimum(np.rint(self._floor_grays * floor_gain), 255).astype(np.uint8)
         self._boxes[:] = 0
         quiet = np.full_like(self._ground, self._offset)
         for k, (target, x, y, psi) in enumerate(self._prints):
@@ -136,7 +150,10 @@ class SceneRenderer:
             still, further = np.zeros((1, 3)), self._further_by(height)
             boxes = self._boxes[0, len(self._robots) + k :][:1]
             flat = self._shapes(np.zeros((1, 2)), np.zeros(1))
-            self._draw(self._ground, quiet, look[None], target.whole, height, further, flat, lying, still, still, boxes)
+            self._draw(
+                self._ground, quiet, floor_gain, look[None], target.whole, height, further, flat, lying, still, still,
+                boxes,
+            )  # fmt: skip
         self._boxes[1:] = self._boxes[0]
         self._unseen = _IMAGES  # images of another place
 
@@ -165,7 +182,7 @@ class SceneRenderer:
         renew(image, self._ground, noise, self._offset, boxes)
         moving = np.zeros_like(poses) if velocities is None else velocities
         self._draw(
-            image, noise, self._looks[self.looks], self._whole, self._heights, self._further,
+            image, noise, self._gain, self._looks[self.looks], self._whole, self._heights, self._further,
             self._shapes(self._stretches, self._bows), poses, moving, self._offsets, boxes[:n], bodies=True,
         )  # fmt: skip
         return image
@@ -175,11 +192,11 @@ class SceneRenderer:
         return np.asarray(centres(self._geometry.flat, poses, self._offsets, self._heights)[:, 1], np.float64)
 
     def _draw(
-        self, image: Image, noise: Image, looks: Array32, side: float, heights: Array, further: Array,
+        self, image: Image, noise: Image, gain: Array32, looks: Array32, side: float, heights: Array, further: Array,
         shapes: Array, poses: Array, velocities: Array, offsets: Array, boxes: Indices, *, bodies: bool = False,
     ) -> None:  # fmt: skip
         draw(
-            image, noise, self._offset, *self._plane, self._gain, looks, self._blur_px, self._blurs, side,
+            image, noise, self._offset, *self._plane, gain, looks, self.blur_px, self._blurs, side,
             self._geometry.flat, self._geometry.position, heights, further, _BODY_RADIUS * side if bodies else 0.0,
             poses, velocities, offsets, shapes, self._shutter, np.flatnonzero(np.isfinite(poses).all(1)), boxes,
         )  # fmt: skip

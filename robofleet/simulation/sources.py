@@ -16,7 +16,9 @@ from robofleet.config.tree import Config
 from robofleet.core.arrays import Array, Image
 from robofleet.core.clock import MS, Clock, S
 from robofleet.simulation.arena import World
+from robofleet.simulation.camera import SceneRenderer
 from robofleet.simulation.effects import effects
+from robofleet.simulation.projector import Projection
 from robofleet.simulation.scene import ScenePlay, scene_renderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.cameras.exposure import nothing_left
@@ -89,6 +91,8 @@ class SimulatedCamera:
         )  # of the next image, and of those after it
         self._play = ScenePlay(config)
         self._renderer = self.renderer(config, context.rng)
+        lit = isinstance(self._renderer, SceneRenderer) and any(projector.simulated for projector in config.projectors)
+        self._projection = Projection(config) if lit else None
         self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
         self._image: NDArray[np.uint8] | None = None
 
@@ -135,6 +139,11 @@ class SimulatedCamera:
         """Expose so from the image after the next one, which may have begun. Mid-exposures stay where they are."""
         self._next_exposure = exposure
 
+    def project(self, projector: str, picture: Image) -> None:
+        """Let a simulated projector show a picture (H, W) from now on."""
+        assert self._projection is not None, f"{projector} is not simulated"
+        self._projection.projectors[projector].show(picture, self._clock.now_ns())
+
     def close(self) -> None:
         """Nothing to let go of."""
 
@@ -149,12 +158,14 @@ class SimulatedCamera:
 
     def _picture(self, exposure_ns: int, t: float, exposure: Exposure) -> NDArray[np.uint8]:
         gain = 10.0 ** (exposure.gain / 20.0)
-        light = self._play.light(t) * gain * exposure.time_s / self._full_s
-        self._renderer.expose(exposure.time_s, light, gain)
+        sensitivity = gain * exposure.time_s / self._full_s
+        self._renderer.expose(exposure.time_s, self._play.light(t) * sensitivity, gain)
         half_ns = max(MS, round(exposure.time_s * S / 2))
         geometry = self._play.camera(t)
         if geometry is not None:
             self._renderer.moved(geometry)
+        if self._projection is not None and isinstance(self._renderer, SceneRenderer):
+            self._projection.fall_on(self._renderer, exposure_ns, sensitivity, moved=geometry is not None)
         self._renderer.looks = self._play.looks(t)
         instants_ns = np.full(len(self._world.tags), exposure_ns)
         poses, velocities = self._world.moving(instants_ns, half_ns)

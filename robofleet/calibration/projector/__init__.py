@@ -1,0 +1,1 @@
+"""A projector: photographed patterns, and what they tell."""
