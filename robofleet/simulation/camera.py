@@ -80,9 +80,7 @@ class SceneRenderer:
         self._shade = np.float32(1.0) if shade is None else shade
         self._light = np.float32(light)
         self._projected: tuple[Array32, Array32] | None = None  # light on the floor and at the tags' height
-        self._floor = Floor(
-            self._plane_at(geometry, 0.0), geometry.position, self._whole, self.blur_px, rng, obstacles
-        )
+        self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._whole, self.blur_px, rng, obstacles)
         self._offset = math.ceil(5.0 * noise_gray)
         bank = rng.normal(self._offset, noise_gray, 2 * width * height)
         self._quiet_bank = np.clip(np.rint(bank), 0, 2 * self._offset).astype(np.uint8)
