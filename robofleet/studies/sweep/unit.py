@@ -49,7 +49,7 @@ def _in_real_time(command: str) -> Played:
     """Play a run by its own command; RuntimeError where it leaves no summary."""
     with TemporaryDirectory() as folder:
         began_s = _children_s()
-        words = [sys.executable, "-m", *shlex.split(command), "--quiet", "--out", f"{folder}/run"]
+        words = [sys.executable, "-P", "-m", *shlex.split(command), "--quiet", "--out", f"{folder}/run"]
         ended = subprocess.run(words, capture_output=True, text=True, check=False)
         file = Path(folder, "run", "summary.json")
         if not file.is_file():
