@@ -48,6 +48,7 @@ class Episodes:
         task: The task.
         team: What is known of the group: N robots.
         own: The group's rows of the arenas' arrays.
+        radii: Radii of all bodies (M,) [m].
         arenas: The arenas.
     """
 
@@ -102,7 +103,7 @@ class Episodes:
         members = len(config.members)
         self._starts = np.array([beside.get(robot.id, (0.0, 0.0, 0.0)) for robot in config.members])
         self._commands, self._of_body = np.zeros((arenas, members, 2)), np.ones(members, dtype=np.bool_)
-        self._radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
+        self.radii = np.array([robot.vehicle.body_radius_m for robot in config.bodies])
         self._others = np.array(
             [row for row in range(len(config.bodies)) if row not in range(*self.own.indices(members))], dtype=np.intp
         )
@@ -178,7 +179,7 @@ class Episodes:
         """Return what the task sees now."""
         a = self.arenas
         others = np.empty((len(a), len(self._others), 3))
-        others[..., :2], others[..., 2] = a.poses[:, self._others, :2], self._radii[self._others]
+        others[..., :2], others[..., 2] = a.poses[:, self._others, :2], self.radii[self._others]
         return View(
             t=np.asarray(a.ticks * self.team.tick, np.float64), poses=a.poses[:, self.own],
             velocities=a.velocities[:, self.own], others=others, team=self.team,
@@ -186,7 +187,7 @@ class Episodes:
 
     def _situation(self, arena: int, rows: slice, behaviour: Behaviour) -> Situation:
         poses = self.arenas.poses[arena]
-        everybody = np.column_stack([poses[:, :2], self._radii])
+        everybody = np.column_stack([poses[:, :2], self.radii])
         n = rows.stop - rows.start
         return Situation(
             t=float(self.arenas.ticks[arena]) * self.team.tick + behaviour.team.delay, poses=poses[rows].copy(),

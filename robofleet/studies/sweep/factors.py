@@ -68,13 +68,16 @@ def factors(study: Study) -> list[Factor]:
 
 
 def measures(runs: Sequence[Ran]) -> list[Measure]:
-    """Return the figures that were measured in some run: those that bounds can judge, then the groups' own."""
+    """Return the figures that were measured in some run: those with a bound, the groups' own, then the others."""
     summaries = _summaries(runs)
     own: dict[tuple[str, str], list[float | None]] = {}
     for k, summary in enumerate(summaries):
         for label, unit, value in _own(summary):
             own.setdefault((label, unit), [None] * len(runs))[k] = value
-    found = [*_judged(summaries), *(Measure(label, unit, _array(values)) for (label, unit), values in own.items())]
+    judged = list(_judged(summaries))
+    found = [measure for measure in judged if measure.limit is not None]
+    found += [Measure(label, unit, _array(values)) for (label, unit), values in own.items()]
+    found += [measure for measure in judged if measure.limit is None]
     return [measure for measure in found if np.isfinite(measure.values).any()]
 
 

@@ -39,8 +39,13 @@ def write(study: Study, runs: Sequence[Ran], folder: Path, files: Sequence[Path]
 
 def _subtitle(study: Study, runs: Sequence[Ran]) -> str:
     seeds = len({run.plan.seed for run in runs})
-    parts = [f"{len(runs):,} runs of {study.config}", f"{seeds} seed{'s' * (seeds > 1)}", "in lockstep"]
+    parts = [f"{len(runs):,} runs of {study.config}", f"{seeds} seed{'s' * (seeds > 1)}", _modes(study)]
     return f"{utc_now():%Y-%m-%d %H:%M:%S} UTC; {', '.join(parts)}"
+
+
+def _modes(study: Study) -> str:
+    modes = dict.fromkeys(run.mode.replace("_", " ") for run in study.runs)
+    return "in " + ", ".join("an environment" if mode == "environment" else mode for mode in modes)
 
 
 def _verdict(page: Page, runs: Sequence[Ran], endings: plots.Endings) -> None:
