@@ -141,7 +141,7 @@ def _with(kind: str, process: str = "") -> Storms:
     [
         (_constant(gate, "VALID_NS", 10 * S), _with("killed", "controller"), "the target is not zero without"),
         (_changed(gate, "_take_command", _fed_by_refused), _any, "a refused command"),
-        (_changed(gate, "_follow", _without_ramp), _any, "a wheel accelerates"),
+        (_changed(gate, "follow", _without_ramp), _any, "a wheel accelerates"),
         (
             _changed(gate, "_follow", lambda follow, g, l, r, top, ns: follow(g, l, r, top / 9, ns)),
             _any,
