@@ -143,7 +143,7 @@ def _with(kind: str, process: str = "") -> Storms:
         (_changed(gate, "_take_command", _fed_by_refused), _any, "a refused command"),
         (_changed(gate, "follow", _without_ramp), _any, "a wheel accelerates"),
         (
-            _changed(gate, "_follow", lambda follow, g, l, r, top, ns: follow(g, l, r, top / 9, ns)),
+            _changed(gate, "follow", lambda follow, g, l, r, top, ns: follow(g, l, r, top / 9, ns)),
             _any,
             "the output was not zero 230 ms",
         ),
