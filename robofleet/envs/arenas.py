@@ -199,8 +199,8 @@ def _drive(b, p, coming, noise, g, drive, wheels, now_ns, tick_ns):  # type: ign
     while True:
         _follow(g, wheels[0], wheels[1], drive.max_wheel_acceleration, at_ns)
         _command(b, p, coming, g.output_left, g.output_right, _NEVER_NS)
-        there = g.output_left == wheels[0] and g.output_right == wheels[1]
-        at_ns = end_ns if there else min(at_ns + _RAMP_NS, end_ns)
+        arrived = g.output_left == wheels[0] and g.output_right == wheels[1]
+        at_ns = end_ns if arrived else min(at_ns + _RAMP_NS, end_ns)
         _advance(b, p, coming, noise, at_ns)
         if at_ns == end_ns:
             return

@@ -18,7 +18,7 @@ from robofleet.core.arrays import Array, Array32, Flags, Indices
 from robofleet.core.errors import BadInputError
 from robofleet.envs.arenas import Arenas
 from robofleet.envs.robots import builds
-from robofleet.policies.interface import Task, View, load_task, observed, velocities
+from robofleet.policies.interface import Task, TaskView, load_task, observed, velocities
 
 if TYPE_CHECKING:
     from robofleet.envs.jax.arenas import JaxArenas
@@ -175,12 +175,12 @@ class Episodes:
         """End the threads."""
         self.arenas.close()
 
-    def view(self) -> View:
+    def view(self) -> TaskView:
         """Return what the task sees now."""
         a = self.arenas
         others = np.empty((len(a), len(self._others), 3))
         others[..., :2], others[..., 2] = a.poses[:, self._others, :2], self.radii[self._others]
-        return View(
+        return TaskView(
             t=np.asarray(a.ticks * self.team.tick, np.float64), poses=a.poses[:, self.own],
             velocities=a.velocities[:, self.own], others=others, team=self.team,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from robofleet.behaviours.interface import Team
 from robofleet.core.arrays import Array, Indices
 from robofleet.core.kernels import kernel
 from robofleet.core.settings import Model, within
-from robofleet.policies.interface import Task, Term, View, top_speeds
+from robofleet.policies.interface import Task, TaskView, Term, top_speeds
 from robofleet.policies.observations import NEIGHBOUR, nearness, neighbours, rays
 
 _BEARINGS = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
@@ -48,12 +48,12 @@ class Coverage(Task):
             Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 1.0),
         )
 
-    def observe(self, view: View) -> Sequence[Array]:
+    def observe(self, view: TaskView) -> Sequence[Array]:
         s, poses, others = self.settings, view.poses, view.others
         seen = rays(poses, others, self.team, _BEARINGS, s.range_m), neighbours(view, s.neighbours, s.range_m)
         return view.velocities[..., :1], view.velocities[..., 1:], *seen
 
-    def reward(self, view: View) -> Array:
+    def reward(self, view: TaskView) -> Array:
         cost = self._locational_cost(view.poses)
         fell, self._cost = (self._cost - cost) / self._most, cost
         return np.asarray(fell[:, None] - nearness(view.gaps))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robofleet.core.arrays import Array
-from robofleet.policies.interface import Task, Term, View
+from robofleet.policies.interface import Task, TaskView, Term
 from robofleet.policies.observations import NEIGHBOUR, away, in_frames, nearness, neighbours
 
 _NEIGHBOURS = 2
@@ -29,9 +29,9 @@ class Targets(NamedTuple):
 class Following(Task):
     """Each robot's centre at its target. ``targets`` must be written."""
 
-    _looked: tuple[View, Targets] | None = None
+    _looked: tuple[TaskView, Targets] | None = None
 
-    def targets(self, view: View) -> Targets:
+    def targets(self, view: TaskView) -> Targets:
         """Return where the robots are to be."""
         raise NotImplementedError
 
@@ -41,18 +41,18 @@ class Following(Task):
         own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
         return target, velocity, *own, Term("neighbours", NEIGHBOUR * _NEIGHBOURS, "m", 0.5)
 
-    def observe(self, view: View) -> Sequence[Array]:
+    def observe(self, view: TaskView) -> Sequence[Array]:
         targets = self._targets(view)
         along = in_frames(view.poses, view.poses[..., :2] + targets.velocities)
         near = neighbours(view, _NEIGHBOURS, _RANGE_M)
         return in_frames(view.poses, targets.points), along, view.velocities[..., :1], view.velocities[..., 1:], near
 
-    def reward(self, view: View) -> Array:
+    def reward(self, view: TaskView) -> Array:
         """Return 1 at the target and half of it 5 cm away, less for being near others."""
         off = away(view.poses, self._targets(view).points)
         return np.asarray(_HALF_M / (_HALF_M + off) - nearness(view.gaps))
 
-    def _targets(self, view: View) -> Targets:
+    def _targets(self, view: TaskView) -> Targets:
         """Return the targets, which are searched once a tick."""
         if self._looked is None or self._looked[0] is not view:
             self._looked = view, self.targets(view)

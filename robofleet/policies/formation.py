@@ -11,7 +11,7 @@ from robofleet.behaviours.paths import PathFile
 from robofleet.core.arrays import Array, Indices
 from robofleet.core.settings import ROBOTS, Coordinate, Model, Positive
 from robofleet.policies.following import Following, Targets
-from robofleet.policies.interface import View
+from robofleet.policies.interface import TaskView
 
 _STEP_S = 0.01  # between the two places by which a velocity is found
 
@@ -38,7 +38,7 @@ class Formation(Following):
         super().__init__(settings, team, arenas)
         self._path, self._begin = settings.path.path(), np.zeros(arenas)
 
-    def targets(self, view: View) -> Targets:
+    def targets(self, view: TaskView) -> Targets:
         sigma = self._begin + self.settings.path_rate * view.t
         points = self._places(sigma)
         return Targets(points, (self._places(sigma + self.settings.path_rate * _STEP_S) - points) / _STEP_S)

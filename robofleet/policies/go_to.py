@@ -10,7 +10,7 @@ from robofleet.behaviours.go_to import Goal
 from robofleet.behaviours.interface import Dots, Refusal, Shape, Team
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.settings import ROBOTS, Model, Name, within
-from robofleet.policies.interface import Task, Term, View, top_speeds
+from robofleet.policies.interface import Task, TaskView, Term, top_speeds
 from robofleet.policies.observations import NEIGHBOUR, away, drawn_poses, in_frames, nearness, neighbours
 
 
@@ -43,17 +43,17 @@ class GoTo(Task):
         own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
         return Term("goal", 2, "m", 1.0), *own, Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
 
-    def observe(self, view: View) -> Sequence[Array]:
+    def observe(self, view: TaskView) -> Sequence[Array]:
         near = neighbours(view, self.settings.neighbours, self.settings.range_m)
         return in_frames(view.poses, self._goals), view.velocities[..., :1], view.velocities[..., 1:], near
 
-    def reward(self, view: View) -> Array:
+    def reward(self, view: TaskView) -> Array:
         """Return the share of the top speed with which the goal came nearer, less for the time and for being near."""
         left = away(view.poses, self._goals)
         nearer, self._left = (self._left - left) / self._most, left
         return np.asarray(nearer - 0.1 * (left > self.settings.accuracy_m) - nearness(view.gaps))
 
-    def done(self, view: View) -> Flags:
+    def done(self, view: TaskView) -> Flags:
         return np.asarray((away(view.poses, self._goals) <= self.settings.accuracy_m).all(axis=1))
 
     def begin(self, arenas: Indices, poses: Array, rng: np.random.Generator) -> None:

@@ -42,7 +42,7 @@ class Term(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
+class TaskView:
     """The arenas (A,) at one tick, when its commands act.
 
     Attributes:
@@ -91,15 +91,15 @@ class Task:
         """What each robot observes, in the order of ``observe``."""
         raise NotImplementedError
 
-    def observe(self, view: View) -> Sequence[Array]:
+    def observe(self, view: TaskView) -> Sequence[Array]:
         """Return what each robot observes: an array (A, N, size) for each of ``terms``, in its unit."""
         raise NotImplementedError
 
-    def reward(self, view: View) -> Array:
+    def reward(self, view: TaskView) -> Array:
         """Return what each robot earns by the tick that ends here (A, N)."""
         raise NotImplementedError
 
-    def done(self, view: View) -> Flags:
+    def done(self, view: TaskView) -> Flags:
         """Return in which arenas (A,) the task is done, or failed for good: the episode ends there."""
         return np.zeros(self.arenas, dtype=np.bool_)
 
@@ -133,7 +133,7 @@ def load_task(name: str) -> type[Task]:
     return found
 
 
-def observed(task: Task, view: View) -> Array32:
+def observed(task: Task, view: TaskView) -> Array32:
     """Return what a network gets (A, N, F): all terms side by side, each divided by its scale, within ``LARGEST``.
 
     Raises:

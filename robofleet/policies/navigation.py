@@ -9,7 +9,7 @@ from robofleet.behaviours.interface import Team
 from robofleet.core.arrays import Array
 from robofleet.core.settings import within
 from robofleet.policies.go_to import GoTo
-from robofleet.policies.interface import Term, View
+from robofleet.policies.interface import TaskView, Term
 from robofleet.policies.observations import rays
 
 
@@ -33,5 +33,5 @@ class Navigation(GoTo):
     def terms(self) -> Sequence[Term]:
         return *super().terms, Term("rays", self.settings.rays, "m", 1.0)
 
-    def observe(self, view: View) -> Sequence[Array]:
+    def observe(self, view: TaskView) -> Sequence[Array]:
         return *super().observe(view), rays(view.poses, view.others, self.team, self._bearings, self.settings.range_m)

@@ -15,7 +15,7 @@ from robofleet.safety.distances import apart, from_edge
 from robofleet.vehicles.solids import FIRST, LAST, RADIUS, Solid, distances, outlines
 
 if TYPE_CHECKING:
-    from robofleet.policies.interface import View
+    from robofleet.policies.interface import TaskView
 
 NEIGHBOUR = 5  # numbers of a neighbour
 NEAR_M = 0.1  # of other bodies, obstacles and edges: nearer is too near
@@ -41,7 +41,7 @@ def nearness(gaps: Array) -> Array:
     return np.clip(1.0 - gaps / NEAR_M, 0.0, 1.0)
 
 
-def neighbours(view: "View", count: int, reach: float) -> Array:
+def neighbours(view: "TaskView", count: int, reach: float) -> Array:
     """Return the nearest bodies within reach, the nearest first.
 
     Args:

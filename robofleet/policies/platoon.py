@@ -9,7 +9,7 @@ from robofleet.behaviours.paths import PathFile
 from robofleet.core.arrays import Array, Indices
 from robofleet.core.settings import Model, Positive
 from robofleet.policies.following import Following, Targets
-from robofleet.policies.interface import View
+from robofleet.policies.interface import TaskView
 
 _OFF_M, _OFF_RAD = 0.02, 0.3  # of starts from their places on the path, at most
 
@@ -34,7 +34,7 @@ class Platoon(Following):
         self._path, self._begin = settings.path.path(), np.zeros(arenas)
         self._near = np.full((arenas, len(team)), np.nan)  # parameter of the path, of each robot
 
-    def targets(self, view: View) -> Targets:
+    def targets(self, view: TaskView) -> Targets:
         points = np.ascontiguousarray(view.poses[..., :2]).reshape(-1, 2)
         self._near = self._path.nearest(points, self._near.reshape(-1)).reshape(self._near.shape)
         back = self._path.back(self._near[:, :-1].reshape(-1), self.settings.spacing_m)

@@ -30,7 +30,7 @@ from robofleet.core.errors import BadInputError
 from robofleet.core.plugins import PluginError, reach
 from robofleet.core.settings import Model, Named
 from robofleet.policies.description import Description, pinned, read_policy, split
-from robofleet.policies.interface import Task, Term, View, load_task, observed, velocities
+from robofleet.policies.interface import Task, TaskView, Term, load_task, observed, velocities
 from robofleet.policies.network import Policy, inference_s, load_policy
 
 DONE_S = 0.5  # so long a task must be done for the run to end
@@ -94,13 +94,13 @@ class PolicyBehaviour(Behaviour):
         figures: dict[str, Array | float] = {"reward": reward if earned else np.nan, "return": self._return}
         return Decision(velocities(actions, self.team), "body", figures=figures)
 
-    def _view(self, now: Situation) -> View:
+    def _view(self, now: Situation) -> TaskView:
         """Return what the task observes by. What was commanded is of the poses by which it was decided."""
         c, s = np.cos(self._poses[:, 2]), np.sin(self._poses[:, 2])
         (x, y), ahead = self._u.T, self.team.point_ahead
         self._poses = now.poses.copy()
         bodies = np.stack([c * x + s * y, (c * y - s * x) / ahead], axis=1)
-        return View(
+        return TaskView(
             t=np.array([now.t]), poses=now.poses[None], velocities=bodies[None], others=now.others[None],
             team=self.team,
         )  # fmt: skip

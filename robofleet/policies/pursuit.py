@@ -8,7 +8,7 @@ import numpy as np
 from robofleet.behaviours.interface import Team
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.settings import Model, within
-from robofleet.policies.interface import Task, Term, View, top_speeds
+from robofleet.policies.interface import Task, TaskView, Term, top_speeds
 from robofleet.policies.observations import NEIGHBOUR, away, in_frames, nearness, neighbours, rays
 
 _BEARINGS = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
@@ -40,19 +40,19 @@ class Pursuit(Task):
         own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
         return Term("flees", 1), Term("prey", 2, "m", 1.0), *own, Term("rays", len(_BEARINGS), "m", 1.0), near
 
-    def observe(self, view: View) -> Sequence[Array]:
+    def observe(self, view: TaskView) -> Sequence[Array]:
         s, poses, others = self.settings, view.poses, view.others
         flees = np.broadcast_to(self._flees[:, None], (*poses.shape[:2], 1))
         seen = rays(poses, others, self.team, _BEARINGS, s.range_m), neighbours(view, s.neighbours, s.range_m)
         return flees, in_frames(poses, poses[:, :1, :2]), view.velocities[..., :1], view.velocities[..., 1:], *seen
 
-    def reward(self, view: View) -> Array:
+    def reward(self, view: TaskView) -> Array:
         """Return the share of the top speed with which a chaser came nearer, or the nearest one fell behind."""
         left = self._distances(view.poses)
         nearer, self._left = (self._left - left) / self._most, left
         return np.asarray(np.where(self._flees, 0.1 - nearer, nearer - 0.1) - nearness(view.gaps))
 
-    def done(self, view: View) -> Flags:
+    def done(self, view: TaskView) -> Flags:
         return np.asarray(self._distances(view.poses)[:, 0] < self.settings.catch_m)
 
     def begin(self, arenas: Indices, poses: Array, rng: np.random.Generator) -> None:

@@ -100,11 +100,11 @@ def read(grid: Grid, seen: dict[str, Array]) -> Reading:
     image = np.asarray(np.clip(np.rint(127.5 + 127.5 * share), 0, 255), np.uint8)
     found = TagFinder(FAMILY, range(len(grid.corners))).find(image) if lit.any() else {}
     once = {tag: prints[0] for tag, prints in found.items() if len(prints) == 1}
-    blur_px = _blur_px(share, [one.corners for one in once.values()], list(once)) if once else float("nan")
+    blur_px = _blur_px(share, [reading.corners for reading in once.values()], list(once)) if once else float("nan")
     return Reading(
         np.array(list(once), np.int64),
-        np.array([one.centre for one in once.values()]).reshape(-1, 2),
-        np.array([one.sigma for one in once.values()]),
+        np.array([reading.centre for reading in once.values()]).reshape(-1, 2),
+        np.array([reading.sigma for reading in once.values()]),
         float(lit.mean()), saturated, blur_px,
     )  # fmt: skip
 

@@ -97,7 +97,7 @@ class Constants(NamedTuple):
     patience: tuple[int, int]  # [ticks]
 
 
-class Memory(NamedTuple):
+class BarrierState(NamedTuple):
     """What a barrier remembers of its bodies (M,)."""
 
     holds: Instants  # (M, MEMORY)
@@ -125,10 +125,10 @@ def constants(keepout: Keepout, bodies: tuple[Body, ...]) -> Constants:
     )  # fmt: skip
 
 
-def fresh(k: Constants) -> Memory:
+def fresh(k: Constants) -> BarrierState:
     """Return the memory of a barrier at first: as long as nothing is known of their commands, all are fast."""
     n, ticks = len(k.bodies), math.ceil(k.bodies[:, _BELIEVED].max() / k.tick) + 1
-    return Memory(
+    return BarrierState(
         np.zeros((n, deadlock.MEMORY), dtype=np.int64), np.repeat(k.bodies[:, _TOP : _TOP + 1], ticks, axis=1),
         np.zeros((n, deadlock.TOLD)),
     )  # fmt: skip
@@ -191,7 +191,7 @@ def filter_commands(
     rate: float, l: float, age: float, lost_after: float, tick: float, times: tuple[int, int, int, int],
     patience: tuple[int, int],
 ) -> None:  # fmt: skip
-    """Change the commands (N, 2) in place, as ``Barrier.filter`` does; then follow ``Memory`` and ``Constants``."""
+    """Change the commands (N, 2) in place, as ``Barrier.filter`` does; last: ``BarrierState``, ``Constants``."""
     n = len(poses)
     stops, grown, believed = np.empty((n, 6)), np.empty(n), np.empty(n)
     for i in range(n):

@@ -12,7 +12,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 from robofleet.core.arrays import Array, Flags
 from robofleet.core.errors import RobofleetError
 from robofleet.envs import Episodes, env, parallel_env, vector_env
-from robofleet.policies import Task, Term, View
+from robofleet.policies import Task, TaskView, Term
 from tests.shipped import PLATOON, SHIPPED
 
 
@@ -25,13 +25,13 @@ class Forward(Task):
     def terms(self) -> Sequence[Term]:
         return (Term("x", 1, "m", 2.0), Term("speed", 1, "m/s", 0.2))
 
-    def observe(self, view: View) -> Sequence[Array]:
+    def observe(self, view: TaskView) -> Sequence[Array]:
         return view.poses[..., :1], view.velocities[..., :1]
 
-    def reward(self, view: View) -> Array:
+    def reward(self, view: TaskView) -> Array:
         return view.velocities[..., 0] * np.cos(view.poses[..., 2])
 
-    def done(self, view: View) -> Flags:
+    def done(self, view: TaskView) -> Flags:
         return view.poses[:, 0, 0] - self.began > 0.05
 
     def starts(self, count: int, rng: np.random.Generator) -> Array:
@@ -77,8 +77,8 @@ def test_agents_are_robots_or_arenas() -> None:
         closing(vector_env(PLATOON, Forward, arenas=2, each="arena")) as whole,
     ):
         assert (robots.num_envs, whole.num_envs) == (8, 2)
-        one, other = robots.reset(seed=4)[0], whole.reset(seed=4)[0]
-        assert np.array_equal(one.reshape(2, -1), other)
+        each_robot, other = robots.reset(seed=4)[0], whole.reset(seed=4)[0]
+        assert np.array_equal(each_robot.reshape(2, -1), other)
         actions = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 8)).astype(np.float32)
         rewards, mean = robots.step(actions.reshape(8, 2))[1], whole.step(actions)[1]
         assert rewards.reshape(2, 4).mean(axis=1) == pytest.approx(mean)
@@ -138,7 +138,7 @@ def test_actions_that_cannot_be_are_refused() -> None:
 
 def test_a_task_that_observes_something_else_than_it_says_is_refused() -> None:
     class Wrong(Forward):
-        def observe(self, view: View) -> Sequence[Array]:
+        def observe(self, view: TaskView) -> Sequence[Array]:
             return (view.poses, view.velocities[..., :1])
 
     with pytest.raises(ValueError, match=r"`terms` says \[\(1, 4, 1\), \(1, 4, 1\)\]"):

@@ -62,9 +62,9 @@ def both(config: Config, starts: Array, *, barrier: bool, odd_share: float) -> I
         yield numba, other
 
 
-def apart(one: Array, other: Array) -> float:
+def apart(first: Array, other: Array) -> float:
     """Return how far poses are apart at most [m, rad]."""
-    off = np.abs(one - other)
+    off = np.abs(first - other)
     off[..., 2] = np.abs((off[..., 2] + np.pi) % (2.0 * np.pi) - np.pi)
     return float(off.max())
 

@@ -53,8 +53,8 @@ def test_it_has_not_arrived_before_its_task_is_done_and_forgets_that_by_a_restar
     behaviour = policy(saved(tmp_path / "p.onnx"))
     drive(behaviour, POSES, 1.0)
     assert not behaviour.arrived
-    there = np.array([[x, y, 0.0] for x, y in GOALS.values()])
-    drive(behaviour, there, 1.0)
+    goals = np.array([[x, y, 0.0] for x, y in GOALS.values()])
+    drive(behaviour, goals, 1.0)
     assert behaviour.arrived
     behaviour.restart()
     assert not behaviour.arrived

@@ -11,7 +11,7 @@ from robofleet.config.load import load_config
 from robofleet.core.arrays import Array
 from robofleet.core.plugins import known
 from robofleet.envs import Episodes
-from robofleet.policies.interface import GROUP, Task, View, load_task, observed
+from robofleet.policies.interface import GROUP, Task, TaskView, load_task, observed
 from robofleet.safety.distances import apart, from_edge
 from robofleet.testing.behaviours import team
 from robofleet.vehicles.solids import Solid, distances
@@ -32,11 +32,13 @@ def task(name: str, arenas: int = ARENAS, **settings: Any) -> Task:
     return kind(kind.Settings.model_validate(SETTINGS.get(name, {}) | settings), team(N), arenas)
 
 
-def view(of: Task, poses: Array, velocities: Array | float = 0.0, others: Array | None = None, t: float = 0.0) -> View:
+def view(
+    made: Task, poses: Array, velocities: Array | float = 0.0, others: Array | None = None, t: float = 0.0
+) -> TaskView:
     none = np.zeros((len(poses), 0, 3))
     every = np.broadcast_to(velocities, (*poses.shape[:2], 2))
-    return View(t=np.full(len(poses), t), poses=poses, velocities=every, others=none if others is None else others,
-                team=of.team)  # fmt: skip
+    return TaskView(t=np.full(len(poses), t), poses=poses, velocities=every, others=none if others is None else others,
+                team=made.team)  # fmt: skip
 
 
 def moved(x: Array, turn: float, by: tuple[float, float]) -> Array:
@@ -76,12 +78,14 @@ def test_what_is_observed_and_earned_is_the_same_in_every_world_frame(name: str)
     turn, by = (np.pi, (0.0, 0.0)) if name in SEES_EDGES else (2.1, (0.05, -0.03))
 
     def episode(turn: float, by: tuple[float, float]) -> list[tuple[Array, Array]]:
-        of = task(name, 1, **moved_settings(settings, turn, by))
+        made = task(name, 1, **moved_settings(settings, turn, by))
         at = moved(poses, turn, by)
         at[..., 2] += turn
-        of.begin(np.zeros(1, np.int64), at[:1], np.random.default_rng(0))
-        views = [view(of, at[k : k + 1], velocities, moved(others, turn, by), 0.033 * k) for k in range(len(at))]
-        return [(observed(of, now), of.reward(replace(now, team=replace(of.team, arena=(9, 9))))) for now in views]
+        made.begin(np.zeros(1, np.int64), at[:1], np.random.default_rng(0))
+        views = [view(made, at[k : k + 1], velocities, moved(others, turn, by), 0.033 * k) for k in range(len(at))]
+        return [
+            (observed(made, now), made.reward(replace(now, team=replace(made.team, arena=(9, 9))))) for now in views
+        ]
 
     for (seen, earned), (again, also) in zip(episode(0.0, (0.0, 0.0)), episode(turn, by), strict=True):
         assert again == pytest.approx(seen, abs=1e-5)
@@ -133,18 +137,22 @@ def test_who_knows_the_task_earns_more_than_who_drives_at_random(name: str) -> N
 
 @pytest.mark.parametrize("name", TASKS)
 def test_episodes_begin_where_the_barrier_lets_robots_be(name: str) -> None:
-    of = task(name)
+    made = task(name)
     pillar = Solid("pillar", ((0.3, 0.1),), 0.2)
     if name not in SETTINGS:  # a path leads where it leads
-        of.team = replace(of.team, keepout=replace(of.team.keepout, solids=(pillar,)))
-    starts, keepout, body = of.starts(50, np.random.default_rng(0)), of.team.keepout, of.team.bodies[0]
+        made.team = replace(made.team, keepout=replace(made.team.keepout, solids=(pillar,)))
+    starts, keepout, body = (
+        made.starts(50, np.random.default_rng(0)),
+        made.team.keepout,
+        made.team.bodies[0],
+    )
     assert starts.shape == (50, N, 3)
     ahead = keepout.ahead * np.stack([np.cos(starts[..., 2]), np.sin(starts[..., 2])], axis=-1)
     points = starts[..., :2] + ahead
     between = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1) + np.eye(N)
     assert between.min() > apart(keepout, body, body)
-    assert (np.array(of.team.arena) / 2 - np.abs(points)).min() > from_edge(keepout, body)
-    if of.team.keepout.solids:
+    assert (np.array(made.team.arena) / 2 - np.abs(points)).min() > from_edge(keepout, body)
+    if made.team.keepout.solids:
         assert distances((pillar,), points.reshape(-1, 2)).min() > from_edge(keepout, body)
 
 
@@ -152,38 +160,38 @@ def test_episodes_begin_where_the_barrier_lets_robots_be(name: str) -> None:
 def test_done_where_every_robot_is_at_its_goal(name: str) -> None:
     goals = np.array([(0.8, 0.5), (0.8, -0.5), (-0.8, 0.5), (-0.8, -0.5)])
     given = {f"r{k + 1}": {"x_m": x, "y_m": y} for k, (x, y) in enumerate(goals.tolist())}
-    of = task(name, goals=given, accuracy_m=0.05)
+    made = task(name, goals=given, accuracy_m=0.05)
     poses = np.concatenate([np.repeat(goals[None], ARENAS, axis=0), np.zeros((ARENAS, N, 1))], axis=2)
     poses[1, 2, 0] += 0.06
     poses[2, 2, 1] += 0.04
-    of.begin(np.arange(ARENAS), poses, np.random.default_rng(0))
-    assert of.done(view(of, poses)).tolist() == [True, False, True]
+    made.begin(np.arange(ARENAS), poses, np.random.default_rng(0))
+    assert made.done(view(made, poses)).tolist() == [True, False, True]
 
 
 def test_goals_are_drawn_anew_in_the_arenas_that_begin_and_kept_in_the_others() -> None:
-    of, poses = task("go_to"), np.zeros((ARENAS, N, 3))
-    of.begin(np.arange(ARENAS), poses, np.random.default_rng(0))
-    before = observed(of, view(of, poses))[..., :2]
-    of.begin(np.array([1]), poses[:1], np.random.default_rng(1))
-    after = observed(of, view(of, poses))[..., :2]
+    made, poses = task("go_to"), np.zeros((ARENAS, N, 3))
+    made.begin(np.arange(ARENAS), poses, np.random.default_rng(0))
+    before = observed(made, view(made, poses))[..., :2]
+    made.begin(np.array([1]), poses[:1], np.random.default_rng(1))
+    after = observed(made, view(made, poses))[..., :2]
     assert (after == before).all(axis=(1, 2)).tolist() == [True, False, True]
 
 
 def test_a_pursuit_is_done_where_a_chaser_is_near() -> None:
-    of = task("pursuit", catch_m=0.2)
+    made = task("pursuit", catch_m=0.2)
     poses = np.zeros((ARENAS, N, 3))
     poses[:, 1:, 0] = 0.19, 0.6, 0.9
     poses[1, 1, 0] = 0.21
-    assert of.done(view(of, poses)).tolist() == [True, False, True]
+    assert made.done(view(made, poses)).tolist() == [True, False, True]
 
 
 def test_a_platoon_on_its_path_earns_most() -> None:
-    of = task("platoon", 8)
-    poses = of.starts(8, np.random.default_rng(0))
-    of.begin(np.arange(8), poses, np.random.default_rng(0))
-    first = of.reward(view(of, poses))
+    made = task("platoon", 8)
+    poses = made.starts(8, np.random.default_rng(0))
+    made.begin(np.arange(8), poses, np.random.default_rng(0))
+    first = made.reward(view(made, poses))
     assert first.min() > 0.2  # starts are a few centimetres off
-    late = of.reward(view(of, poses, t=10.0))
+    late = made.reward(view(made, poses, t=10.0))
     assert late[:, 0].max() < 0.3  # the leader's target went on
     assert late[:, 1:] == pytest.approx(first[:, 1:])  # the others follow who stands
 
@@ -195,9 +203,9 @@ def test_a_shape_of_other_size_than_the_group_is_refused() -> None:
 
 
 def test_neighbours_are_the_nearest_first_in_the_robots_frame_with_their_velocities() -> None:
-    of = task("go_to", 1, neighbours=2, range_m=0.5)
+    made = task("go_to", 1, neighbours=2, range_m=0.5)
     poses = np.array([[[0.0, 0.0, np.pi / 2], [0.0, 0.3, np.pi], [0.4, 0.0, 0.0], [9.0, 0.0, 0.0]]])
     others = np.array([[[0.0, -0.2, 0.1]]])
-    seen = observed(of, view(of, poses, (0.1, 0.0), others))[0, 0, -10:] * 0.5
+    seen = observed(made, view(made, poses, (0.1, 0.0), others))[0, 0, -10:] * 0.5
     assert seen[:5] == pytest.approx([-0.2, 0.0, 0.0, 0.0, 1.0], abs=1e-6)  # no robot of the group
     assert seen[5:] == pytest.approx([0.3, 0.0, 0.0, 0.1, 1.0], abs=1e-6)  # to the left at 0.1 m/s

@@ -23,7 +23,7 @@ from robofleet.config.tree import Config
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.clock import S
 from robofleet.envs.jax import plant
-from robofleet.envs.jax.barrier import Barrier, Memory
+from robofleet.envs.jax.barrier import Barrier, BarrierState
 from robofleet.envs.jax.plant import Body, Build, Gates
 from robofleet.envs.robots import Builds
 from robofleet.safety import barrier as safety_barrier
@@ -38,7 +38,7 @@ class State(NamedTuple):
     build: Build
     body: Body
     gates: Gates
-    memory: Memory
+    memory: BarrierState
     seen: jax.Array  # (3, A, N) poses with noise
     velocities: jax.Array  # (2, A, N) as ``Arenas.velocities``
 

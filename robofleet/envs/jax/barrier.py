@@ -40,7 +40,7 @@ class Rows(NamedTuple):
         return jnp.maximum(0.0, self.over(x, y).max(axis=0))
 
 
-class Memory(NamedTuple):
+class BarrierState(NamedTuple):
     """What a barrier remembers of robots (A, N): the speeds of the last ticks (T, A, N), and of deadlocks."""
 
     lately: jax.Array
@@ -71,15 +71,17 @@ class Barrier:
         self._k, self._n = constants, robots
         self._share = min(1.0, constants.rate * constants.tick)
 
-    def fresh(self, arenas: int) -> Memory:
+    def fresh(self, arenas: int) -> BarrierState:
         """Return the memory at first."""
         lately = cbf.fresh(self._k).lately[: self._n].T[:, None]
         none = np.zeros((arenas, self._n), np.int64)
-        return Memory(np.repeat(lately, arenas, axis=1), none, none, none, none, none, none, np.zeros((5, *none.shape)))
+        return BarrierState(
+            np.repeat(lately, arenas, axis=1), none, none, none, none, none, none, np.zeros((5, *none.shape))
+        )
 
     def filter(
-        self, poses: jax.Array, turning: jax.Array, wheels: jax.Array, memory: Memory
-    ) -> tuple[jax.Array, Memory]:
+        self, poses: jax.Array, turning: jax.Array, wheels: jax.Array, memory: BarrierState
+    ) -> tuple[jax.Array, BarrierState]:
         """Return wheels (2, A, N) changed where they must be; poses (3, A, M), turning (2, A, M)."""
         k, n = self._k, self._n
         radius, base, _, _, top, *_ = k.bodies[:n].T
@@ -96,7 +98,7 @@ class Barrier:
         memory = memory._replace(lately=jnp.concatenate([memory.lately[1:], jnp.abs(v)[None]]))
         return wheels, self._watch(poses[:, :, :n], v * k.tick, k.point_ahead * omega * k.tick, memory)
 
-    def _believed(self, turning: jax.Array, memory: Memory) -> jax.Array:
+    def _believed(self, turning: jax.Array, memory: BarrierState) -> jax.Array:
         """Return how far bodies (A, M) that in truth stand are believed to have gone [m]."""
         bodies, n = self._k.bodies, self._n
         speed = jnp.abs(velocities(turning, bodies[:, cbf._WHEEL], bodies[:, cbf._BASE])[0])
@@ -194,8 +196,8 @@ class Barrier:
         return [*zip(*edges, strict=True), away(-x, -y, -distance, exists)]
 
     def _answer(
-        self, x: jax.Array, y: jax.Array, rows: Rows, obstacles: int, others: int, asking: jax.Array, m: Memory
-    ) -> tuple[jax.Array, jax.Array, Memory]:
+        self, x: jax.Array, y: jax.Array, rows: Rows, obstacles: int, others: int, asking: jax.Array, m: BarrierState
+    ) -> tuple[jax.Array, jax.Array, BarrierState]:
         """Return what robots get for (x, y), and remember whether they get on, as ``deadlock.answer``."""
         around, until_clear, *_ = self._k.times
         top, wanted = self._k.bodies[: self._n, cbf._TOP], jnp.hypot(x, y)
@@ -226,7 +228,7 @@ class Barrier:
             vain=jnp.where(over, 0, jnp.where(turned, tried, vain)), clear=clear,
         )  # fmt: skip
 
-    def _watch(self, poses: jax.Array, along: jax.Array, across: jax.Array, m: Memory) -> Memory:
+    def _watch(self, poses: jax.Array, along: jax.Array, across: jax.Array, m: BarrierState) -> BarrierState:
         """Remember whether robots stall, as ``deadlock.watch``."""
         x, y, psi, commanded_x, commanded_y = m.window
         begins, ends = m.watched == 0, m.watched >= self._k.times[3]

@@ -137,8 +137,10 @@ def main() -> None:
         rows.append(row)
         print(seed, *(f"{value:.3g}" for value in row), sep=" | ", flush=True)
     columns = list(zip_longest(*rows))
-    for name, of in (("mean", np.mean), ("max", np.max)):
-        print(name, *(f"{of([cell for cell in column if cell is not None]):.3g}" for column in columns), sep=" | ")
+    for name, statistic in (("mean", np.mean), ("max", np.max)):
+        print(
+            name, *(f"{statistic([cell for cell in column if cell is not None]):.3g}" for column in columns), sep=" | "
+        )
 
 
 def figures(config: Config, found: Found, photographs_s: float) -> list[float]:
