@@ -60,7 +60,7 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
         found.append(find(replace(smooth, poses=smooth.poses + noise)))
     errors = np.array([result.values for result in found]) - [*TRUE_TAG, GTERNAL.wheel_radius, GTERNAL.wheel_base]
     scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([result.sigma for result in found]).mean(axis=0)
-    assert (scatter > 0.3).all()  # a tag's sigma contains 0.1 mm of a real tracker, which these poses have not
+    assert (scatter > 0.4).all()
     assert (scatter < 2.0).all()
 
 
