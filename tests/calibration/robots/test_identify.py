@@ -185,12 +185,11 @@ def test_bad_input_is_a_line_exit_2_and_nothing_is_written(run: Callable[..., Re
 def test_a_recording_becomes_files_and_a_simulation_that_agrees(run: Callable[..., Result], tmp_path: Path) -> None:
     """The plant's own recording: the identified robots are those that it had; the file before is kept."""
     settings = (
-        "run.duration_s=20",
+        "run.duration_s=45",
         "tracker.source=truth",
         "tracker.truth.position_noise_m=0.00003",
     )
-    # 20 s tell little of the slip's noise: the simulation wanders more than the plant did
-    flags = [flag for setting in (*settings, "run.bounds.gap=3") for flag in ("--set", setting)]
+    flags = [flag for setting in (*settings, "run.bounds.gap=1.3") for flag in ("--set", setting)]
     assert run("run", PLATOON, "--lockstep", "--out", "made", *flags).exit_code == 0
     before = RobotCalibration(robot="r1", tag_height_m=0.08)
     save(tmp_path / "robots" / "r1.yaml", before)
