@@ -265,7 +265,7 @@ grid: {{run.duration_s: [5, 6]}}
 
 
 @pytest.mark.slow
-def test_a_policy_earns_the_same_in_its_environment_in_lockstep_and_in_real_time(tmp_path: Path) -> None:
+def test_a_policy_earns_the_same_in_its_environment_in_lockstep_and_in_real_time(tmp_path: Path, alone: None) -> None:
     small_policies.saved(tmp_path / "go_to.onnx")
     small_policies.laboratory(tmp_path)
     cases = "cases: {environment: {mode: environment}, lockstep: {}, real_time: {mode: real_time}}\n"

@@ -15,7 +15,7 @@ from tests.operator.page.browser import DESKTOP, show_as
 from tests.operator.page.webstand import WebStand, placed
 from tests.runs.realrun import wait
 
-SOON_S = 5.0
+SOON_S = 15.0
 
 
 class Fleet:

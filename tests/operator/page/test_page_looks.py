@@ -257,12 +257,12 @@ def test_figures_of_the_last_minute_are_plotted(page: Seen) -> None:
 
     page.fleet.figures = {
         "control_error": [0.0002, 0.0004, 0.0006, 0.0008],
-        "estimated_spacing": [math.nan, 0.255, 0.26, 0.27],
+        "estimated_spacing": [math.nan, 0.2562, 0.2618, 0.2672],  # between the lines of the scale
     }
     page.becomes(lambda: drawn(0, [0, 1, 2, 3]))
     page.becomes(lambda: drawn(2, [1, 2, 3]))
     plots = page.run("return [...document.querySelectorAll('.plot')].map((plot) => plot.innerText)")
     assert [" ".join(plot.split()) for plot in plots] == [
-        "Control error 0.20 to 0.80 mm", "Estimated path error –", "Estimated spacing 255.0 to 270.0 mm",
+        "Control error 0.20 to 0.80 mm", "Estimated path error –", "Estimated spacing 256.2 to 267.2 mm",
     ]  # fmt: skip
     assert page.text("plots-legend").split() == page.stand.robots
