@@ -1,7 +1,6 @@
 """Reads a configuration: the file, the files that it names, ``--faults`` and ``--set``. All errors at once.
 
-A bare name in ``robots[].vehicle``, ``robots[].calibration``, ``groups[].settings.path``, ``camera.model`` or
-``projectors[].calibration`` is a file of ``robots/``, ``paths/``, ``cameras/`` or ``projectors/`` beside the
+A bare name in one of ``FOLDERS``' keys, ``robots[].vehicle`` for example, is a file of that folder beside the
 configuration, else of the shipped ``configs/``; a name that ends in .yaml is a path from the configuration's folder; a
 mapping stands for itself. A reference's ``csv`` is a path from the configuration's folder that ends in .csv; its rows
 take the name's place.
@@ -43,6 +42,7 @@ FOLDERS: dict[tuple[str, ...], str] = {
     ("robots", "*", "calibration"): "robots",
     ("groups", "*", "settings", "path"): "paths",
     ("groups", "*", "settings", "references", "*", "path"): "paths",
+    ("groups", "*", "settings", "task", "path"): "paths",
     ("camera", "model"): "cameras",
     ("cameras", "*", "model"): "cameras",
     ("projectors", "*", "calibration"): "projectors",

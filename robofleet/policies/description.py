@@ -7,6 +7,7 @@ recording is replayed by the same policy or by none.
 import json
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -17,7 +18,7 @@ from pydantic import Field, JsonValue, PlainSerializer, ValidationError, model_v
 from robofleet.core.arrays import Array
 from robofleet.core.errors import BadInputError
 from robofleet.core.files import read_named, write_bytes
-from robofleet.core.plugins import known
+from robofleet.core.plugins import PluginError, known
 from robofleet.core.settings import MANY, ROBOTS, Lasting, Model, Named, Positive, within
 from robofleet.policies.interface import GROUP, Task, Term, load_task
 
@@ -244,8 +245,9 @@ def _first(error: ValidationError) -> str:
 
 def _name_of(task: type[Task]) -> str:
     for name in known(GROUP):
-        if load_task(name) is task:
-            return name
+        with suppress(PluginError):  # of another package, which is broken
+            if load_task(name) is task:
+                return name
     if task.__module__ == "__main__":
         raise PolicyError(
             f"the task {task.__name__} stands in the script that runs, where no run finds it: put it in a file of its "

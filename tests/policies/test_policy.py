@@ -25,6 +25,7 @@ from robofleet.runs.replay import replay
 from robofleet.safety.supervisor import Event
 from robofleet.testing.behaviours import AHEAD, drive, make, refusals, situation, team
 from tests.policies.small_policies import GOALS, SETTINGS, STARTS, column, go_to, laboratory, network, saved, to_goal
+from tests.shipped import SHIPPED
 
 POSES = np.array([[x, y, math.radians(heading)] for x, y, heading in STARTS.values()])
 
@@ -141,6 +142,12 @@ def test_a_file_that_is_not_there_is_refused_where_it_is_named(name: str, words:
     (fault,) = caught.value.faults
     line = 1 + next(k for k, text in enumerate(file.read_text().splitlines()) if name in text)
     assert fault.startswith(f"{file}:{line}:11: groups.0.settings.file: {words.format(folder=tmp_path)}")
+
+
+def test_the_path_of_a_task_is_named_as_that_of_a_behaviour() -> None:
+    config = load_config(SHIPPED / "policy-platoon.yaml", ["groups.0.settings.task.path=oval"])
+    oval = yaml.safe_load((SHIPPED / "paths" / "oval.yaml").read_text())
+    assert config.groups[0].settings["task"] == {"path": oval}
 
 
 def test_a_task_of_your_own_stands_beside_its_policy(tmp_path: Path) -> None:
