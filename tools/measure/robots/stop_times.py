@@ -8,6 +8,7 @@ the robot is slower than 1 mm/s. A dead man's process is taken to be as slow as 
 The worst of eight moments between two commands.
 """
 
+import math
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -47,16 +48,19 @@ EVENTS = {
     "cut": "its computer dies in the middle of a line",
 }
 _DEAD_MAN_S = {"killed": 0.007, "frozen": SILENT_S}
-_SETTLE_NS, _LONGEST_S, _STEP_S = S, 4.0, 0.001
-_STANDS_M_S = 1e-3
+_SETTLE_NS, _LONGEST_MS = S, 4000
+_STANDS_M_S, _STANDS_NS = 1e-3, S // 10
 _TICK_NS, _PERMISSION_NS, _MOMENTS = 33 * MS, 40 * MS, 8
 
 
 class Stop(NamedTuple):
-    """Until the robot stands; inf: it never does."""
+    """Until the robot stands."""
 
     seconds: float
     metres: float
+
+
+NEVER = Stop(math.inf, math.inf)
 
 
 class _Road(Bench):
@@ -99,7 +103,9 @@ class _Robot:
         self.stand.acquire("r1")
 
     def _truth(self) -> TruePose:
-        return TruePose(*self.process._robots.truths()[0].item()[1:])
+        truths = self.process._robots.truths()
+        assert truths is not None
+        return TruePose(*truths[0].item()[1:])
 
     def drive(self, ns: int) -> None:
         command = lambda: self.stand.command("r1", wheels=self._wheels)  # noqa: E731
@@ -108,35 +114,32 @@ class _Robot:
 
     def stop(self, event: str) -> Stop:
         """Let something happen, and time it."""
-        began_ns, before = self.bench.now_ns, self.bench.angles.left
         if event == "cut":
             self.bench.strike()
             self.drive(_TICK_NS)
-            began_ns, before = self.bench.now_ns, self.bench.angles.left
+        began_ns, before = self.bench.now_ns, self.bench.angles.left
         if event == "latched":
             self.stand.enable("r1", latch=Latch.EMERGENCY_STOP)
         if event == "silent":
-            age_ns = began_ns - self.stand.seen["r1"]
-            began_ns, before = began_ns - age_ns, before - self._wheels.left * age_ns / S
-        alive = event in ("latched", "silent")
-        stop_ns = self.bench.now_ns + round(_DEAD_MAN_S.get(event, _LONGEST_S) * S)
-        end_ns = self.bench.now_ns + round(_LONGEST_S * S)
+            before -= self._wheels.left * (began_ns - self.stand.seen["r1"]) / S
+            began_ns = self.stand.seen["r1"]
+        stop_s = _DEAD_MAN_S.get(event, math.inf)
         stood_ns = None
-        while self.bench.now_ns < end_ns:
+        for k in range(_LONGEST_MS):
             last = self.bench.angles.left
-            if self.bench.now_ns >= stop_ns:
-                stop_ns += round(AGAIN_S * S)
+            if k * 1e-3 >= stop_s:
+                stop_s += AGAIN_S
                 for descriptor, stop in self._dead_men:
                     os.write(descriptor, stop)
-            if alive:
+            if event in ("latched", "silent"):
                 self.road.run(self.process, MS)
             else:
-                self.bench.let_pass(_STEP_S)
-            moves = abs(self.bench.angles.left - last) * self._radius > _STANDS_M_S * _STEP_S
+                self.bench.let_pass(1e-3)
+            moves = abs(self.bench.angles.left - last) * self._radius > _STANDS_M_S * 1e-3
             stood_ns = None if moves else stood_ns or self.bench.now_ns
-        if stood_ns is None:
-            return Stop(float("inf"), float("inf"))
-        return Stop((stood_ns - began_ns) / S, (self.bench.angles.left - before) * self._radius)
+            if stood_ns is not None and self.bench.now_ns - stood_ns > _STANDS_NS:
+                return Stop((stood_ns - began_ns) / S, (self.bench.angles.left - before) * self._radius)
+        return NEVER
 
 
 def measure(subject: DriverSubject, event: str, moment: float = 0.0) -> Stop:
