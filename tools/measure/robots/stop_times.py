@@ -12,6 +12,7 @@ import math
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -67,7 +68,7 @@ class _Road(Bench):
     """A driver process alone, whose robot moves while time passes."""
 
     def __init__(self, robot: DriverBench) -> None:
-        self.robot, self.config, self.clock = robot, robot.config, robot.clock
+        self._robot, self.config, self.clock = robot, robot.config, robot.clock
         self.bus = MemoryBus(self.config.arena.name, self.clock, 0)
         self._messages: list[tuple[str, bytes]] = []
         self.bus.tap(self._messages.append)
@@ -82,7 +83,7 @@ class _Road(Bench):
                     due[k] += period_ns
             return min([int(node.step(now_ns)), *due])
 
-        self.robot.run(step, ns / S)
+        self._robot.run(step, ns / S)
 
 
 class _Robot:
@@ -108,8 +109,8 @@ class _Robot:
         return TruePose(*truths[0].item()[1:])
 
     def drive(self, ns: int) -> None:
-        command = lambda: self.stand.command("r1", wheels=self._wheels)  # noqa: E731
-        enable = lambda: self.stand.enable("r1", limit=self._limit)  # noqa: E731
+        command = partial(self.stand.command, "r1", wheels=self._wheels)
+        enable = partial(self.stand.enable, "r1", limit=self._limit)
         self.road.run(self.process, ns, (_TICK_NS, command), (_PERMISSION_NS, enable))
 
     def stop(self, event: str) -> Stop:
