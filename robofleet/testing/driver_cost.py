@@ -68,6 +68,7 @@ class Cost(Checks):
                 left.append([len(now - before) for now, before in zip(_belongings(), others, strict=True)])
         assert left[-1] == left[1]
 
+    @pytest.mark.slow
     def test_its_memory_does_not_grow(self) -> None:
         loops = 100
         with self.driving(self.setpoint) as bench:

@@ -18,6 +18,7 @@ class TestGTernal(DriverContract):
     subject = DriverSubject("gternal", twin="gternal", vehicle="gternal", encoders=False)
 
 
+@pytest.mark.slow  # but for its sensors it is as the one before; test_gternal_sensors has those
 class TestGTernalWithSensors(DriverContract):
     subject = DriverSubject("gternal", twin="gternal", vehicle="gternal", sensors=True, encoders=False)
 

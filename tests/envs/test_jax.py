@@ -1,9 +1,10 @@
 """Arenas in JAX do what numba's do. Only JAX's CPU backend is tried: nobody has an accelerator here."""
 
+import importlib.util
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,13 @@ from robofleet.vehicles.plant import Build
 from tests.envs.test_arenas import OF_BODY, STARTS, commands, with_plants
 from tests.shipped import PLATOON, SHIPPED
 
-jax = pytest.importorskip("jax", reason="NO JAX: pip install -e '.[jax]'")
-pytestmark = pytest.mark.slow  # XLA compiles a step for five to ten seconds
+if TYPE_CHECKING:  # JAX takes a second to import, and every worker of the fast tests reads this file
+    from robofleet.envs.jax.arenas import JaxArenas
 
-from robofleet.envs.jax.arenas import JaxArenas  # noqa: E402
+pytestmark = [
+    pytest.mark.slow,  # XLA compiles a step for five to ten seconds
+    pytest.mark.skipif(importlib.util.find_spec("jax") is None, reason="NO JAX: pip install -e '.[jax]'"),
+]
 
 CART = "arena.moving=[{name: cart, tag: 40, radius_m: 0.12, start: {x_m: 0.9, y_m: 0.3, heading_deg: 0}}]"
 CLOSE = 1e-5  # [m, rad]
@@ -52,7 +56,9 @@ def unlike(config: Config, odd_share: float) -> Builds:
 
 
 @contextmanager
-def both(config: Config, starts: Array, *, barrier: bool, odd_share: float) -> Iterator[tuple[Arenas, JaxArenas]]:
+def both(config: Config, starts: Array, *, barrier: bool, odd_share: float) -> "Iterator[tuple[Arenas, JaxArenas]]":
+    from robofleet.envs.jax.arenas import JaxArenas
+
     count = len(starts)
     numba = Arenas(config, count, 7, builds=unlike(config, odd_share), barrier=barrier)
     with closing(numba):
@@ -71,6 +77,8 @@ def apart(first: Array, other: Array) -> float:
 
 def test_robots_obey_as_numbas_do() -> None:
     """Behind a delay of three ticks, each another one, for 20 s."""
+    import jax
+
     config = without_noise(load_config(PLATOON), actuation_delay_s=0.07)
     starts = np.repeat(STARTS[None], 8, axis=0)
     with both(config, starts, barrier=False, odd_share=0.2) as worlds:
@@ -135,6 +143,8 @@ def test_episodes_are_the_same() -> None:
 
 
 def test_noise_is_what_the_configuration_says_and_comes_from_the_seed() -> None:
+    from robofleet.envs.jax.arenas import JaxArenas
+
     config, ends = load_config(PLATOON), []
     world = JaxArenas(config, 300, 1, builds=builds(config, 0.0), barrier=False)
     for seed in (1, 1, 2):

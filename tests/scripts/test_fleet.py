@@ -107,13 +107,13 @@ def test_points_move_as_was_wished_and_stand_when_the_loop_ends() -> None:
 def test_robots_go_to_poses_and_who_is_not_named_stands() -> None:
     with fleet() as driven:
         before = driven.poses
-        driven.go_to({"r1": (0.3, 0.0, 90), "r4": (-0.3, 0.0, 270)})
+        driven.go_to({"r1": (-0.6, 0.2, 90), "r4": (0.6, -0.2, 270)})
         poses = driven.poses
-        assert poses[0] == pytest.approx((0.3, 0.0, np.pi / 2), abs=0.02)
-        assert poses[3] == pytest.approx((-0.3, 0.0, -np.pi / 2), abs=0.02)
+        assert poses[0] == pytest.approx((-0.6, 0.2, np.pi / 2), abs=0.02)
+        assert poses[3] == pytest.approx((0.6, -0.2, -np.pi / 2), abs=0.02)
         assert poses[1:3] == pytest.approx(before[1:3], abs=0.003)
-        driven.go_to({"r2": (-0.9, 0.0, 0)})
-        assert driven.poses[1, :2] == pytest.approx((-0.9, 0.0), abs=0.01)
+        driven.go_to({"r2": (-0.7, -0.5, 0)})
+        assert driven.poses[1, :2] == pytest.approx((-0.7, -0.5), abs=0.01)
 
 
 @pytest.mark.slow

@@ -127,9 +127,15 @@ def test_a_tag_is_missing_while_the_others_are_there(kind: str) -> None:
     assert bool(twice) == (kind == "duplicate_tag")
 
 
-def test_noise_is_as_large_as_asked_and_of_one_robot() -> None:
-    drive = Drive(f"{{kind: pose_noise, robot: r2, sigma_m: 0.02, {WHEN}}}")
-    config = drive.run.recording.config
+@pytest.fixture(scope="module")
+def noisy_and_late() -> Drive:
+    return Drive(
+        f"{{kind: pose_noise, robot: r2, sigma_m: 0.02, {WHEN}}}", f"{{kind: pose_delay, delay_s: 0.1, {WHEN}}}"
+    )
+
+
+def test_noise_is_as_large_as_asked_and_of_one_robot(noisy_and_late: Drive) -> None:
+    drive, config = noisy_and_late, noisy_and_late.run.recording.config
     off: dict[str, list[float]] = {"r1": [], "r2": []}
     for robot in config.robots[:2]:
         truths = drive.rows(TRUTH, TRUTH_LAYOUT, robot.id)
@@ -162,9 +168,8 @@ def test_a_camera_that_gives_nothing_new_is_named_and_comes_back(kind: str, even
     assert drive.phases[1].phase is Phase.HOLD
 
 
-def test_delayed_poses_are_as_old_as_asked() -> None:
-    drive = Drive(f"{{kind: pose_delay, delay_s: 0.1, {WHEN}}}")
-    rows = drive.rows(POSES, FLEET_POSES, "overhead")
+def test_delayed_poses_are_as_old_as_asked(noisy_and_late: Drive) -> None:
+    rows = noisy_and_late.rows(POSES, FLEET_POSES, "overhead")
     usual, delayed = ([(m.sent_ns - m.exposure_ns) / S for m in part(rows)] for part in (before, during))
     assert min(delayed) >= max(usual) + 0.09
     assert len(delayed) >= 20
