@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 
-from robofleet.calibration.robots.shooting import Wheels
+from robofleet.calibration.robots.shooting import Noise, Wheels
 from robofleet.core.arrays import Array
 
 PARAMETERS = tuple(field.name for field in fields(Wheels))
@@ -43,10 +43,11 @@ Residuals = Callable[[Wheels], Array]
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of a robot: values, and standard deviations by their names."""
+    """What is believed of a robot: values, and standard deviations by their names; its poses' noise and its wander."""
 
     values: Wheels
     sigma: Mapping[str, float]
+    noise: Noise
 
     @property
     def centre(self) -> Array:

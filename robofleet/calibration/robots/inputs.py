@@ -10,6 +10,7 @@ from robofleet.safety.gate import RAMP_NS
 _FEWEST_SAMPLES = 3  # of an angle
 _SHORTEST_LAG_S = 1e-6
 _SAME_RAD = 1e-6
+_SAME_SPEED = 0.01  # [rad/s]
 _RAMP_S = RAMP_NS * 1e-9
 _SEEN_SHARE = 0.6  # of the images, at least
 _LONGEST_GAP_S = 1.0
@@ -64,16 +65,39 @@ def as_told(drive: RobotDrive, at_s: Array, outputs: Array) -> tuple[Array, Arra
     """Return outputs (K, 2) that begin at instants (K,), as ``through_gate``, corrected by what the gate told.
 
     Between two statuses it told its wheels to turn by so much: commands came late, it was stepped more often than its
-    ramp needs, or it was closed. The difference is spread over the time between the statuses.
+    ramp needs, or it was closed. There the wheels jump from the speeds before to those that were commanded, at the
+    instant that makes them turn so far; where no instant does, they have their mean speeds. A difference that is added
+    instead would be lost where it is within a dead band.
     """
-    told_s = drive.told_s
-    short = np.diff(drive.told_rad - wheel_travel(at_s, outputs, 0.0, 0.0, told_s), axis=0)
-    speeds = np.where(np.abs(short) > _SAME_RAD, short, 0.0) / np.diff(told_s)[:, None]
+    told_s, duration_s = drive.told_s, np.diff(drive.told_s)
+    travel = np.diff(drive.told_rad, axis=0)
+    short = travel - np.diff(wheel_travel(at_s, outputs, 0.0, 0.0, told_s), axis=0)
+    wrong = (np.abs(short) > _SAME_RAD).any(axis=1)
     every_s = np.union1d(at_s, told_s)
     k = np.searchsorted(at_s, every_s, side="right") - 1
+    speeds = np.where(k[:, None] >= 0, outputs[k], 0.0)
     between = np.searchsorted(told_s, every_s, side="right") - 1
-    corrections = np.vstack([speeds, np.zeros((1, 2))])[np.clip(between, -1, len(speeds))]
-    return every_s, np.where(k[:, None] >= 0, outputs[k], 0.0) + corrections
+    kept = ~np.concatenate([wrong, [False]])[between]  # index -1, before the first status: kept
+    instants, rows, ends = [every_s[kept]], [speeds[kept]], {}
+    for row in np.flatnonzero(wrong).tolist():
+        start, end = np.searchsorted(every_s, told_s[row : row + 2]).tolist()
+        before, last, mean = (
+            ends.get(row - 1, speeds[max(0, start - 1)]),
+            speeds[end - 1],
+            travel[row] / duration_s[row],
+        )
+        change = last - before
+        share = float(change @ (mean - before) / max(change @ change, _SAME_RAD))  # of the time, after the jump
+        if 0.0 <= share <= 1.0 and np.abs(before + share * change - mean).max() < _SAME_SPEED:
+            instants.append(np.array([told_s[row], told_s[row + 1] - share * duration_s[row]]))
+            rows.append(np.array([before, last]))
+            ends[row] = last if share > 0.0 else before
+        else:
+            instants.append(told_s[row : row + 1])
+            rows.append(mean[None])
+            ends[row] = mean
+    order = np.argsort(np.concatenate(instants), kind="stable")
+    return np.concatenate(instants)[order], np.concatenate(rows)[order]
 
 
 def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: float, at_s: Array) -> Array:
