@@ -21,6 +21,7 @@ from robofleet.calibration.robots.information import (
     LEAST,
     OUTLIER_SIGMA,
     PARAMETERS,
+    SMOOTH_ROWS,
     THRESHOLDS,
     Prior,
     covariance,
@@ -257,21 +258,29 @@ class _Fit:
     def _find_thresholds(self) -> None:
         """Take the means of the thresholds' posterior; of one that no command is near, what is believed."""
         cost = thresholds.cost(self._residuals, self._wheels, self._prior, self._smooth())
-        for name, mean, sigma in zip(
-            THRESHOLDS, *(each.tolist() for each in thresholds.posterior(cost, self._wheels)), strict=True
-        ):
-            near = max(_NEAR * mean, self._prior.sigma[name])
-            if sum(shots.near_s(mean, near) for shots in self._recordings) < _LEAST_NEAR_S:
-                mean, sigma = getattr(self._prior.values, name), self._prior.sigma[name]
-            self._wheels = replace(self._wheels, **{name: mean})
-            self._threshold_sigma[name] = sigma
+        means, sigmas = (each.tolist() for each in thresholds.posterior(cost, self._wheels))
+        for name, mean, sigma in zip(THRESHOLDS, means, sigmas, strict=True):
+            believed, wide = getattr(self._prior.values, name), self._prior.sigma[name]
+            near = sum(shots.near_s(mean, max(_NEAR * mean, wide)) for shots in self._recordings) >= _LEAST_NEAR_S
+            self._wheels = replace(self._wheels, **{name: mean if near else believed})
+            self._threshold_sigma[name] = sigma if near else wide
 
     # what came out
 
     def _covariance(self) -> Array:
         """Return the covariance of all parameters: of the fit, with their priors; of thresholds by their posteriors."""
         j = derivative(self._residuals, self._wheels, self._prior)
-        found = covariance(j.T @ j + np.eye(j.shape[1]), self._prior, self._threshold_sigma)
+        information = j.T @ j + np.eye(j.shape[1])
+        found = covariance(information, self._prior, self._threshold_sigma)
+        for name, sigma in self._threshold_sigma.items():  # where it is another one, so are the others
+            value = getattr(self._wheels, name)
+            high, low = (
+                self._residuals(replace(self._wheels, **{name: max(0.0, value + change)})) for change in (sigma, -sigma)
+            )
+            shift = -self._sigma[SMOOTH_ROWS] * np.linalg.solve(information, j.T @ ((high - low) / 2.0))
+            found[np.ix_(SMOOTH_ROWS, SMOOTH_ROWS)] += np.outer(shift, shift)
+            row = PARAMETERS.index(name)
+            found[row, SMOOTH_ROWS] = found[SMOOTH_ROWS, row] = sigma * shift
         for name, variance in self._frozen.items():
             row = PARAMETERS.index(name)
             found[row, :] = found[:, row] = 0.0

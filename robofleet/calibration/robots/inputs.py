@@ -78,7 +78,8 @@ def as_told(drive: RobotDrive, at_s: Array, outputs: Array) -> tuple[Array, Arra
     speeds = np.where(k[:, None] >= 0, outputs[k], 0.0)
     between = np.searchsorted(told_s, every_s, side="right") - 1
     kept = ~np.concatenate([wrong, [False]])[between]  # index -1, before the first status: kept
-    instants, rows, ends = [every_s[kept]], [speeds[kept]], {}
+    instants, rows = [every_s[kept]], [speeds[kept]]
+    ends: dict[int, Array] = {}
     for row in np.flatnonzero(wrong).tolist():
         start, end = np.searchsorted(every_s, told_s[row : row + 2]).tolist()
         before, last, mean = (

@@ -21,7 +21,8 @@ from robofleet.calibration.robots.information import (
 from robofleet.calibration.robots.shooting import Wheels
 from robofleet.core.arrays import Array
 
-_COARSE = np.linspace(0.0, 2.5, 51)  # [rad/s]
+_STEP = 0.05  # [rad/s]
+_COARSE = _STEP * (np.arange(50) + 0.5)  # none is 0: the plant's wheel never stands if nothing holds it
 _LIKELY = 1e-3  # of the most likely one's likelihood
 _FINE = 13  # values of each threshold that are likely
 
@@ -55,8 +56,9 @@ def posterior(cost: Cost, wheels: Wheels) -> tuple[Array, Array]:
     for name in THRESHOLDS:
         weights = _weights([cost(replace(best, **{name: value})) for value in _COARSE.tolist()])
         best = replace(best, **{name: _COARSE[weights.argmax()]})
-        likely, step = _COARSE[weights > _LIKELY * weights.max()], _COARSE[1]
-        grids.append(np.linspace(max(0.0, likely[0] - step), likely[-1] + step, _FINE))
+        likely = _COARSE[weights > _LIKELY * weights.max()]
+        edges = np.linspace(max(0.0, likely[0] - _STEP), likely[-1] + _STEP, _FINE + 1)
+        grids.append((edges[:-1] + edges[1:]) / 2.0)
     points = np.array([(band, breakaway) for band, breakaway in product(*grids) if band <= breakaway])
     models = [replace(wheels, **dict(zip(THRESHOLDS, point, strict=True))) for point in points.tolist()]
     weights = _weights([cost(model) for model in models])
