@@ -1,5 +1,7 @@
 """What a drive's commands made of the wheels: through the gate, as it told, with delay and lag."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from robofleet.calibration.robots.drive_file import RobotDrive
@@ -10,7 +12,8 @@ from robofleet.safety.gate import RAMP_NS
 _FEWEST_SAMPLES = 3  # of an angle
 _SHORTEST_LAG_S = 1e-6
 _SAME_RAD = 1e-6
-_SAME_SPEED = 0.01  # [rad/s]
+_SHIFTS_S = 1e-4 * np.array(sorted(range(-200, 401), key=abs))
+_UNEXPLAINED = 0.05  # difference of mean speeds [rad/s]
 _RAMP_S = RAMP_NS * 1e-9
 _SEEN_SHARE = 0.6  # of the images, at least
 _LONGEST_GAP_S = 1.0
@@ -64,41 +67,35 @@ def through_gate(drive: RobotDrive) -> tuple[Array, Array]:
 def as_told(drive: RobotDrive, at_s: Array, outputs: Array) -> tuple[Array, Array]:
     """Return outputs (K, 2) that begin at instants (K,), as ``through_gate``, corrected by what the gate told.
 
-    Between two statuses it told its wheels to turn by so much: commands came late, it was stepped more often than its
-    ramp needs, or it was closed. There the wheels jump from the speeds before to those that were commanded, at the
-    instant that makes them turn so far; where no instant does, they have their mean speeds. A difference that is added
-    instead would be lost where it is within a dead band.
+    Between two statuses it told its wheels to turn by so much. Where the outputs differ from that, commands came late,
+    or its ramp was stepped at other instants: they are shifted in time. Where no shift explains it, the gate was
+    closed: the wheels have their mean speeds. A difference of speeds that is added would be lost within a dead band.
     """
-    told_s, duration_s = drive.told_s, np.diff(drive.told_s)
-    travel = np.diff(drive.told_rad, axis=0)
-    short = travel - np.diff(wheel_travel(at_s, outputs, 0.0, 0.0, told_s), axis=0)
-    wrong = (np.abs(short) > _SAME_RAD).any(axis=1)
-    every_s = np.union1d(at_s, told_s)
-    k = np.searchsorted(at_s, every_s, side="right") - 1
-    speeds = np.where(k[:, None] >= 0, outputs[k], 0.0)
-    between = np.searchsorted(told_s, every_s, side="right") - 1
-    kept = ~np.concatenate([wrong, [False]])[between]  # index -1, before the first status: kept
-    instants, rows = [every_s[kept]], [speeds[kept]]
-    ends: dict[int, Array] = {}
-    for row in np.flatnonzero(wrong).tolist():
-        start, end = np.searchsorted(every_s, told_s[row : row + 2]).tolist()
-        before, last, mean = (
-            ends.get(row - 1, speeds[max(0, start - 1)]),
-            speeds[end - 1],
-            travel[row] / duration_s[row],
-        )
-        change = last - before
-        share = float(change @ (mean - before) / max(change @ change, _SAME_RAD))  # of the time, after the jump
-        if 0.0 <= share <= 1.0 and np.abs(before + share * change - mean).max() < _SAME_SPEED:
-            instants.append(np.array([told_s[row], told_s[row + 1] - share * duration_s[row]]))
-            rows.append(np.array([before, last]))
-            ends[row] = last if share > 0.0 else before
-        else:
-            instants.append(told_s[row : row + 1])
-            rows.append(mean[None])
-            ends[row] = mean
-    order = np.argsort(np.concatenate(instants), kind="stable")
-    return np.concatenate(instants)[order], np.concatenate(rows)[order]
+    told_s, travel = drive.told_s, np.diff(drive.told_rad, axis=0)
+    begins_s, speeds = np.concatenate([at_s[:1], at_s]), np.vstack([np.zeros((1, 2)), outputs])
+    angles = np.vstack([np.zeros((1, 2)), np.cumsum(speeds[:-1] * np.diff(begins_s)[:, None], axis=0)])
+
+    def turned(when_s: Array) -> Array:
+        k = np.searchsorted(at_s, when_s, side="right")
+        return np.asarray(angles[k] + speeds[k] * (when_s - begins_s[k])[:, None])
+
+    differ = np.abs(np.diff(turned(told_s), axis=0) - travel).max(axis=1) > _SAME_RAD
+    known = int(np.searchsorted(at_s, told_s[0]))
+    instants, rows = [at_s[:known]], [outputs[:known]]
+    for row, (start_s, end_s) in enumerate(pairwise([*told_s.tolist(), np.inf])):
+        shift_s = 0.0
+        if row < len(travel) and differ[row]:
+            errors = np.abs(turned(end_s - _SHIFTS_S) - turned(start_s - _SHIFTS_S) - travel[row]).max(axis=1)
+            best = int(errors.round(6).argmin())
+            if errors[best] > _UNEXPLAINED * (end_s - start_s):
+                instants.append(told_s[row : row + 1])
+                rows.append(travel[row : row + 1] / (end_s - start_s))
+                continue
+            shift_s = _SHIFTS_S[best]
+        first, last = np.searchsorted(at_s, (start_s - shift_s, end_s - shift_s), side="right")
+        instants.append(np.array([start_s, *(at_s[first:last] + shift_s)]))
+        rows.append(speeds[first : last + 1])
+    return np.concatenate(instants), np.concatenate(rows)
 
 
 def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: float, at_s: Array) -> Array:
