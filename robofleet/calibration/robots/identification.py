@@ -21,12 +21,14 @@ from robofleet.calibration.robots.information import (
     LEAST,
     OUTLIER_SIGMA,
     PARAMETERS,
+    SMOOTH,
     SMOOTH_ROWS,
     THRESHOLDS,
     Prior,
     covariance,
     derivative,
     determined,
+    unsaturated,
 )
 from robofleet.calibration.robots.shooting import Noise, Shots, Wheels, relative
 from robofleet.calibration.store import CalibrationError
@@ -270,6 +272,7 @@ class _Fit:
     def _covariance(self) -> Array:
         """Return the covariance of all parameters: of the fit, with their priors; of thresholds by their posteriors."""
         j = derivative(self._residuals, self._wheels, self._prior)
+        j[:, SMOOTH.index("top_speed_rad_s")] = unsaturated(self._residuals, self._wheels, self._prior)
         information = j.T @ j + np.eye(j.shape[1])
         found = covariance(information, self._prior, self._threshold_sigma)
         for name, sigma in self._threshold_sigma.items():  # where it is another one, so are the others
