@@ -251,7 +251,7 @@ class _Fit:
         for shots in self._recordings:
             shots.kept = ~shots.outliers(self._wheels, self._noise, OUTLIER_SIGMA, misfits=misfits)
         share = np.mean([not kept for shots in self._recordings for kept in shots.kept])
-        if share > _OUTLIER_SHARE:
+        if misfits and share > _OUTLIER_SHARE:
             raise CalibrationError(
                 f"{self._robot}: {100 * share:.0f} % of its poses do not fit any motion: did something else move it, "
                 "or is its tag hard to see?"

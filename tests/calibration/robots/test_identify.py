@@ -116,6 +116,14 @@ def test_an_excitation_tells_the_model(driven: Make) -> None:
 
 
 @pytest.mark.slow
+def test_a_robot_without_dead_band_has_none_and_bends_nothing_else(smooth: RobotDrive) -> None:
+    found = found_in(smooth)
+    assert found.wheels.deadband_rad_s < 0.1
+    assert found.wheels.wheel_base_m == pytest.approx(GTERNAL.wheel_base, rel=0.002)
+    assert abs(found.wheels.slip_s_per_rad) < 3.0 * found.sigma["slip_s_per_rad"]
+
+
+@pytest.mark.slow
 def test_outliers_are_left_out(worn: RobotDrive) -> None:
     rng, poses = np.random.default_rng(3), worn.poses.copy()
     wrong = rng.choice(len(poses), 25, replace=False)
