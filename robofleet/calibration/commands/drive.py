@@ -60,7 +60,8 @@ def drive(
         if own in inputs:  # robots of one kind that nobody measured are alike
             designs.append(replace(designs[inputs.index(own)], robot=robot.id))
         else:
-            designs.append(design(tree, robot.model_copy(update={"calibration": calibration}), seconds, own[-1]))
+            known_robot = robot.model_copy(update={"calibration": calibration})
+            designs.append(design(tree, known_robot, seconds, own[-1], count))
         inputs.append(own)
     tree = drives.lasting(drives.with_manoeuvres(tree, {each.robot: each.manoeuvres for each in designs}), count)
     tree = tree.model_copy(update={"run": tree.run.model_copy(update={"bounds": Bounds()})})

@@ -4,7 +4,7 @@ import math
 
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.information import Prior
-from robofleet.calibration.robots.shooting import Shots, Wheels
+from robofleet.calibration.robots.shooting import Noise, Shots, Wheels
 from robofleet.config import slices
 from robofleet.config.plant_errors import PlantErrors
 from robofleet.config.robots import Robot
@@ -16,6 +16,7 @@ _IDEAL = PlantErrors(
     wheel_gain_spread=0.0, wheel_base_spread=0.0, slip_s_per_rad=0.0, slip_noise=0.0, top_speed_sag=0.0,
     battery_life_s=1e9,
 )  # fmt: skip
+_LEAST_WANDER = 1e-4  # as in Noise
 
 
 def believed_errors(robot: Robot) -> PlantErrors:
@@ -51,7 +52,8 @@ def prior(config: Config, robot: Robot) -> Prior:
         "top_speed_sag": 0.1,
         "slip_s_per_rad": 0.03, "tag_forward_m": 0.05, "tag_left_m": 0.05, "tag_heading_rad": 2.0,
     }  # fmt: skip
-    return Prior(values, sigma)
+    slip = errors.slip_noise * errors.slip_s_per_rad * math.sqrt(errors.loop_period_s)
+    return Prior(values, sigma, Noise(slip=max(_LEAST_WANDER, slip), way=_LEAST_WANDER))
 
 
 def shots(robot: Robot, drive: RobotDrive) -> Shots:

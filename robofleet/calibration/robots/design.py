@@ -83,9 +83,12 @@ class _Candidate:
     tells: Knowledge
 
 
-def design(config: Config, robot: Robot, seconds: float, line_m: float = LONGEST_LINE_M) -> Design:
-    """Choose a robot's manoeuvres for so many seconds, on a free line of so many metres."""
-    designer = Designer(config, robot)
+def design(config: Config, robot: Robot, seconds: float, line_m: float = LONGEST_LINE_M, robots: int = 1) -> Design:
+    """Choose a robot's manoeuvres for so many seconds, on a free line of so many metres.
+
+    Of so many ``robots``, which drive one after the other from full batteries on, it is one in the middle.
+    """
+    designer = Designer(config, robot, robots * seconds / 2.0)
     drive = slices.drive(robot)
     candidates = [
         _Candidate(each, duration_s, leaves_place(drive, each), designer.tells(each))
@@ -145,9 +148,10 @@ def manoeuvres(drive: DifferentialDrive, line_m: float) -> Iterator[Manoeuvre]:
 
 
 class Designer:
-    """Says what manoeuvres tell of one robot."""
+    """Says what manoeuvres tell of one robot, whose battery has been used for so long then."""
 
-    def __init__(self, config: Config, robot: Robot) -> None:
+    def __init__(self, config: Config, robot: Robot, used_s: float = 0.0) -> None:
+        self._charge = max(0.0, 1.0 - used_s / believed.believed_errors(robot).battery_life_s)
         self._robot, self._drive, self._prior = robot, slices.drive(robot), believed.prior(config, robot)
         self._tick_s = config.controller.tick_s
         self._acceleration = robot.vehicle.max_wheel_acceleration_rad_s2
@@ -226,7 +230,7 @@ class Designer:
         return RobotDrive(
             self._robot.id, at_s, np.array(wheels), at_s + self._tick_s / 2.0, np.zeros((len(at_s), 3)), np.empty(0),
             np.empty((0, 2)), np.empty(0), np.empty((0, 2)), 0.0, self._acceleration,
-            pose_covariances=np.tile(self._pose_covariance, (len(at_s), 1)),
+            pose_covariances=np.tile(self._pose_covariance, (len(at_s), 1)), battery=np.full(len(at_s), self._charge),
         )  # fmt: skip
 
     def _residuals(self, drive: RobotDrive, truth: Wheels) -> Residuals:

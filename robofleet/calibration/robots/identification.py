@@ -2,9 +2,9 @@
 
 Each parameter has a prior, which is what the configuration believes, with a wide standard deviation. What the
 recordings do not tell is found by the Fisher information against these priors, is named, and stays at its prior. The
-two thresholds of a wheel (dead band, breakaway) make the squares a staircase: they are found by their posterior on a
-grid, all others by Gauss-Newton steps (``scipy.optimize.least_squares``). The noise's scales and the wander are those
-that make the residuals likeliest. Every fifth shot is held out: it takes no part in the fit.
+two thresholds of a wheel (dead band, breakaway) are found by their posterior on a grid (``thresholds.py``), all others
+by Gauss-Newton steps (``scipy.optimize.least_squares``). The noise's scales and the wander are those that are likeliest
+by the residuals and by their own priors. Every fifth shot is held out: it takes no part in the fit.
 """
 
 from collections.abc import Sequence
@@ -14,18 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
+from robofleet.calibration.robots import thresholds
 from robofleet.calibration.robots.held_out import HeldOut, held_out_errors
 from robofleet.calibration.robots.information import (
     HELD_OUT,
     LEAST,
     OUTLIER_SIGMA,
     PARAMETERS,
+    SMOOTH,
+    SMOOTH_ROWS,
     THRESHOLDS,
     Prior,
     covariance,
     derivative,
     determined,
-    squares,
+    unsaturated,
 )
 from robofleet.calibration.robots.shooting import Noise, Shots, Wheels, relative
 from robofleet.calibration.store import CalibrationError
@@ -37,13 +40,14 @@ _MOST = {"motor_lag_s": 2.0, "stop_lag_s": 2.0, "delay_s": 1.0, "slip_s_per_rad"
 _DELAYS_S, _LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3), (0.01, 0.04, 0.08, 0.15, 0.3)
 _SPLITS_S = np.geomspace(0.005, 0.4, 16).tolist()
 _AT_FIRST = Noise(position=5.0, heading=5.0, way=3e-3)
-_ROUNDS = 4
+_ROUNDS = 3
 _LOSS_SCALE = 3.0  # from so many sigmas on a residual counts less
 _OUTLIER_SHARE = 0.2
 _OUTLIER_PASSES = 2
-_COARSE, _FINE = np.linspace(0.0, 2.5, 51), np.linspace(-0.075, 0.075, 21)  # of thresholds [rad/s]
+_NOISE_SIGMA = np.log(3.0)  # of the logarithms of a noise, around what is believed
 _FEWEST_POSES = 100
 _LEAST_WAY_M, _LEAST_TURN_RAD = 0.2, 1.0
+_NEAR = 0.7  # of a threshold, or its prior's standard deviation: commands so far from it are about as fast
 _LEAST_NEAR_S = 1.0  # of commands about as fast as a threshold: with less it is not told
 
 
@@ -125,15 +129,15 @@ class _Fit:
 
     def run(self) -> None:
         self._start()
-        for k in range(_ROUNDS):
+        self._leave_out()
+        for _ in range(_ROUNDS):
             self._follow_valley()
             self._descend()
-            self._estimate_noise()  # at first what does not fit is no outlier yet
-            for _ in range(_OUTLIER_PASSES if k else 0):
+            self._estimate_noise()
+            for _ in range(_OUTLIER_PASSES):
                 self._leave_out()
                 self._estimate_noise()
-            for name in THRESHOLDS:
-                self._threshold(name, coarse=k in (0, _ROUNDS - 2))
+            self._find_thresholds()
         found = self._covariance()
         self._fixed = set(PARAMETERS) - set(determined(found, self._prior))
         self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
@@ -191,12 +195,15 @@ class _Fit:
         models = [replace(self._wheels, motor_lag_s=lag_s, delay_s=together_s - lag_s) for lag_s in splits]
         self._wheels = min([self._wheels, *models], key=lambda model: float((self._residuals(model) ** 2).sum()))
 
+    def _smooth(self) -> tuple[str, ...]:
+        return tuple(name for name in PARAMETERS if name not in (*self._fixed, *self._frozen, *THRESHOLDS))
+
     def _descend(self, *, must_converge: bool = False) -> None:
-        names = tuple(name for name in PARAMETERS if name not in (*self._fixed, *self._frozen, *THRESHOLDS))
+        names = self._smooth()
         rows = [PARAMETERS.index(name) for name in names]
         low, high = (
             (np.array([limits.get(name, far) for name in names]) - self._centre[rows]) / self._sigma[rows]
-            for limits, far in ((LEAST, -1e9), (_MOST, 1e9))
+            for limits, far in ((LEAST, -np.inf), (_MOST, np.inf))  # not a large number: the solver scales by it
         )
 
         def residuals(x: Array) -> Array:
@@ -219,12 +226,13 @@ class _Fit:
         self._wheels = self._moved(solved.x, names)
 
     def _estimate_noise(self) -> None:
-        """Take the noise that makes the residuals likeliest; what no noise explains counts as an outlier's does."""
+        """Take the likeliest noise; what no noise explains counts as an outlier's does."""
         motions = [shots.motion(self._wheels) for shots in self._recordings]
+        believed = np.log(np.array(astuple(self._prior.noise)))
 
         def minus_log_likelihood(logs: Array) -> float:
             noise = Noise(*np.exp(np.clip(logs, -20.0, 5.0)).tolist())
-            total = 0.0
+            total = 0.5 * float((((logs - believed) / _NOISE_SIGMA) ** 2).sum())
             for shots, motion, own in zip(self._recordings, motions, self._training, strict=True):
                 e, log_determinant = shots.residuals(self._wheels, noise, motion, own)
                 total += 0.5 * float(np.minimum(e * e, OUTLIER_SIGMA**2).sum()) + log_determinant
@@ -243,47 +251,39 @@ class _Fit:
         for shots in self._recordings:
             shots.kept = ~shots.outliers(self._wheels, self._noise, OUTLIER_SIGMA, misfits=misfits)
         share = np.mean([not kept for shots in self._recordings for kept in shots.kept])
-        if share > _OUTLIER_SHARE:
+        if misfits and share > _OUTLIER_SHARE:
             raise CalibrationError(
                 f"{self._robot}: {100 * share:.0f} % of its poses do not fit any motion: did something else move it, "
                 "or is its tag hard to see?"
             )
 
-    def _threshold(self, name: str, *, coarse: bool) -> None:
-        """Take the mean of a threshold's posterior on a grid, a coarse one and then a fine one around its best.
-
-        Without ``coarse`` only where a fine one has been enough before.
-        """
-        if not coarse and self._threshold_sigma[name] > _FINE[-1]:
-            return
-
-        def posterior(grid: Array) -> Array:
-            x = (grid - getattr(self._prior.values, name)) / self._prior.sigma[name]
-            total = squares(self._residuals, self._wheels, name, grid) + x * x
-            likelihood = np.exp(-0.5 * (total - total.min()))
-            return np.asarray(likelihood / likelihood.sum())
-
-        best = getattr(self._wheels, name)
-        if coarse:
-            grid, step = _COARSE, _COARSE[1] - _COARSE[0]
-            weights = posterior(grid)
-            best = grid[weights.argmax()]
-        if not coarse or (weights > 0.1 * weights.max()).sum() <= 3:
-            grid, step = np.maximum(0.0, best + _FINE), _FINE[1] - _FINE[0]
-            weights = posterior(grid)
-        mean = float(weights @ grid)
-        sigma = float(np.sqrt(weights @ (grid - mean) ** 2 + step**2 / 12.0))
-        if sum(shots.near_s(mean) for shots in self._recordings) < _LEAST_NEAR_S:
-            mean, sigma = getattr(self._prior.values, name), self._prior.sigma[name]
-        self._wheels = replace(self._wheels, **{name: mean})
-        self._threshold_sigma[name] = sigma
+    def _find_thresholds(self) -> None:
+        """Take the means of the thresholds' posterior; of one that no command is near, what is believed."""
+        cost = thresholds.cost(self._residuals, self._wheels, self._prior, self._smooth())
+        means, sigmas = (each.tolist() for each in thresholds.posterior(cost, self._wheels))
+        for name, mean, sigma in zip(THRESHOLDS, means, sigmas, strict=True):
+            believed, wide = getattr(self._prior.values, name), self._prior.sigma[name]
+            near = sum(shots.near_s(mean, max(_NEAR * mean, wide)) for shots in self._recordings) >= _LEAST_NEAR_S
+            self._wheels = replace(self._wheels, **{name: mean if near else believed})
+            self._threshold_sigma[name] = sigma if near else wide
 
     # what came out
 
     def _covariance(self) -> Array:
         """Return the covariance of all parameters: of the fit, with their priors; of thresholds by their posteriors."""
         j = derivative(self._residuals, self._wheels, self._prior)
-        found = covariance(j.T @ j + np.eye(j.shape[1]), self._prior, self._threshold_sigma)
+        j[:, SMOOTH.index("top_speed_rad_s")] = unsaturated(self._residuals, self._wheels, self._prior)
+        information = j.T @ j + np.eye(j.shape[1])
+        found = covariance(information, self._prior, self._threshold_sigma)
+        for name, sigma in self._threshold_sigma.items():  # where it is another one, so are the others
+            value = getattr(self._wheels, name)
+            high, low = (
+                self._residuals(replace(self._wheels, **{name: max(0.0, value + change)})) for change in (sigma, -sigma)
+            )
+            shift = -self._sigma[SMOOTH_ROWS] * np.linalg.solve(information, j.T @ ((high - low) / 2.0))
+            found[np.ix_(SMOOTH_ROWS, SMOOTH_ROWS)] += np.outer(shift, shift)
+            row = PARAMETERS.index(name)
+            found[row, SMOOTH_ROWS] = found[SMOOTH_ROWS, row] = sigma * shift
         for name, variance in self._frozen.items():
             row = PARAMETERS.index(name)
             found[row, :] = found[:, row] = 0.0

@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 
-from robofleet.calibration.robots.shooting import Wheels
+from robofleet.calibration.robots.shooting import Noise, Wheels
 from robofleet.core.arrays import Array
 
 PARAMETERS = tuple(field.name for field in fields(Wheels))
@@ -29,6 +29,7 @@ _STEPS = {  # of numerical derivatives
     "delay_s": 2e-4, "top_speed_rad_s": 0.01, "top_speed_sag": 1e-2,
     "slip_s_per_rad": 1e-4, "tag_forward_m": 1e-5, "tag_left_m": 1e-5, "tag_heading_rad": 1e-4,
 }  # fmt: skip
+_HIGHER_RAD_S = 0.05
 # What the residuals do not show. Commands act, and images are exposed, at instants that are known to a millisecond: of
 # a firmware's loop, an exposure, the simulated truth between two samples. Poses bend over the arena by some hundredths
 # of a millimetre and of a degree: measured on simulated platoons through the tracker.
@@ -43,10 +44,11 @@ Residuals = Callable[[Wheels], Array]
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of a robot: values, and standard deviations by their names."""
+    """What is believed of a robot: values, and standard deviations by their names; its poses' noise and its wander."""
 
     values: Wheels
     sigma: Mapping[str, float]
+    noise: Noise
 
     @property
     def centre(self) -> Array:
@@ -68,6 +70,13 @@ def derivative(residuals: Residuals, wheels: Wheels, prior: Prior, names: tuple[
         change = residuals(replace(wheels, **{name: value + step})) - residuals(replace(wheels, **{name: low}))
         columns.append((change / (value + step - low) * prior.sigma[name]).ravel())
     return np.column_stack(columns)
+
+
+def unsaturated(residuals: Residuals, wheels: Wheels, prior: Prior) -> Array:
+    """Return the derivative (R,) by a higher top speed: a wheel that reaches its command does not tell its own."""
+    name, value = "top_speed_rad_s", wheels.top_speed_rad_s
+    change = residuals(replace(wheels, **{name: value + _HIGHER_RAD_S})) - residuals(wheels)
+    return np.asarray(change.ravel() / _HIGHER_RAD_S * prior.sigma[name])
 
 
 def squares(residuals: Residuals, wheels: Wheels, name: str, grid: Array) -> Array:

@@ -1,5 +1,7 @@
 """What a drive's commands made of the wheels: through the gate, as it told, with delay and lag."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from robofleet.calibration.robots.drive_file import RobotDrive
@@ -10,6 +12,8 @@ from robofleet.safety.gate import RAMP_NS
 _FEWEST_SAMPLES = 3  # of an angle
 _SHORTEST_LAG_S = 1e-6
 _SAME_RAD = 1e-6
+_SHIFTS_S = 1e-4 * np.array(sorted(range(-200, 401), key=abs))
+_UNEXPLAINED = 0.05  # difference of mean speeds [rad/s]
 _RAMP_S = RAMP_NS * 1e-9
 _SEEN_SHARE = 0.6  # of the images, at least
 _LONGEST_GAP_S = 1.0
@@ -63,17 +67,35 @@ def through_gate(drive: RobotDrive) -> tuple[Array, Array]:
 def as_told(drive: RobotDrive, at_s: Array, outputs: Array) -> tuple[Array, Array]:
     """Return outputs (K, 2) that begin at instants (K,), as ``through_gate``, corrected by what the gate told.
 
-    Between two statuses it told its wheels to turn by so much: commands came late, it was stepped more often than its
-    ramp needs, or it was closed. The difference is spread over the time between the statuses.
+    Between two statuses it told its wheels to turn by so much. Where the outputs differ from that, commands came late,
+    or its ramp was stepped at other instants: they are shifted in time. Where no shift explains it, the gate was
+    closed: the wheels have their mean speeds. A difference of speeds that is added would be lost within a dead band.
     """
-    told_s = drive.told_s
-    short = np.diff(drive.told_rad - wheel_travel(at_s, outputs, 0.0, 0.0, told_s), axis=0)
-    speeds = np.where(np.abs(short) > _SAME_RAD, short, 0.0) / np.diff(told_s)[:, None]
-    every_s = np.union1d(at_s, told_s)
-    k = np.searchsorted(at_s, every_s, side="right") - 1
-    between = np.searchsorted(told_s, every_s, side="right") - 1
-    corrections = np.vstack([speeds, np.zeros((1, 2))])[np.clip(between, -1, len(speeds))]
-    return every_s, np.where(k[:, None] >= 0, outputs[k], 0.0) + corrections
+    told_s, travel = drive.told_s, np.diff(drive.told_rad, axis=0)
+    begins_s, speeds = np.concatenate([at_s[:1], at_s]), np.vstack([np.zeros((1, 2)), outputs])
+    angles = np.vstack([np.zeros((1, 2)), np.cumsum(speeds[:-1] * np.diff(begins_s)[:, None], axis=0)])
+
+    def turned(when_s: Array) -> Array:
+        k = np.searchsorted(at_s, when_s, side="right")
+        return np.asarray(angles[k] + speeds[k] * (when_s - begins_s[k])[:, None])
+
+    differ = np.abs(np.diff(turned(told_s), axis=0) - travel).max(axis=1) > _SAME_RAD
+    known = int(np.searchsorted(at_s, told_s[0]))
+    instants, rows = [at_s[:known]], [outputs[:known]]
+    for row, (start_s, end_s) in enumerate(pairwise([*told_s.tolist(), np.inf])):
+        shift_s = 0.0
+        if row < len(travel) and differ[row]:
+            errors = np.abs(turned(end_s - _SHIFTS_S) - turned(start_s - _SHIFTS_S) - travel[row]).max(axis=1)
+            best = int(errors.round(6).argmin())
+            if errors[best] > _UNEXPLAINED * (end_s - start_s):
+                instants.append(told_s[row : row + 1])
+                rows.append(travel[row : row + 1] / (end_s - start_s))
+                continue
+            shift_s = _SHIFTS_S[best]
+        first, last = np.searchsorted(at_s, (start_s - shift_s, end_s - shift_s), side="right")
+        instants.append(np.array([start_s, *(at_s[first:last] + shift_s)]))
+        rows.append(speeds[first : last + 1])
+    return np.concatenate(instants), np.concatenate(rows)
 
 
 def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: float, at_s: Array) -> Array:

@@ -27,7 +27,6 @@ SHOT_S = 2.0
 _NOBODY = np.zeros(0, dtype=np.bool_)
 _WRONG_BEGINNINGS, _WRONG_SHARE = 3, 0.5
 _LONGEST_OUTLIER = 3  # poses
-_NEAR = 0.7  # of a speed: about as fast
 _UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covariance of poses that have none
 _LEAST_VARIANCE = np.array([1e-6**2, 1e-6**2, 1e-5**2])  # of a simulated pose without noise [m^2, m^2, rad^2]
 _QUIET = np.zeros(8192)  # the plant's random numbers: none
@@ -87,9 +86,10 @@ class Shots:
         """How long the battery had been used when the recording began, as it told then."""
         return (1.0 - float(self.drive.battery[0])) * self._life_s if len(self.drive.battery) else 0.0
 
-    def near_s(self, speed_rad_s: float) -> float:
+    def near_s(self, speed_rad_s: float, within_rad_s: float) -> float:
         """Return how long wheels were commanded to turn about so fast, either way [s]."""
-        near = np.abs(np.abs(self._outputs[:-1]) - speed_rad_s) < _NEAR * speed_rad_s
+        speeds = np.abs(self._outputs[:-1])
+        near = (speeds > 0.0) & (np.abs(speeds - speed_rad_s) < within_rad_s)
         return float((near * (np.diff(self._outputs_ns) / S)[:, None]).sum())
 
     def motion(self, wheels: Wheels) -> Array:

@@ -84,6 +84,20 @@ def test_inputs_turn_as_far_as_the_gate_told(worn: RobotDrive) -> None:
     assert np.abs((travel - travel[0]) - (turned - turned[0])).max() < 1e-3
 
 
+def test_inputs_of_late_commands_are_late(worn: RobotDrive) -> None:
+    """What is told late acts late: it is not a slow speed before, which a wheel's dead band would swallow."""
+    commands = np.repeat(((0.0, 0.0), (4.0, -6.0), (0.0, 0.0)), 20, axis=0)
+    commands_s, told_s = 0.033 * np.arange(60), 0.02 * np.arange(90)
+    late_s = commands_s + 0.011 * (np.arange(60) == 40)  # the stop is
+    told = inputs.wheel_travel(late_s, commands, 0.0, 0.0, told_s)
+    drive = replace(worn, commands_s=commands_s, commands_rad_s=commands, told_s=told_s, told_rad=told)
+    at_s, outputs = inputs.as_told(drive, *inputs.through_gate(drive))
+    grid_s = np.arange(0.0, 1.7, 0.0005)
+    speeds = outputs[np.searchsorted(at_s, grid_s, side="right") - 1]
+    expected = commands[np.searchsorted(late_s, grid_s, side="right") - 1]
+    assert (np.abs(speeds - expected).max(axis=1) > 1e-9).mean() < 0.002
+
+
 @pytest.mark.slow
 def test_an_excitation_tells_the_model(driven: Make) -> None:
     drive = driven()
@@ -99,6 +113,14 @@ def test_an_excitation_tells_the_model(driven: Make) -> None:
         assert abs(getattr(found.wheels, name) - getattr(right, name)) < 4.0 * found.sigma[name], name
     assert found.held_out_chi_square == pytest.approx(1.0, abs=0.4)
     assert abs(found.correlation) < 0.15
+
+
+@pytest.mark.slow
+def test_a_robot_without_dead_band_has_none_and_bends_nothing_else(smooth: RobotDrive) -> None:
+    found = found_in(smooth)
+    assert found.wheels.deadband_rad_s < 0.1
+    assert found.wheels.wheel_base_m == pytest.approx(GTERNAL.wheel_base, rel=0.002)
+    assert abs(found.wheels.slip_s_per_rad) < 3.0 * found.sigma["slip_s_per_rad"]
 
 
 @pytest.mark.slow

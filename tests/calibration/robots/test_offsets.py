@@ -8,6 +8,7 @@ import pytest
 
 from robofleet.calibration.robots import inputs, offsets
 from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.information import SYSTEMATIC_VARIANCE
 from robofleet.calibration.store import CalibrationError
 from robofleet.config.calibrated import TagOffset
 from tests.robots import GTERNAL
@@ -59,7 +60,11 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
         noise = rng.normal(size=smooth.poses.shape) * (3e-4, 3e-4, 0.004)
         found.append(find(replace(smooth, poses=smooth.poses + noise)))
     errors = np.array([result.values for result in found]) - [*TRUE_TAG, GTERNAL.wheel_radius, GTERNAL.wheel_base]
-    scatter = np.sqrt((errors**2).mean(axis=0)) / np.array([result.sigma for result in found]).mean(axis=0)
+    tracker = offsets.of(
+        replace(found[0].found, covariance=np.diag(SYSTEMATIC_VARIANCE))
+    )  # these poses have none of it
+    random = np.sqrt(np.array([result.sigma**2 for result in found]) - tracker.sigma**2)
+    scatter = np.sqrt((errors**2).mean(axis=0)) / random.mean(axis=0)
     assert (scatter > 0.4).all()
     assert (scatter < 2.0).all()
 

@@ -126,7 +126,7 @@ def designs(seconds: float) -> list[Design]:
     """Return what `robofleet calibrate drive` proposes for robots that nobody identified."""
     config, count = drive.configure(CONFIG, (), lockstep=True)
     lines = [drive.excitation(config).free_line_m(row) for row in range(count)]
-    return [design(config, robot, seconds, line) for robot, line in zip(config.members, lines, strict=True)]
+    return [design(config, robot, seconds, line, count) for robot, line in zip(config.members, lines, strict=True)]
 
 
 def drawn(config: Config, seed: int, battery_life_s: float | None = None) -> Config:
