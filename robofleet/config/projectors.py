@@ -51,6 +51,8 @@ class SimulatedProjectorSettings(Model):
     """Power by which light grows with grey levels."""
     vignetting: Annotated[float, within(0, 0.9)] = 0.0
     """Share of the light that the picture's corners lack."""
+    rate_hz: Annotated[float, within(1, 240)] = 60.0
+    """Pictures of a run a second."""
     focus_px: Annotated[float, within(0.01, 200)] = 0.5
     """Standard deviation of the Gaussian that a pixel becomes on the floor, in pixels of the projector."""
 
@@ -70,6 +72,10 @@ class ProjectorSettings(Model):
     """Address at which its page is served. The browser of another computer reaches 127.0.0.1 through ``ssh -L``."""
     port: Annotated[int, Field(ge=1024, le=65535)] = 8420
     """TCP port of its page."""
+    brightness: Fraction = 1.0
+    """Grey of what a run's picture shows, as a share of white. Lower it where the light is too much for the cameras."""
+    disc_gray: Fraction = 0.4
+    """Constant grey of the disc around each robot, in which its tag is seen, as a share of white."""
     simulated: SimulatedProjectorSettings | None = None
     """A simulated projector in place of a browser's; null: a browser shows the pictures."""
 

@@ -11,12 +11,14 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from robofleet.bus.bus import Bus
 from robofleet.config.projectors import ProjectorSettings, SimulatedProjectorSettings
 from robofleet.config.tree import Config
 from robofleet.core.arrays import Array32, Image
 from robofleet.core.clock import S
 from robofleet.projection.model import Projector
 from robofleet.simulation.camera import SceneRenderer
+from robofleet.simulation.run_picture import RunPicture
 
 _NOWHERE = -1e4  # a pixel that no picture has
 
@@ -28,7 +30,7 @@ class SimulatedProjector:
 
     def __init__(self, settings: ProjectorSettings, simulated: SimulatedProjectorSettings) -> None:
         self._simulated, self.projector = simulated, Projector.from_model(simulated.model)
-        self._delay_ns = round(simulated.model.delay_s * S)
+        self._delay_ns, self._period_ns = round(simulated.model.delay_s * S), round(S / simulated.rate_hz)
         self._coming: deque[tuple[int, Image]] = deque()  # from when on it is lit, and the picture
         self._picture: Image | None = None
         w, h = settings.width, settings.height
@@ -41,6 +43,10 @@ class SimulatedProjector:
     def show(self, picture: Image, now_ns: int) -> None:
         """Take a picture (H, W), whose light comes after the projector's own delay."""
         self._coming.append((now_ns + self._delay_ns, picture))
+
+    def drawn_ns(self, now_ns: int) -> int:
+        """Return when the picture was drawn that a run has lit at an instant."""
+        return (now_ns - self._delay_ns) // self._period_ns * self._period_ns
 
     def changes(self, now_ns: int) -> bool:
         """Go on to what is lit at an instant; returns whether that is another picture than before."""
@@ -68,11 +74,17 @@ class SimulatedProjector:
 class Projection:
     """The light of all simulated projectors in one camera's image."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, bus: Bus) -> None:
+        """``bus``: of the run that calibrated projectors show, if there is one."""
         self.projectors = {
             projector.name: SimulatedProjector(projector, projector.simulated)
             for projector in config.projectors
             if projector.simulated is not None
+        }
+        self._runs = {
+            projector.name: RunPicture(config, projector, projector.simulated.rate_hz, bus)
+            for projector in config.projectors
+            if projector.simulated is not None and projector.calibration is not None
         }
         self._maps: list[list[Map]] = []  # of each projector, on the floor and at the tags' height
         self._sensitivity = 0.0
@@ -80,6 +92,10 @@ class Projection:
     def fall_on(self, renderer: SceneRenderer, now_ns: int, sensitivity: float, *, moved: bool) -> None:
         """Light what a renderer draws as at an instant, to a camera of some sensitivity; ``moved``: it hangs anew."""
         projectors = self.projectors.values()
+        for name, run in self._runs.items():
+            drawn_ns = self.projectors[name].drawn_ns(now_ns)
+            if (picture := run.at(drawn_ns)) is not None:
+                self.projectors[name].show(picture, drawn_ns)
         changed = [projector.changes(now_ns) for projector in projectors]
         if not (moved or any(changed) or (self._maps and sensitivity != self._sensitivity)):
             return

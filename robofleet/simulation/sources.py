@@ -92,7 +92,7 @@ class SimulatedCamera:
         self._play = ScenePlay(config)
         self._renderer = self.renderer(config, context.rng)
         lit = isinstance(self._renderer, SceneRenderer) and any(projector.simulated for projector in config.projectors)
-        self._projection = Projection(config) if lit else None
+        self._projection = Projection(config, context.bus) if lit else None
         self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
         self._image: NDArray[np.uint8] | None = None
 

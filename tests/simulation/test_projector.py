@@ -44,7 +44,10 @@ def disc(at: np.ndarray, gray: int = 255) -> np.ndarray:
 
 def images(whole: Config, *pictures: np.ndarray, poses: np.ndarray | None = None) -> list[np.ndarray]:
     """What the camera sees without light, and of each picture."""
-    renderer, projection = scene_renderer(whole, np.random.default_rng(1)), Projection(whole)
+    renderer, projection = (
+        scene_renderer(whole, np.random.default_rng(1)),
+        Projection(whole, MemoryBus("", SimulatedClock(), 0)),
+    )
     robots = np.full((len(whole.seen), 3), np.nan) if poses is None else poses
     seen = [renderer.render(robots).astype(float)]
     for k, picture in enumerate(pictures):

@@ -1,0 +1,119 @@
+"""What a simulated projector shows of a run: shapes, references, halos, and discs in which tags are seen.
+
+It draws what viewers draw, at full contrast, of what the bus told until the instant of the drawing. What moves stands
+where it will be in the middle of the time for which the picture is lit.
+"""
+
+from collections import deque
+
+import numpy as np
+
+from robofleet.behaviours import described
+from robofleet.behaviours.interface import Dots
+from robofleet.bus.bus import Arrival, Bus
+from robofleet.bus.keys import POSES, TICK, key
+from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, TickRecord
+from robofleet.config import obstacles, slices
+from robofleet.config.groups import descriptions
+from robofleet.config.projectors import ProjectorSettings
+from robofleet.config.tree import Config
+from robofleet.core.arrays import Array, Image
+from robofleet.core.clock import S
+from robofleet.projection.brush import Brush
+from robofleet.projection.disc import disc_radii
+from robofleet.projection.model import Projector
+from robofleet.projection.prediction import ahead
+from robofleet.safety.supervisor import Phase
+from robofleet.vehicles.differential_drive import body_from_wheels
+
+_LINE_M, _DOT_M, _HALO_M = 0.01, 0.02, 0.008  # widths of lines and halos, a dot's radius
+_KEPT = 256  # messages between two images
+
+
+class RunPicture:
+    """Draws one projector's pictures of a run."""
+
+    def __init__(self, config: Config, settings: ProjectorSettings, rate_hz: float, bus: Bus) -> None:
+        assert settings.calibration is not None
+        projector = Projector.from_model(settings.calibration)
+        self._brush, self._lit_after_s = Brush(projector), settings.calibration.delay_s + 0.5 / rate_hz
+        self._white, self._gray = round(255 * settings.brightness), round(255 * settings.disc_gray)
+        self._groups, self._robots = descriptions(config), config.bodies
+        self._sizes = len(config.members), described.size(self._groups, len(config.camera_names))
+        self._radii = disc_radii(config)
+        self._heights = [slices.tag_height_m(config, robot) for robot in self._robots]
+        self._rows = {robot.tag: row for row, robot in enumerate(self._robots)}
+        arena = config.arena.name
+        self._tick_key = key(arena, TICK)
+        views = [key(arena, POSES, camera) for camera in config.camera_names] if config.bystanders else []
+        self._stream, self._coming = bus.stream(self._tick_key, *views, capacity=_KEPT), deque[Arrival]()
+        self._tick: TickRecord | None = None
+        self._measured_ns = np.zeros(len(config.members), np.int64)  # stamps of the ticks that measured each
+        self._standing: dict[int, tuple[float, float]] = {}  # bystanders, by row
+        self._still = self._drawn_once(config, (projector.size[1], projector.size[0]))
+
+    def at(self, instant_ns: int) -> Image | None:
+        """Return the picture (H, W) that is drawn at an instant of the bus's clock; None before the first tick."""
+        self._coming.extend(self._stream.drain())
+        while self._coming and self._coming[0].at_ns <= instant_ns:
+            self._take(self._coming.popleft())
+        return None if self._tick is None else self._drawn(self._tick, instant_ns)
+
+    def _take(self, arrival: Arrival) -> None:
+        if arrival.key == self._tick_key:
+            tick = TICK_RECORD.decode(arrival.payload)
+            if tick is not None and (len(tick.robots), len(tick.figures)) == self._sizes:
+                self._tick = tick
+                self._measured_ns[[robot.measured > 0 for robot in tick.robots]] = tick.stamp_ns
+            return
+        image = FLEET_POSES.decode(arrival.payload)
+        for pose in () if image is None else image.poses:
+            row = self._rows.get(pose.tag, 0)
+            if row >= self._sizes[0] and pose.coasted_ns == 0:
+                self._standing[row] = pose.x_m, pose.y_m
+
+    def _drawn_once(self, config: Config, size: tuple[int, int]) -> Image:
+        picture = np.zeros(size, np.uint8)
+        for shape in (shape for group in self._groups for shape in group.shapes):
+            if isinstance(shape, Dots):
+                for point in shape.points:
+                    self._brush.disc(picture, point, _DOT_M, self._white)
+            else:
+                self._line(picture, shape.points, closed=shape.closed)
+        for solid in obstacles.standing(config.arena):
+            self._line(picture, solid.outline, closed=True)
+        return picture
+
+    def _line(self, picture: Image, points: Array, *, closed: bool) -> None:
+        self._brush.line(picture, np.vstack([points, points[:1]]) if closed else points, _LINE_M, self._white)
+
+    def _drawn(self, tick: TickRecord, instant_ns: int) -> Image:
+        picture, brush = self._still.copy(), self._brush
+        if tick.phase == Phase.RUNNING:
+            parts = described.parts(self._groups, np.array([tick.figures]))
+            references = np.concatenate([numbers[0, :, :2] for numbers in parts])
+            for reference in references[np.isfinite(references).all(axis=1)]:
+                brush.disc(picture, reference, _DOT_M, self._white)
+        discs = {row: (np.array(place), self._radii[row]) for row, place in self._standing.items()}
+        discs |= dict(enumerate(zip(*self._members(tick, instant_ns), strict=True)))
+        for place, radius in discs.values():
+            brush.ring(picture, place, radius + _HALO_M, _HALO_M, self._white)
+        for row, (place, radius) in discs.items():
+            brush.disc(picture, place, radius, self._gray, self._heights[row])
+        return picture
+
+    def _members(self, tick: TickRecord, instant_ns: int) -> tuple[Array, Array]:
+        """Return where the driven robots will be (N, 2), and their discs' radii (N,): a robot that was not measured may
+        have driven anywhere meanwhile."""
+        robots = self._robots[: self._sizes[0]]
+        speeds = [
+            body_from_wheels(
+                item.left_rad_s, item.right_rad_s, robot.vehicle.wheel_radius_m, robot.vehicle.wheel_base_m
+            )
+            for item, robot in zip(tick.robots, robots, strict=True)
+        ]
+        poses = np.array([(item.x_m, item.y_m, item.psi_rad) for item in tick.robots])
+        late_s = (instant_ns - tick.stamp_ns) / S + self._lit_after_s
+        unseen_s = (tick.stamp_ns - self._measured_ns) / S
+        fastest = np.array([robot.vehicle.max_speed_m_s for robot in robots])
+        return ahead(poses, np.array(speeds), late_s)[:, :2], self._radii[: len(robots)] + fastest * unseen_s
