@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from robofleet.bus.bus import MemoryBus
 from robofleet.config.load import load_config, spelled
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, SimulatedClock
