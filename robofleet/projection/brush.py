@@ -30,29 +30,38 @@ class Brush:
         legs = np.diff(points, axis=0)
         counts = np.maximum(np.ceil(np.hypot(*legs.T) / _STEP_M), 1).astype(int)
         way = [from_ + leg * np.arange(n)[:, None] / n for from_, leg, n in zip(points, legs, counts, strict=False)]
-        pixels = self._pixels(np.concatenate([*way, points[-1:]]), 0.0)
+        fine = np.concatenate([*way, points[-1:]])
+        self._strokes(picture, self._pixels(fine, np.zeros(len(fine))), width_m, gray)
+
+    def rings(self, picture: Image, centres: Array, radii_m: Array, width_m: float, gray: int) -> None:
+        """Draw rings around points (n, 2); their lines' middles have the radii (n,)."""
+        for ring in self._circles(centres, radii_m, np.zeros(len(centres))):
+            self._strokes(picture, np.vstack([ring, ring[:1]]), width_m, gray)
+
+    def discs(self, picture: Image, centres: Array, radii_m: Array, gray: int, heights_m: Array | None = None) -> None:
+        """Fill upright cylinders around points (n, 2), from the floor to heights (n,): of all that stands in them."""
+        floor = np.zeros(len(centres))
+        bases = self._circles(centres, radii_m, floor)
+        tops = bases if heights_m is None else self._circles(centres, radii_m, heights_m)
+        for both in np.concatenate([bases, tops], axis=1):
+            lit = both[np.isfinite(both[:, 0])]
+            if len(lit):
+                hull = np.asarray(cv2.convexHull(lit.astype(np.float32)), np.float64)
+                cv2.fillConvexPoly(picture, _fixed(hull), gray, cv2.LINE_AA, _SHIFT)
+
+    def _strokes(self, picture: Image, pixels: Array, width_m: float, gray: int) -> None:
         lit = np.isfinite(pixels[:, 0])
-        pieces = np.split(pixels, np.flatnonzero(np.diff(lit)) + 1)
+        pieces = [piece for piece in np.split(pixels, np.flatnonzero(np.diff(lit)) + 1) if np.isfinite(piece[0, 0])]
         width = max(1, round(width_m * self._px_per_m))
-        shown = [_fixed(piece) for piece in pieces if np.isfinite(piece[0, 0])]
-        cv2.polylines(picture, shown, False, gray, width, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(picture, [_fixed(piece) for piece in pieces], False, gray, width, cv2.LINE_AA, _SHIFT)
 
-    def ring(self, picture: Image, centre: Array, radius_m: float, width_m: float, gray: int) -> None:
-        """Draw a ring around a point (2,); its line's middle has the radius."""
-        around = centre + radius_m * _CIRCLE
-        self.line(picture, np.vstack([around, around[:1]]), width_m, gray)
+    def _circles(self, centres: Array, radii_m: Array, heights_m: Array) -> Array:
+        """Return the pixels (n, K, 2) of circles."""
+        around = (centres[:, None] + radii_m[:, None, None] * _CIRCLE).reshape(-1, 2)
+        return self._pixels(around, np.repeat(heights_m, len(_CIRCLE))).reshape(len(centres), -1, 2)
 
-    def disc(self, picture: Image, centre: Array, radius_m: float, gray: int, height_m: float = 0.0) -> None:
-        """Fill an upright cylinder around a point (2,), from the floor to a height: no ray to it has another grey."""
-        around = centre + radius_m * _CIRCLE
-        pixels = np.vstack([self._pixels(around, 0.0), self._pixels(around, height_m)])
-        pixels = pixels[np.isfinite(pixels[:, 0])]
-        if len(pixels):
-            hull = np.asarray(cv2.convexHull(pixels.astype(np.float32)), np.float64)
-            cv2.fillConvexPoly(picture, _fixed(hull), gray, cv2.LINE_AA, _SHIFT)
-
-    def _pixels(self, points: Array, height_m: float) -> Array:
-        return self._projector.pixels(np.column_stack([points, np.full(len(points), height_m)]))
+    def _pixels(self, points: Array, heights_m: Array) -> Array:
+        return self._projector.pixels(np.column_stack([points, heights_m]))
 
 
 def _fixed(pixels: Array) -> NDArray[np.int32]:

@@ -41,7 +41,7 @@ class RunPicture:
         self._groups, self._robots = descriptions(config), config.bodies
         self._sizes = len(config.members), described.size(self._groups, len(config.camera_names))
         self._radii = disc_radii(config)
-        self._heights = [slices.tag_height_m(config, robot) for robot in self._robots]
+        self._heights = np.array([slices.tag_height_m(config, robot) for robot in self._robots])
         self._rows = {robot.tag: row for row, robot in enumerate(self._robots)}
         arena = config.arena.name
         self._tick_key = key(arena, TICK)
@@ -76,8 +76,7 @@ class RunPicture:
         picture = np.zeros(size, np.uint8)
         for shape in (shape for group in self._groups for shape in group.shapes):
             if isinstance(shape, Dots):
-                for point in shape.points:
-                    self._brush.disc(picture, point, _DOT_M, self._white)
+                self._dots(picture, shape.points)
             else:
                 self._line(picture, shape.points, closed=shape.closed)
         for solid in obstacles.standing(config.arena):
@@ -87,19 +86,21 @@ class RunPicture:
     def _line(self, picture: Image, points: Array, *, closed: bool) -> None:
         self._brush.line(picture, np.vstack([points, points[:1]]) if closed else points, _LINE_M, self._white)
 
+    def _dots(self, picture: Image, points: Array) -> None:
+        self._brush.discs(picture, points, np.full(len(points), _DOT_M), self._white)
+
     def _drawn(self, tick: TickRecord, instant_ns: int) -> Image:
-        picture, brush = self._still.copy(), self._brush
+        picture = self._still.copy()
         if tick.phase == Phase.RUNNING:
             parts = described.parts(self._groups, np.array([tick.figures]))
             references = np.concatenate([numbers[0, :, :2] for numbers in parts])
-            for reference in references[np.isfinite(references).all(axis=1)]:
-                brush.disc(picture, reference, _DOT_M, self._white)
-        discs = {row: (np.array(place), self._radii[row]) for row, place in self._standing.items()}
-        discs |= dict(enumerate(zip(*self._members(tick, instant_ns), strict=True)))
-        for place, radius in discs.values():
-            brush.ring(picture, place, radius + _HALO_M, _HALO_M, self._white)
-        for row, (place, radius) in discs.items():
-            brush.disc(picture, place, radius, self._gray, self._heights[row])
+            self._dots(picture, references[np.isfinite(references).all(axis=1)])
+        places, radii = self._members(tick, instant_ns)
+        rows = [*range(len(places)), *self._standing]
+        places = np.vstack([places, np.reshape([*self._standing.values()], (-1, 2))])
+        radii = np.concatenate([radii, self._radii[rows[len(radii) :]]])
+        self._brush.rings(picture, places, radii + _HALO_M, _HALO_M, self._white)
+        self._brush.discs(picture, places, radii, self._gray, self._heights[rows])
         return picture
 
     def _members(self, tick: TickRecord, instant_ns: int) -> tuple[Array, Array]:
