@@ -100,7 +100,7 @@ class Projection:
             each.name: RunPicture(config, each, truth.rate_hz, bus) for each, truth in simulated if each.calibration
         }
         self._maps: list[list[_TiledMap]] = []  # of each projector, on the floor and at the tags' height
-        self._light: tuple[Array32, Array32]  # on both
+        self.light: tuple[Array32, Array32]  # on both [shares of full light]
         self._sensitivity = 0.0
 
     def fall_on(self, renderer: SceneRenderer, now_ns: int, sensitivity: float, *, moved: bool) -> None:
@@ -114,8 +114,8 @@ class Projection:
         if anew:
             planes = renderer.planes()
             self._maps = [[_TiledMap(projector.map(*plane)) for plane in planes] for projector in projectors]
-            self._light = np.zeros_like(planes[0][0]), np.zeros_like(planes[0][0])
-        changed = np.zeros(_tiled(self._light[0].shape), np.bool_)
+            self.light = np.zeros_like(planes[0][0]), np.zeros_like(planes[0][0])
+        changed = np.zeros(_tiled(self.light[0].shape), np.bool_)
         for projector, maps in zip(projectors, self._maps, strict=True):
             tiles = projector.update(now_ns, renderer.blur_px * maps[0].magnification)
             for each in maps:
@@ -123,15 +123,15 @@ class Projection:
         if anew or sensitivity != self._sensitivity:
             changed[:] = True
         self._sensitivity = sensitivity
-        parts = _parts(changed, self._light[0].shape)
+        parts = _parts(changed, self.light[0].shape)
         for part in parts:
-            for plane, light in enumerate(self._light):
+            for plane, light in enumerate(self.light):
                 light[part] = sensitivity * sum(
                     maps[plane].light(projector.light, part)
                     for projector, maps in zip(projectors, self._maps, strict=True)
                 )
         if parts:
-            renderer.project(*self._light, parts)
+            renderer.project(*self.light, parts)
 
 
 class _TiledMap:

@@ -6,6 +6,7 @@ where it will be in the middle of the time for which the picture is lit.
 
 from collections import deque
 
+import cv2
 import numpy as np
 
 from robofleet.behaviours import described
@@ -38,6 +39,7 @@ class RunPicture:
         projector = Projector.from_model(settings.calibration)
         self._brush, self._lit_after_s = Brush(projector), settings.calibration.delay_s + 0.5 / rate_hz
         self._white, self._gray = round(255 * settings.brightness), round(255 * settings.disc_gray)
+        self._show = config.projection.show
         self._groups, self._robots = descriptions(config), config.bodies
         self._sizes = len(config.members), described.size(self._groups, len(config.camera_names))
         self._radii = disc_radii(config)
@@ -50,7 +52,7 @@ class RunPicture:
         self._tick: TickRecord | None = None
         self._measured_ns = np.zeros(len(config.members), np.int64)  # stamps of the ticks that measured each
         self._standing: dict[int, tuple[float, float]] = {}  # bystanders, by row
-        self._still = self._drawn_once(config, (projector.size[1], projector.size[0]))
+        self._still = self._drawn_once(config, projector)
 
     def at(self, instant_ns: int) -> Image | None:
         """Return the picture (H, W) that is drawn at an instant of the bus's clock; None before the first tick."""
@@ -72,16 +74,32 @@ class RunPicture:
             if row >= self._sizes[0] and pose.coasted_ns == 0:
                 self._standing[row] = pose.x_m, pose.y_m
 
-    def _drawn_once(self, config: Config, size: tuple[int, int]) -> Image:
-        picture = np.zeros(size, np.uint8)
-        for shape in (shape for group in self._groups for shape in group.shapes):
-            if isinstance(shape, Dots):
-                self._dots(picture, shape.points)
-            else:
-                self._line(picture, shape.points, closed=shape.closed)
-        for solid in obstacles.standing(config.arena):
-            self._line(picture, solid.outline, closed=True)
+    def _drawn_once(self, config: Config, projector: Projector) -> Image:
+        """Draw what does not move."""
+        picture = self._background(config, projector) if "background" in self._show else None
+        picture = np.zeros(projector.size[::-1], np.uint8) if picture is None else picture
+        if "paths" in self._show:
+            for shape in (shape for group in self._groups for shape in group.shapes):
+                if isinstance(shape, Dots):
+                    self._dots(picture, shape.points)
+                else:
+                    self._line(picture, shape.points, closed=shape.closed)
+        if "floor" in self._show:
+            for solid in obstacles.standing(config.arena):
+                self._line(picture, solid.outline, closed=True)
         return picture
+
+    def _background(self, config: Config, projector: Projector) -> Image | None:
+        """Return the image that fills the arena, as this projector shows it; None where there is none."""
+        image = None if config.projection.background is None else cv2.imread(config.projection.background, 0)
+        if image is None:
+            return None
+        u, v = np.meshgrid(*(np.arange(side, dtype=np.float64) for side in projector.size))
+        floor = projector.floor(np.column_stack([u.ravel(), v.ravel()])).reshape(*u.shape, 2)
+        scale = np.array(image.shape[1::-1]) / config.arena.size_m
+        x, y = np.moveaxis(floor * scale * (1, -1) + (np.array(image.shape[1::-1]) - 1) / 2, 2, 0).astype(np.float32)
+        shown = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return np.asarray(np.rint(shown * (self._white / 255)), np.uint8)
 
     def _line(self, picture: Image, points: Array, *, closed: bool) -> None:
         self._brush.line(picture, np.vstack([points, points[:1]]) if closed else points, _LINE_M, self._white)
@@ -91,7 +109,7 @@ class RunPicture:
 
     def _drawn(self, tick: TickRecord, instant_ns: int) -> Image:
         picture = self._still.copy()
-        if tick.phase == Phase.RUNNING:
+        if tick.phase == Phase.RUNNING and "references" in self._show:
             parts = described.parts(self._groups, np.array([tick.figures]))
             references = np.concatenate([numbers[0, :, :2] for numbers in parts])
             self._dots(picture, references[np.isfinite(references).all(axis=1)])
@@ -99,7 +117,8 @@ class RunPicture:
         rows = [*range(len(places)), *self._standing]
         places = np.vstack([places, np.reshape([*self._standing.values()], (-1, 2))])
         radii = np.concatenate([radii, self._radii[rows[len(radii) :]]])
-        self._brush.rings(picture, places, radii + _HALO_M, _HALO_M, self._white)
+        if "halos" in self._show:
+            self._brush.rings(picture, places, radii + _HALO_M, _HALO_M, self._white)
         self._brush.discs(picture, places, radii, self._gray, self._heights[rows])
         return picture
 
