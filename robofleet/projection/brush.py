@@ -10,6 +10,8 @@ from robofleet.core.arrays import Array, Image
 from robofleet.projection.model import Projector
 
 _STEP_M = 0.02  # of a line that lens and keystone bend
+_WIDEST_M = 100.0  # disc: it fills every picture
+_INSIDE = 0.999  # of a picture, whose corners are lit for sure
 _SHIFT = 4  # sub-pixel bits of OpenCV's drawing
 _ROUND = np.linspace(0.0, math.tau, 48, endpoint=False)
 _CIRCLE = np.column_stack([np.cos(_ROUND), np.sin(_ROUND)])
@@ -40,14 +42,24 @@ class Brush:
 
     def discs(self, picture: Image, centres: Array, radii_m: Array, gray: int, heights_m: Array | None = None) -> None:
         """Fill upright cylinders around points (n, 2), from the floor to heights (n,): of all that stands in them."""
-        floor = np.zeros(len(centres))
-        bases = self._circles(centres, radii_m, floor)
+        radii_m = np.minimum(radii_m, _WIDEST_M)
+        bases = self._circles(centres, radii_m, np.zeros(len(centres)))
         tops = bases if heights_m is None else self._circles(centres, radii_m, heights_m)
-        for both in np.concatenate([bases, tops], axis=1):
+        for centre, radius, base, top in zip(centres, radii_m, bases, tops, strict=True):
+            whole = bool(np.isfinite(base).all())
+            both = np.concatenate([base if whole else self._lit_part(centre + radius * _CIRCLE), top])
             lit = both[np.isfinite(both[:, 0])]
             if len(lit):
                 hull = np.asarray(cv2.convexHull(lit.astype(np.float32)), np.float64)
                 cv2.fillConvexPoly(picture, _fixed(hull), gray, cv2.LINE_AA, _SHIFT)
+
+    def _lit_part(self, outline: Array) -> Array:
+        """Return the corners (n, 2) [px] of what is lit of a convex outline (K, 2) on the floor."""
+        middle = self._projector.corners.mean(axis=0)
+        lit = middle + _INSIDE * (self._projector.corners - middle)
+        _, part = cv2.intersectConvexConvex(outline.astype(np.float32), lit.astype(np.float32))
+        part = np.zeros((0, 2)) if part is None else part.reshape(-1, 2)
+        return self._pixels(np.asarray(part, np.float64), np.zeros(len(part)))
 
     def _strokes(self, picture: Image, pixels: Array, width_m: float, gray: int) -> None:
         lit = np.isfinite(pixels[:, 0])

@@ -22,7 +22,7 @@ from robofleet.core.arrays import Array, Image
 from robofleet.core.clock import S
 from robofleet.projection.brush import Brush
 from robofleet.projection.disc import disc_radii
-from robofleet.projection.model import Projector
+from robofleet.projection.model import Projector, gray_shares
 from robofleet.projection.prediction import ahead
 from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.differential_drive import body_from_wheels
@@ -36,7 +36,13 @@ class RunPicture:
 
     def __init__(self, config: Config, settings: ProjectorSettings, rate_hz: float, bus: Bus) -> None:
         assert settings.calibration is not None
-        projector = Projector.from_model(settings.calibration)
+        calibrated = {
+            each.name: Projector.from_model(each.calibration) for each in config.projectors if each.calibration
+        }
+        projector = calibrated[settings.name]
+        self._shares = None
+        if len(calibrated) > 1:
+            self._shares = np.rint(255 * gray_shares(calibrated, settings.name)).astype(np.uint8)
         self._brush, self._lit_after_s = Brush(projector), settings.calibration.delay_s + 0.5 / rate_hz
         self._white, self._gray = round(255 * settings.brightness), round(255 * settings.disc_gray)
         self._show = config.projection.show
@@ -120,7 +126,11 @@ class RunPicture:
         if "halos" in self._show:
             self._brush.rings(picture, places, radii + _HALO_M, _HALO_M, self._white)
         self._brush.discs(picture, places, radii, self._gray, self._heights[rows])
-        return picture
+        return (
+            picture
+            if self._shares is None
+            else np.asarray(cv2.multiply(picture, self._shares, scale=1 / 255), np.uint8)
+        )
 
     def _members(self, tick: TickRecord, instant_ns: int) -> tuple[Array, Array]:
         """Return where the driven robots will be (N, 2), and their discs' radii (N,): a robot that was not measured may

@@ -1,11 +1,12 @@
-"""A projector's light and the tracker: halos against their robots, and a lap on a floor that is lit at full contrast.
+"""A projector's light in a run: halos against their robots, a lap on a lit floor, the seam of two projectors.
 
-    python -m tools.measure.tracking.projected_light [halo] [lap]     (from the project's root; both without a name)
+    python -m tools.measure.tracking.projected_light [halo] [lap] [seam]     (from the project's root; all without a name)
 
 ``halo``: robots at 0.2 m/s, three pictures of delay, the shipped projector. The camera sees each halo, a circle is
 fitted to its light on the floor, and its centre is compared with the robot's true place at the image's mid-exposure.
 ``lap``: the paper's lap in lockstep with rendered images, on the dark floor, with paths, references and halos, and
-with a checkerboard over the whole floor beside them; without the discs around the robots, too.
+with a checkerboard over the whole floor beside them; without the discs around the robots, too. ``seam``: two
+projectors, calibrated by two cameras, show a white image during a run: how bright the floor is where both light it.
 """
 
 import tempfile
@@ -21,8 +22,10 @@ import yaml
 
 from robofleet.bus.keys import TRUTH
 from robofleet.config.load import spelled
+from robofleet.config.projectors import ProjectorOptics
 from robofleet.core.arrays import Array, Array32
 from robofleet.core.clock import S, stopwatch_ns
+from robofleet.projection.model import Projector
 from robofleet.recording.run import Run
 from robofleet.reports.metrics import summary
 from robofleet.runs.check import load_checked
@@ -30,10 +33,12 @@ from robofleet.runs.lockstep import Lockstep
 from robofleet.simulation.sources import SimulatedCamera
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.sources import CameraContext, Frame
+from tools.measure.calibration.projector import calibrated, configured, drawn
 from tools.measure.program import program
 
 _FILE = Path("configs") / "projector.yaml"
 _GROUP = "{behaviour: platoon, robots: [r1, r2, r3, r4], settings: {path: platoon, spacing_m: 0.4, path_rate: 0.09}}"
+_TWO = "two-cameras.yaml"
 _FAST_M_S = 0.18, 0.22
 _CELL_PX, _CELLS = 60, (32, 20)  # of the checkerboard: 0.1 m on the floor
 _LEAST_PX = 200  # of a halo that is seen whole, or nearly so
@@ -52,19 +57,24 @@ class WatchingCamera(SimulatedCamera):
     """A simulated camera that keeps where halos lie on the floor."""
 
     halos: ClassVar[list[tuple[int, Array]]] = []  # mid-exposure [ns], centres (n, 2) [m]
+    cameras: ClassVar[list["WatchingCamera"]] = []
 
     def __init__(self, context: CameraContext) -> None:
         super().__init__(context)
         model = context.config.camera.model
         v, u = np.mgrid[: model.height, : model.width]
         pixels = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
-        self._floor = CameraGeometry.from_model(model).to_plane(pixels, 0.0).reshape(model.height, model.width, 2)
+        self.cameras.append(self)
+        self.floor = CameraGeometry.from_model(model).to_plane(pixels, 0.0).reshape(model.height, model.width, 2)
 
     def read(self) -> Frame:
         frame = super().read()
         assert self.projection is not None
-        self.halos.append((frame.exposure_ns, rings(self.projection.light[0], self._floor)))
+        self.halos.append((frame.exposure_ns, rings(self.projection.light[0], self.floor)))
         return frame
+
+
+_WATCHING = f"{WatchingCamera.__module__}:{WatchingCamera.__name__}"
 
 
 def rings(light: Array32, floor: Array) -> Array:
@@ -88,11 +98,14 @@ def rings(light: Array32, floor: Array) -> Array:
 def measure_halo(duration_s: float) -> None:
     """Print how far halos lie from their robots, of the images in which robots drive fast."""
     WatchingCamera.halos.clear()
-    camera = f"camera.source={WatchingCamera.__module__}:{WatchingCamera.__name__}"
     shown = "projection={show: [halos]}"
-    run = Lockstep(load_checked(_FILE, [*faster(), camera, shown, f"run.duration_s={duration_s}"], lockstep=True))
+    run = Lockstep(
+        load_checked(
+            _FILE, [*faster(), f"camera.source={_WATCHING}", shown, f"run.duration_s={duration_s}"], lockstep=True
+        )
+    )
     print(f"  {why(*run.run())}")
-    start_ns = Run(run.recording).start_ns
+    start_ns = int(Run(run.recording).ticks["stamp_ns"][0])
     halos = [(exposure_ns, centres) for exposure_ns, centres in WatchingCamera.halos if exposure_ns >= start_ns]
     exposures_ns = np.array([exposure_ns for exposure_ns, _ in halos])
     places, speeds = [], []
@@ -152,6 +165,44 @@ def why(outcome: str, cause: str | None) -> str:
     return f"{outcome}: {cause}" if cause else outcome
 
 
+def measure_seam() -> None:
+    """Print how bright the floor is where two projectors light it, beside where one does."""
+    rng = np.random.default_rng(1)
+    projectors = [drawn(rng, name, x, 1500.0, 3.2) for name, x in (("left", -1.4), ("right", 1.4))]
+    for projector in projectors:
+        projector["simulated"]["vignetting"] = 0.0  # which no calibration knows
+    config = configured(_TWO, 1, projectors)
+    found, _ = calibrated(config, {camera.name: camera.model for _, camera in config.camera_keys})
+    for projector in projectors:
+        projector["calibration"] = found[projector["name"]].model.model_dump(mode="json")
+    WatchingCamera.cameras.clear()
+    with tempfile.TemporaryDirectory() as folder:
+        white = Path(folder) / "white.png"
+        cv2.imwrite(str(white), np.full((20, 60), 255, np.uint8))
+        changes = [
+            *(f"cameras.{k}.source={_WATCHING}" for k in range(2)), f"projectors={spelled(projectors)}",
+            f"projection={{show: [background], background: {white}}}", "run.duration_s=1",
+        ]  # fmt: skip
+        print(f"  {why(*Lockstep(load_checked(_FILE.with_name(_TWO), changes, lockstep=True)).run())}")
+    truths = [Projector.from_model(ProjectorOptics(**each["simulated"]["model"])) for each in projectors]
+    for camera in WatchingCamera.cameras:
+        assert camera.projection is not None
+        points = camera.floor.reshape(-1, 2)
+        inside = np.abs(points / config.arena.size_m).max(axis=1) < 0.49
+        lit = np.array([truth.lights(np.column_stack([points, np.zeros(len(points))])) for truth in truths])
+        light = camera.projection.light[0].ravel()
+        bright = inside & (light > 0.5 * light.max())  # but for discs
+        usual = np.median(light[bright & (lit.sum(axis=0) == 1)])
+        low, high = np.percentile(light[bright & lit.all(axis=0)], [0.1, 99.9]) / usual
+        print(f"  where both light the floor: {100 * low - 100:+.1f} to {100 * high - 100:+.1f} %")
+    places = found["left"].points
+    fallen = [
+        truth.floor(found[each["name"]].fit.projector.pixels(places))
+        for truth, each in zip(truths, projectors, strict=True)
+    ]
+    print(f"  what both draw is {1e3 * np.nanmax(np.linalg.norm(fallen[0] - fallen[1], axis=1)):.2f} mm apart at most")
+
+
 def main() -> None:
     parser = program(__doc__, seconds=(88.0, "of a lap, and half of it of the halos"), light=("", "which alone"))
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []])
@@ -160,11 +211,13 @@ def main() -> None:
         print(f"{part}:")
         if part == "halo":
             measure_halo(given.seconds / 2)
+        elif part == "seam":
+            measure_seam()
         else:
             measure_lap(given.seconds, [given.light] if given.light else [])
 
 
-PARTS = ("halo", "lap")
+PARTS = "halo", "lap", "seam"
 
 if __name__ == "__main__":
     main()
