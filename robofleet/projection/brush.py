@@ -70,7 +70,7 @@ class Brush:
     def _circles(self, centres: Array, radii_m: Array, heights_m: Array) -> Array:
         """Return the pixels (n, K, 2) of circles."""
         around = (centres[:, None] + radii_m[:, None, None] * _CIRCLE).reshape(-1, 2)
-        return self._pixels(around, np.repeat(heights_m, len(_CIRCLE))).reshape(len(centres), -1, 2)
+        return self._pixels(around, np.repeat(heights_m, len(_CIRCLE))).reshape(len(centres), len(_CIRCLE), 2)
 
     def _pixels(self, points: Array, heights_m: Array) -> Array:
         return self._projector.pixels(np.column_stack([points, heights_m]))

@@ -13,7 +13,7 @@ from robofleet.behaviours import described
 from robofleet.behaviours.interface import Dots
 from robofleet.bus.bus import Arrival, Bus
 from robofleet.bus.keys import POSES, TICK, key
-from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, TickRecord
+from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, FleetPoses, TickRecord
 from robofleet.config import obstacles, slices
 from robofleet.config.groups import descriptions
 from robofleet.config.projectors import ProjectorSettings
@@ -28,7 +28,7 @@ from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.differential_drive import body_from_wheels
 
 _LINE_M, _DOT_M, _HALO_M = 0.01, 0.02, 0.008  # widths of lines and halos, a dot's radius
-_KEPT = 256  # messages between two images
+_KEPT = 256  # ticks between two images
 
 
 class RunPicture:
@@ -51,10 +51,8 @@ class RunPicture:
         self._radii = disc_radii(config)
         self._heights = np.array([slices.tag_height_m(config, robot) for robot in self._robots])
         self._rows = {robot.tag: row for row, robot in enumerate(self._robots)}
-        arena = config.arena.name
-        self._tick_key = key(arena, TICK)
-        views = [key(arena, POSES, camera) for camera in config.camera_names] if config.bystanders else []
-        self._stream, self._coming = bus.stream(self._tick_key, *views, capacity=_KEPT), deque[Arrival]()
+        self._ticks, self._coming = bus.stream(key(config.arena.name, TICK), capacity=_KEPT), deque[Arrival]()
+        self._views = [bus.newest(POSES, camera) for camera in config.camera_names] if config.bystanders else []
         self._tick: TickRecord | None = None
         self._measured_ns = np.zeros(len(config.members), np.int64)  # stamps of the ticks that measured each
         self._standing: dict[int, tuple[float, float]] = {}  # bystanders, by row
@@ -62,19 +60,19 @@ class RunPicture:
 
     def at(self, instant_ns: int) -> Image | None:
         """Return the picture (H, W) that is drawn at an instant of the bus's clock; None before the first tick."""
-        self._coming.extend(self._stream.drain())
+        self._coming.extend(self._ticks.drain())
         while self._coming and self._coming[0].at_ns <= instant_ns:
-            self._take(self._coming.popleft())
+            self._take(TICK_RECORD.decode(self._coming.popleft().payload))
+        for view in self._views:
+            self._see(FLEET_POSES.decode(view.take() or b""))
         return None if self._tick is None else self._drawn(self._tick, instant_ns)
 
-    def _take(self, arrival: Arrival) -> None:
-        if arrival.key == self._tick_key:
-            tick = TICK_RECORD.decode(arrival.payload)
-            if tick is not None and (len(tick.robots), len(tick.figures)) == self._sizes:
-                self._tick = tick
-                self._measured_ns[[robot.measured > 0 for robot in tick.robots]] = tick.stamp_ns
-            return
-        image = FLEET_POSES.decode(arrival.payload)
+    def _take(self, tick: TickRecord | None) -> None:
+        if tick is not None and (len(tick.robots), len(tick.figures)) == self._sizes:
+            self._tick = tick
+            self._measured_ns[[robot.measured > 0 for robot in tick.robots]] = tick.stamp_ns
+
+    def _see(self, image: FleetPoses | None) -> None:
         for pose in () if image is None else image.poses:
             row = self._rows.get(pose.tag, 0)
             if row >= self._sizes[0] and pose.coasted_ns == 0:
