@@ -1,6 +1,6 @@
 """A projector's light in a run: halos against their robots, a lap on a lit floor, the seam of two projectors.
 
-    python -m tools.measure.tracking.projected_light [halo] [lap] [seam]     (from the project's root; all without a name)
+    python -m tools.measure.tracking.projected_light [halo] [lap] [seam]      (from the project's root)
 
 ``halo``: robots at 0.2 m/s, three pictures of delay, the shipped projector. The camera sees each halo, a circle is
 fitted to its light on the floor, and its centre is compared with the robot's true place at the image's mid-exposure.
@@ -41,6 +41,7 @@ _GROUP = "{behaviour: platoon, robots: [r1, r2, r3, r4], settings: {path: platoo
 _TWO = "two-cameras.yaml"
 _FAST_M_S = 0.18, 0.22
 _CELL_PX, _CELLS = 60, (32, 20)  # of the checkerboard: 0.1 m on the floor
+_AROUND = np.ones((21, 21), np.uint8)  # blurred edges of discs [px]
 _LEAST_PX = 200  # of a halo that is seen whole, or nearly so
 _ROUND = 0.2  # by which a halo's greatest and least radius differ at most, as a share
 
@@ -190,8 +191,9 @@ def measure_seam() -> None:
         points = camera.floor.reshape(-1, 2)
         inside = np.abs(points / config.arena.size_m).max(axis=1) < 0.49
         lit = np.array([truth.lights(np.column_stack([points, np.zeros(len(points))])) for truth in truths])
-        light = camera.projection.light[0].ravel()
-        bright = inside & (light > 0.5 * light.max())  # but for discs
+        light = camera.projection.light[0]
+        whole = cv2.erode((light > 0.5 * light.max()).astype(np.uint8), _AROUND).ravel() > 0  # but for discs
+        light, bright = light.ravel(), inside & whole
         usual = np.median(light[bright & (lit.sum(axis=0) == 1)])
         low, high = np.percentile(light[bright & lit.all(axis=0)], [0.1, 99.9]) / usual
         print(f"  where both light the floor: {100 * low - 100:+.1f} to {100 * high - 100:+.1f} %")
