@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from robofleet.bus.bus import MemoryBus
+from robofleet.config.calibrated import FloorTag
 from robofleet.config.load import load_config, spelled
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, SimulatedClock
@@ -93,6 +94,18 @@ def test_light_adds_up_and_grows_with_the_greys_power() -> None:
     dark, white, half, black = (image[120:240, 200:440].mean() for image in images(whole, flat, flat // 2, flat * 0))
     assert (half - dark) / (white - dark) == pytest.approx(0.05 + 0.95 * (127 / 255) ** 2.2, abs=0.01)
     assert (black - dark) / (white - dark) == pytest.approx(0.05, abs=0.01)
+
+
+def test_what_changes_in_a_picture_is_all_that_changes_in_the_image() -> None:
+    """An image of the last of several pictures is one of that picture alone; also on a floor tag that was lit."""
+    floor_tags = (FloorTag(tag=40, side_m=0.2, x_m=0.0, y_m=-0.1, heading_deg=20.0),)
+    whole = config()
+    whole = whole.model_copy(update={"tracker": whole.tracker.model_copy(update={"floor_tags": floor_tags})})
+    steps = np.array([[12.0 * k - 100.0, 3.0 * k] for k in range(18)])  # more than the renderer has images
+    pictures = [disc(MIDDLE + step, 255 if k % 2 else 90) for k, step in enumerate(steps)]
+    *_, last = images(whole, *pictures)
+    _, alone = images(whole, pictures[-1])
+    assert np.array_equal(last, alone)
 
 
 class Skipping(SimulatedClock):
