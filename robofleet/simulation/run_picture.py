@@ -28,6 +28,7 @@ from robofleet.safety.supervisor import Phase
 from robofleet.vehicles.differential_drive import body_from_wheels
 
 _LINE_M, _DOT_M, _HALO_M = 0.01, 0.02, 0.008  # widths of lines and halos, a dot's radius
+_LONGEST_S = 0.1  # for which robots are taken to drive on without a tick, and from which on their discs grow
 _KEPT = 256  # ticks between two images
 
 
@@ -124,11 +125,9 @@ class RunPicture:
         if "halos" in self._show:
             self._brush.rings(picture, places, radii + _HALO_M, _HALO_M, self._white)
         self._brush.discs(picture, places, radii, self._gray, self._heights[rows])
-        return (
-            picture
-            if self._shares is None
-            else np.asarray(cv2.multiply(picture, self._shares, scale=1 / 255), np.uint8)
-        )
+        if self._shares is not None:
+            cv2.multiply(picture, self._shares, picture, scale=1 / 255)
+        return picture
 
     def _members(self, tick: TickRecord, instant_ns: int) -> tuple[Array, Array]:
         """Return where the driven robots will be (N, 2), and their discs' radii (N,): a robot that was not measured may
@@ -140,8 +139,8 @@ class RunPicture:
             )
             for item, robot in zip(tick.robots, robots, strict=True)
         ]
-        poses = np.array([(item.x_m, item.y_m, item.psi_rad) for item in tick.robots])
-        late_s = (instant_ns - tick.stamp_ns) / S + self._lit_after_s
-        unseen_s = (tick.stamp_ns - self._measured_ns) / S
+        poses = np.nan_to_num([(item.x_m, item.y_m, item.psi_rad) for item in tick.robots])
+        late_s = min((instant_ns - tick.stamp_ns) / S, _LONGEST_S) + self._lit_after_s
+        unseen_s = np.maximum((instant_ns - self._measured_ns) / S - _LONGEST_S, 0.0)
         fastest = np.array([robot.vehicle.max_speed_m_s for robot in robots])
         return ahead(poses, np.array(speeds), late_s)[:, :2], self._radii[: len(robots)] + fastest * unseen_s

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -105,6 +106,10 @@ class SimulatedCamera:
     def refusals(config: Config) -> Iterator[Complaint]:
         if config.camera.adjusts_exposure:
             yield from nothing_left(config, _EXPOSURE_LIMITS)
+        background = config.projection.background
+        lit = any(projector.simulated and projector.calibration for projector in config.projectors)
+        if lit and background is not None and not cv2.haveImageReader(background):
+            yield "projection.background", f"{background} is no image: name a PNG, JPEG or WebP"
 
     def ready_ns(self) -> int | None:
         """Return when the next image will be read out; None while its trigger has not come.

@@ -123,7 +123,7 @@ def test_a_disc_grows_while_its_robot_is_not_seen_until_all_is_grey() -> None:
     shown.tick(*FOUR, measured=False)
     picture = shown.picture()
     assert (picture == GRAY).mean() > 2.0 * seen
-    assert shown.gray(picture, 0.4, RADIUS_M + 0.19) == GRAY
+    assert shown.gray(picture, 0.4, RADIUS_M + 0.17) == GRAY
     shown.clock.advance_to(shown.clock.now_ns() + 60 * S)
     shown.tick(*FOUR, measured=False)
     assert (shown.picture() == GRAY).mean() > 0.99
