@@ -103,8 +103,9 @@ class RunPicture:
         floor = projector.floor(np.column_stack([u.ravel(), v.ravel()])).reshape(*u.shape, 2)
         scale = np.array(image.shape[1::-1]) / config.arena.size_m
         x, y = np.moveaxis(floor * scale * (1, -1) + (np.array(image.shape[1::-1]) - 1) / 2, 2, 0).astype(np.float32)
-        shown = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        return np.asarray(np.rint(shown * (self._white / 255)), np.uint8)
+        shown = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        inside = (np.abs(floor) <= np.array(config.arena.size_m) / 2).all(axis=2)
+        return np.asarray(np.rint(shown * inside * (self._white / 255)), np.uint8)
 
     def _line(self, picture: Image, points: Array, *, closed: bool) -> None:
         self._brush.line(picture, np.vstack([points, points[:1]]) if closed else points, _LINE_M, self._white)

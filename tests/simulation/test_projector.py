@@ -1,13 +1,19 @@
 """The light of simulated projectors in a simulated camera's images."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from robofleet.behaviours import described
 from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import TICK
+from robofleet.bus.messages import TICK_RECORD, RobotTick, TickRecord
 from robofleet.config.calibrated import FloorTag
+from robofleet.config.groups import descriptions
 from robofleet.config.load import load_config, spelled
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, SimulatedClock
@@ -25,17 +31,19 @@ TRUTH = tilted()
 MIDDLE = np.array([480.0, 270.0])
 
 
-def config(truth: Projector = TRUTH, tag_height_m: float = 0.08, **simulated: Any) -> Config:
+def config(
+    truth: Projector = TRUTH, tag_height_m: float = 0.08, changes: Sequence[str] = (), **simulated: Any
+) -> Config:
     """The shipped arena under a projector, seen by a camera of half the shipped one's pixels."""
     half = {name: tuple(value / 2.0 for value in getattr(OVERHEAD, name)) for name in ("focal_px", "centre_px")}
     camera = OVERHEAD.model_copy(update=half | {"width": 640, "height": 360}).model_dump(mode="json")
     model = truth.model.model_copy(update={"delay_s": DELAY_S}).model_dump(mode="json")
     own = {"name": "main", "width": SIZE[0], "height": SIZE[1], "simulated": {"model": model, **simulated}}
-    changes = [
+    usual = [
         "tracker.source=truth", "camera.trigger=free", "camera.noise_gray=0", "camera.width=640", "camera.height=360",
         f"camera.model={spelled(camera)}", f"projectors={spelled([own])}", f"tracker.tag_height_m={tag_height_m}",
     ]  # fmt: skip
-    return load_config(PLATOON, changes)
+    return load_config(PLATOON, [*usual, *changes])
 
 
 def disc(at: np.ndarray, gray: int = 255) -> np.ndarray:
@@ -106,6 +114,35 @@ def test_what_changes_in_a_picture_is_all_that_changes_in_the_image() -> None:
     *_, last = images(whole, *pictures)
     _, alone = images(whole, pictures[-1])
     assert np.array_equal(last, alone)
+
+
+def test_where_two_projectors_light_the_floor_it_is_as_bright_as_where_one_does(tmp_path: Path) -> None:
+    """Within 5 %, in the pixels of a camera, while both show a white image of a run."""
+    cv2.imwrite(str(tmp_path / "white.png"), np.full((2, 3), 255, np.uint8))
+    pair = []
+    for name, truth in (("left", tilted(-1.4)), ("right", tilted(1.4, -3.0))):
+        model = truth.model.model_dump(mode="json")
+        own = {"name": name, "width": SIZE[0], "height": SIZE[1], "calibration": model, "simulated": {"model": model}}
+        pair.append(own)
+    shown = {"show": ["background"], "background": str(tmp_path / "white.png")}
+    whole = config(changes=[f"projectors={spelled(pair)}", f"projection={spelled(shown)}"])
+    clock = SimulatedClock()
+    bus = MemoryBus(whole.arena.name, clock, 0)
+    renderer, projection = scene_renderer(whole, np.random.default_rng(1)), Projection(whole, bus)
+    robots = tuple(RobotTick(x, 0.0, 0.0, *[0.0] * 7, 1.0, *[0.0] * 4) for x in (-1.5, -1.3, 1.3, 1.5))
+    head = TickRecord(*[1] * 4, 0, *[0] * 11, robots, (np.nan,) * described.size(descriptions(whole)))
+    bus.publisher(TICK)(TICK_RECORD.encode(head))
+    projection.fall_on(renderer, 100 * MS, 1.0, moved=False)
+    light = projection.light[0]
+    floor_x, floor_y, _ = renderer.planes()[0]
+    points = on_floor(np.column_stack([floor_x.ravel(), floor_y.ravel()]).astype(float))
+    lit = np.array([each.projector.lights(points).reshape(light.shape) for each in projection.projectors.values()])
+    inside = (np.abs(floor_x) < 1.1) & (
+        np.abs(floor_y) < 0.75
+    )  # discs, and the outer edges of both pictures, lie outside
+    assert (both := inside & lit.all(axis=0)).mean() > 0.1
+    usual = np.median(light[inside & (lit.sum(axis=0) == 1)])
+    assert np.abs(light[both] / usual - 1.0).max() < 0.05
 
 
 class Skipping(SimulatedClock):

@@ -189,7 +189,7 @@ def measure_seam() -> None:
     for camera in WatchingCamera.cameras:
         assert camera.projection is not None
         points = camera.floor.reshape(-1, 2)
-        inside = np.abs(points / config.arena.size_m).max(axis=1) < 0.49
+        inside = np.abs(points / config.arena.size_m).max(axis=1) < 0.4  # outer edges of pictures are dark
         lit = np.array([truth.lights(np.column_stack([points, np.zeros(len(points))])) for truth in truths])
         light = camera.projection.light[0]
         whole = cv2.erode((light > 0.5 * light.max()).astype(np.uint8), _AROUND).ravel() > 0  # but for discs
