@@ -1,6 +1,6 @@
 """A floor that a projector lights, under a rendered camera."""
 
-from typing import Any
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ def pose_rms_m(run: Run) -> float:
 
 
 @pytest.mark.slow
-def test_light_at_full_contrast_takes_no_tag_and_no_accuracy(tmp_path: Any) -> None:
+def test_light_at_full_contrast_takes_no_tag_and_no_accuracy(tmp_path: Path) -> None:
     """With a checkerboard over the whole floor, which tags without discs would not bear."""
     cells = (255 * (np.indices((20, 32)).sum(axis=0) % 2)).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "checkerboard.png"), np.repeat(np.repeat(cells, 60, axis=0), 60, axis=1))

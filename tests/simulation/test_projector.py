@@ -129,9 +129,10 @@ def test_where_two_projectors_light_the_floor_it_is_as_bright_as_where_one_does(
     clock = SimulatedClock()
     bus = MemoryBus(whole.arena.name, clock, 0)
     renderer, projection = scene_renderer(whole, np.random.default_rng(1)), Projection(whole, bus)
-    robots = tuple(RobotTick(x, 0.0, 0.0, *[0.0] * 7, 1.0, *[0.0] * 4) for x in (-1.5, -1.3, 1.3, 1.5))
-    head = TickRecord(*[1] * 4, 0, *[0] * 11, robots, (np.nan,) * described.size(descriptions(whole)))
-    bus.publisher(TICK)(TICK_RECORD.encode(head))
+    robots = tuple(RobotTick(x, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0) for x in (-1.5, -1.3, 1.3, 1.5))
+    figures = (np.nan,) * described.size(descriptions(whole))
+    head = 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
+    bus.publisher(TICK)(TICK_RECORD.encode(TickRecord(*head, robots, figures)))
     projection.fall_on(renderer, 100 * MS, 1.0, moved=False)
     light = projection.light[0]
     floor_x, floor_y, _ = renderer.planes()[0]

@@ -1,6 +1,6 @@
 """What a simulated projector shows of a run."""
 
-from typing import Any
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,12 +11,14 @@ from robofleet.bus.bus import MemoryBus
 from robofleet.bus.keys import POSES, TICK
 from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, FleetPoses, RobotTick, TagPose, TickRecord
 from robofleet.config.files.names import SHIPPED
+from robofleet.config.groups import descriptions
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.projection.model import Projector
 from robofleet.safety.supervisor import Phase
 from robofleet.simulation.run_picture import RunPicture
+from robofleet.simulation.sources import SimulatedCamera
 from tests.projection.projectors import on_floor
 
 RATE_HZ = 60.0
@@ -37,13 +39,8 @@ class Shown:
         assert settings.calibration is not None
         self.projector, self.delay_s = Projector.from_model(settings.calibration), settings.calibration.delay_s
         self._tick, self._poses = bus.publisher(TICK), bus.publisher(POSES, self.config.camera.name)
-        self._size = described.size(self.run_groups)
-
-    @property
-    def run_groups(self) -> tuple[described.Group, ...]:
-        from robofleet.config.groups import descriptions
-
-        return descriptions(self.config)
+        self.groups = descriptions(self.config)
+        self._size = described.size(self.groups)
 
     def tick(self, *robots: tuple[float, float, float], wheels: float = 0.0, measured: bool = True) -> None:
         """Say a tick, now, of robots at poses, both wheels at a speed [rad/s]."""
@@ -104,7 +101,7 @@ def test_a_picture_is_drawn_of_what_was_known_then() -> None:
 
 def test_the_disc_covers_whatever_is_shown_and_the_halo_lies_around_it() -> None:
     shown = Shown("projection.show=[paths, references, halos]")
-    path = next(shape for group in shown.run_groups for shape in group.shapes)
+    path = next(shape for group in shown.groups for shape in group.shapes)
     (x, y), far = path.points[0].tolist(), path.points[len(path.points) // 2].tolist()
     shown.tick((x, y, 0.0), *FOUR[1:])
     picture = shown.picture()
@@ -139,7 +136,7 @@ def test_robots_in_no_group_have_discs_where_they_were_seen() -> None:
     assert len(middles) == 4
 
 
-def test_an_image_fills_the_arena(tmp_path: Any) -> None:
+def test_an_image_fills_the_arena(tmp_path: Path) -> None:
     """Its upper left corner is the arena's: the least x, and the greatest y."""
     quarters = np.repeat(np.repeat(np.array([[200, 0], [0, 90]], np.uint8), 50, axis=0), 80, axis=1)
     cv2.imwrite(str(tmp_path / "quarters.png"), quarters)
@@ -148,3 +145,10 @@ def test_an_image_fills_the_arena(tmp_path: Any) -> None:
     shown.tick(*[(0.0, 0.0, 0.0)] * 4)
     picture = shown.picture()
     assert [shown.gray(picture, x, y) for y in (0.6, -0.6) for x in (-1.0, 1.0)] == [100, 0, 0, 45]
+
+
+def test_an_image_that_is_none_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.png").write_text("no image")
+    config = load_config(SHIPPED / "projector.yaml", [f"projection.background={tmp_path}/notes.png"])
+    ((key, line),) = SimulatedCamera.refusals(config)
+    assert (key, line) == ("projection.background", f"{tmp_path}/notes.png is no image: name a PNG, JPEG or WebP")
