@@ -51,10 +51,10 @@ def test_of_a_disc_beside_the_picture_the_lit_part_is_drawn() -> None:
 def test_a_line_lies_where_it_is_on_the_floor() -> None:
     """Its middle, to a tenth of a pixel's 4 mm; also where it is long and the lens bends it."""
     ends = np.array([[-1.4, -0.7], [1.5, 0.9]])
-    picture = black()
-    BRUSH.line(picture, ends, 0.02, 255)
+    picture, wide = black(), tilted(k1=-0.15)
+    Brush(wide).line(picture, ends, 0.02, 255)
     v, u = np.nonzero(picture)
-    floor, weight = PROJECTOR.floor(np.column_stack([u, v]).astype(float)), picture[v, u].astype(float)
+    floor, weight = wide.floor(np.column_stack([u, v]).astype(float)), picture[v, u].astype(float)
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     aside = (floor - ends[0]) @ np.array([-along[1], along[0]])
     bins = ((floor - ends[0]) @ along // 0.2).astype(int)
