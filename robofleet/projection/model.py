@@ -6,6 +6,7 @@ small changes of a projector that include both; their covariance is wide where t
 directions leave the floor's errors as they are.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -122,6 +123,16 @@ class Projector:
         """Where the picture's corners light the floor (4, 2) [m; world], from the upper left one clockwise."""
         w, h = self.size
         return self.floor(np.array([[0.0, 0.0], [w - 1.0, 0.0], [w - 1.0, h - 1.0], [0.0, h - 1.0]]))
+
+
+RAMP_M = 0.3  # over which one projector's light gives way to another's
+GAMMA = 2.2  # of projectors: their light grows with this power of a grey level
+
+
+def gray_shares(projectors: Mapping[str, Projector], name: str) -> Array:
+    """Return the share (H, W) of its grey that each pixel of a projector shows, so that where several light the floor
+    it is as bright as where one does."""
+    return np.asarray(_shares([*projectors.values()], [*projectors].index(name), RAMP_M) ** (1.0 / GAMMA), np.float64)
 
 
 def blending(projectors: list[Projector], ramp_m: float) -> list[Array]:

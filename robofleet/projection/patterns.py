@@ -88,6 +88,7 @@ class Reading:
     sigma_px: Array  # (N,) standard deviation of a coordinate
     lit: float  # share of the camera's image in which the projector's light tells
     saturated: float  # share of that in which white is too bright to tell
+    over_room: float  # that light over the room's, where it is bright; 0: there is none
     blur_px: float  # standard deviation of an edge's Gaussian, all of projector, lens and pixel; NaN: no tag
 
 
@@ -97,6 +98,7 @@ def read(grid: Grid, seen: dict[str, Array]) -> Reading:
     lit = light > _LEAST_LIGHT
     share = np.where(lit, (seen["tags"] - seen["negative"]) / np.maximum(light, _LEAST_LIGHT), 0.0)
     saturated = float((seen["white"] >= _SATURATED)[lit].mean()) if lit.any() else 0.0
+    over_room = float(np.percentile(light[lit] / np.maximum(seen["black"][lit], 1.0), 90.0)) if lit.any() else 0.0
     image = np.asarray(np.clip(np.rint(127.5 + 127.5 * share), 0, 255), np.uint8)
     found = TagFinder(FAMILY, range(len(grid.corners))).find(image) if lit.any() else {}
     once = {tag: prints[0] for tag, prints in found.items() if len(prints) == 1}
@@ -105,7 +107,7 @@ def read(grid: Grid, seen: dict[str, Array]) -> Reading:
         np.array(list(once), np.int64),
         np.array([reading.centre for reading in once.values()]).reshape(-1, 2),
         np.array([reading.sigma for reading in once.values()]),
-        float(lit.mean()), saturated, blur_px,
+        float(lit.mean()), saturated, over_room, blur_px,
     )  # fmt: skip
 
 

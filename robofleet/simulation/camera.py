@@ -77,7 +77,7 @@ class SceneRenderer:
         self._even = _uneven_light(u / width - 0.5, (v - 0.5 * height) / width, rng)
         if shade is not None:
             self._even *= shade
-        self._shade = np.float32(1.0) if shade is None else shade
+        self._shade = np.broadcast_to(np.float32(1.0) if shade is None else shade, (height, width))
         self._light = np.float32(light)
         self._projected: tuple[Array32, Array32] | None = None  # light on the floor and at the tags' height
         self._floor = Floor(self._plane_at(geometry, 0.0), geometry.position, self._whole, self.blur_px, rng, obstacles)
@@ -130,30 +130,65 @@ class SceneRenderer:
         floor_x, floor_y = self._plane_at(self._geometry, 0.0).astype(np.float32)
         return (floor_x, floor_y, 0.0), (*self._plane, self._height)
 
-    def project(self, floor: Array32, tags: Array32) -> None:
+    def project(self, floor: Array32, tags: Array32, parts: Sequence[tuple[slice, slice]]) -> None:
         """Let projectors' light (H, W) fall on the floor, and on tags and robots, from now on: beside the room's, in
-        the same shares."""
-        self._projected = floor * self._shade, tags * self._shade
-        self._light_ground()
+        the same shares. ``parts``: rows and columns in which it is not as it was at the call before."""
+        first, self._projected = self._projected is None, (floor, tags)
+        if first:
+            self._light_ground()
+            return
+        boxes = np.array([(across.start, down.start, across.stop, down.stop) for down, across in parts])
+        lying = self._lying
+        apart = (boxes[:, None, :2] >= lying[:, 2:]) | (lying[:, :2] >= boxes[:, None, 2:])
+        if not apart.any(axis=2).all():  # prints are drawn as wholes
+            boxes = np.concatenate([boxes, lying])
+        for left, top, right, bottom in boxes.tolist():
+            part = slice(top, bottom), slice(left, right)
+            self._floor_gain[part], self._gain[part] = self._gains(part)
+            self._ground[part] = self._floor_lit(part)
+        if len(boxes) > len(parts):
+            self._lay()
+        for stale in self._stale:
+            stale.append(boxes)
+
+    def _gains(self, part: tuple[slice, slice]) -> tuple[Array32, Array32]:
+        """Return the light on the floor, and at the tags' height."""
+        room = self._light * self._even[part]
+        if self._projected is None:
+            return room, room
+        floor, tags = (room + light[part] * self._shade[part] for light in self._projected)
+        return floor, tags
+
+    def _floor_lit(self, part: tuple[slice, slice]) -> Image:
+        return np.minimum(np.rint(self._floor_grays[part] * self._floor_gain[part]), 255).astype(np.uint8)
 
     def _light_ground(self) -> None:
-        self._gain = floor_gain = self._light * self._even
-        if self._projected is not None:
-            floor_gain, self._gain = self._gain + self._projected[0], self._gain + self._projected[1]
-        self._ground = np.minimum(np.rint(self._floor_grays * floor_gain), 255).astype(np.uint8)
+        whole = slice(None), slice(None)
+        self._floor_gain, self._gain = self._gains(whole)
+        self._ground = self._floor_lit(whole)
         self._boxes[:] = 0
+        self._lay()
+        self._boxes[1:] = self._boxes[0]
+        self._unseen = _IMAGES  # images of another place
+        self._stale: list[list[Indices]] = [[] for _ in range(_IMAGES)]  # what else each image renews
+
+    @property
+    def _lying(self) -> Indices:
+        """The prints' boxes."""
+        return self._boxes[0, len(self._robots) : -1]
+
+    def _lay(self) -> None:
+        """Draw the prints on the ground."""
         quiet = np.full_like(self._ground, self._offset)
         for k, (target, x, y, psi) in enumerate(self._prints):
             lying, height, look = np.array([[x, y, psi]]), np.array([target.height]), cells(target.tag, target.family)
             still, further = np.zeros((1, 3)), self._further_by(height)
-            boxes = self._boxes[0, len(self._robots) + k :][:1]
+            boxes = self._lying[k : k + 1]
             flat = self._shapes(np.zeros((1, 2)), np.zeros(1))
             self._draw(
-                self._ground, quiet, floor_gain, look[None], target.whole, height, further, flat, lying, still, still,
-                boxes,
+                self._ground, quiet, self._floor_gain, look[None], target.whole, height, further, flat, lying, still,
+                still, boxes,
             )  # fmt: skip
-        self._boxes[1:] = self._boxes[0]
-        self._unseen = _IMAGES  # images of another place
 
     def render(self, poses: Array, velocities: Array | None = None) -> Image:
         """Return the image (H, W) of robots at poses (N, 3): x, y [m], psi [rad] at mid-exposure of their tags' rows.
@@ -177,7 +212,8 @@ class SceneRenderer:
             boxes[-1] = 0, strip * height // _STRIPS, width, (strip + 1) * height // _STRIPS
         start = int(self._rng.integers(image.size))
         noise = self._bank[start : start + image.size].reshape(image.shape)
-        renew(image, self._ground, noise, self._offset, boxes)
+        stale, self._stale[which] = self._stale[which], []
+        renew(image, self._ground, noise, self._offset, np.concatenate([boxes, *stale]) if stale else boxes)
         moving = np.zeros_like(poses) if velocities is None else velocities
         self._draw(
             image, noise, self._gain, self._looks[self.looks], self._whole, self._heights, self._further,

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -92,7 +93,7 @@ class SimulatedCamera:
         self._play = ScenePlay(config)
         self._renderer = self.renderer(config, context.rng)
         lit = isinstance(self._renderer, SceneRenderer) and any(projector.simulated for projector in config.projectors)
-        self._projection = Projection(config) if lit else None
+        self.projection = Projection(config, context.bus) if lit else None
         self._effects = effects(camera.simulated, (camera.width, camera.height), context.rng)
         self._image: NDArray[np.uint8] | None = None
 
@@ -105,6 +106,10 @@ class SimulatedCamera:
     def refusals(config: Config) -> Iterator[Complaint]:
         if config.camera.adjusts_exposure:
             yield from nothing_left(config, _EXPOSURE_LIMITS)
+        background = config.projection.background
+        lit = any(projector.simulated and projector.calibration for projector in config.projectors)
+        if lit and background is not None and not cv2.haveImageReader(background):
+            yield "projection.background", f"{background} is no image: name a PNG, JPEG or WebP"
 
     def ready_ns(self) -> int | None:
         """Return when the next image will be read out; None while its trigger has not come.
@@ -141,8 +146,8 @@ class SimulatedCamera:
 
     def project(self, projector: str, picture: Image) -> None:
         """Let a simulated projector show a picture (H, W) from now on."""
-        assert self._projection is not None, f"{projector} is not simulated"
-        self._projection.projectors[projector].show(picture, self._clock.now_ns())
+        assert self.projection is not None, f"{projector} is not simulated"
+        self.projection.projectors[projector].show(picture, self._clock.now_ns())
 
     def close(self) -> None:
         """Nothing to let go of."""
@@ -164,8 +169,8 @@ class SimulatedCamera:
         geometry = self._play.camera(t)
         if geometry is not None:
             self._renderer.moved(geometry)
-        if self._projection is not None and isinstance(self._renderer, SceneRenderer):
-            self._projection.fall_on(self._renderer, exposure_ns, sensitivity, moved=geometry is not None)
+        if self.projection is not None and isinstance(self._renderer, SceneRenderer):
+            self.projection.fall_on(self._renderer, exposure_ns, sensitivity, moved=geometry is not None)
         self._renderer.looks = self._play.looks(t)
         instants_ns = np.full(len(self._world.tags), exposure_ns)
         poses, velocities = self._world.moving(instants_ns, half_ns)

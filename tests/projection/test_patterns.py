@@ -41,6 +41,11 @@ def test_a_blur_is_told() -> None:
     assert soft / sharp == pytest.approx(2.0, rel=0.25)
 
 
+def test_the_light_is_compared_with_the_rooms() -> None:
+    reading = read(GRID, photographed(lambda light: light, light=0.2))
+    assert reading.over_room == pytest.approx(0.2 / 0.5, rel=0.1)
+
+
 def test_in_the_dark_nothing_is_read() -> None:
     reading = read(GRID, photographed(lambda light: light, light=0.0))
     assert (len(reading.tags), reading.lit) == (0, pytest.approx(0.0, abs=1e-3))

@@ -1,6 +1,7 @@
 """``robofleet calibrate projector``: where a projector's light falls."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +19,7 @@ from robofleet.config.projectors import ProjectorModel, ProjectorSettings
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, WallClock
 from robofleet.projection.browser import BrowserDisplay
+from robofleet.projection.disc import brightest_gray
 from robofleet.projection.display import Display, DisplayError
 from robofleet.projection.model import Projector
 from robofleet.projection.patterns import Grid, read
@@ -69,7 +71,7 @@ def projector(
             cameras[camera.name] = opened.enter_context(closing(open_camera(view)))
         for each in chosen:
             found = _measured(config, each, cameras, known, least_percent / 100.0, kiosk=kiosk, wait_s=wait_s)
-            for note in found.notes:
+            for note in (*found.notes, *_brightness(config, each, found)):
                 print(note)
             if verify:
                 assert each.calibration is not None
@@ -77,6 +79,18 @@ def projector(
                 continue
             known[each.name] = found.model
             _write(config_file, each, found, page.with_stem(f"{page.stem}-{each.name}") if chosen[1:] else page)
+
+
+def _brightness(config: Config, projector: ProjectorSettings, found: measured.Found) -> Iterator[str]:
+    """Yield that the discs around the robots are too bright for a camera that keeps its exposure."""
+    most = brightest_gray(found.figures["white_over_room"] or 0.0)
+    fixed = [camera.name for _, camera in config.camera_keys if not camera.adjusts_exposure]
+    if fixed and projector.disc_gray > most:
+        yield (
+            f"projector {projector.name}: tags in discs of disc_gray {projector.disc_gray:g} may be too bright for "
+            f"{', '.join(fixed)}: lower it to {math.floor(100 * most) / 100:.2f}, shorten camera.exposure_s, or take "
+            "camera.exposure_control: auto"
+        )
 
 
 def _write(config_file: Path, projector: ProjectorSettings, found: measured.Found, page: Path) -> None:

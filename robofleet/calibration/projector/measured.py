@@ -109,6 +109,7 @@ def measure(
         "covered": float(lit.mean()),
         "edge_mm": 1e3 * blur_m,
         "delay_ms": 1e3 * delay_s,
+        "white_over_room": max(own.over_room for own in reading.values()),
     }
     notes = _notes(cameras, readings, others, least_covered, float(lit.mean()))
     _refuse_poor(name, figures, others, least_covered, blur_m)

@@ -22,7 +22,7 @@ def reading(truth: Projector = TRUTH, blur_px: float = 1.0, seed: int = 1) -> Re
     floor = on_floor(truth.floor(GRID.centres))
     tags = np.flatnonzero(CAMERA.sees(floor, (OVERHEAD.width, OVERHEAD.height)))
     noise = 0.02 * np.random.default_rng(seed).standard_normal((len(tags), 2))
-    return Reading(tags, CAMERA.project(floor[tags]) + noise, np.full(len(tags), 0.02), 0.5, 0.0, blur_px)
+    return Reading(tags, CAMERA.project(floor[tags]) + noise, np.full(len(tags), 0.02), 0.5, 0.0, 1.0, blur_px)
 
 
 def measured(own: Reading, others: tuple[Projector | None, ...] = (), arena: tuple[float, float] = ARENA) -> Found:
@@ -50,7 +50,7 @@ def test_a_projector_is_measured() -> None:
         (replace(reading(), lit=0.0, tags=np.empty(0, int)), r"no camera \(overhead\) sees its light: switch it on"),
         (replace(reading(), saturated=0.8), "its white is too bright for overhead: shorten camera.exposure_s"),
         (
-            Reading(np.empty(0, int), np.empty((0, 2)), np.empty(0), 0.5, 0.0, np.nan),
+            Reading(np.empty(0, int), np.empty((0, 2)), np.empty(0), 0.5, 0.0, 1.0, np.nan),
             "its light is seen, but 0 tags of its pattern are read, 12 are needed: focus it",
         ),
         (reading(blur_px=4.0), "out of focus: an edge is 1..* mm wide on the floor"),
