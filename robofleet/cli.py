@@ -61,7 +61,7 @@ COMMANDS = (
     Row("sweep", "studies.commands", "sweep", _DRIVE),
     Row("storm", "studies.commands", "storm", _DRIVE),
     *(Row(name, "operator.commands", name, _RUNNING) for name in ("stop", "reset", "hold", "resume", "park")),
-    *(Row(name, "operator.commands", name, _RUNNING) for name in ("status", "web")),
+    *(Row(name, "operator.commands", name, _RUNNING) for name in ("status", "web", "project")),
     *(Row(name, "reports.commands", name, _AFTERWARDS) for name in ("report", "replay", "repair")),
     *(Row(name, "gateways.exports.command", name, _AFTERWARDS) for name in ("export", "film")),
     Row("sheet", "calibration.commands.sheet", heading=_LABORATORY),

@@ -1,7 +1,7 @@
 """Projectors above the floor: what is known of each, and what a simulated one really is."""
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -9,6 +9,9 @@ from robofleet.config.calibrated import Coefficient, Focal, Pixel, PoseSettings,
 from robofleet.core.settings import Delay, Fraction, Model, Name, Pixels, Text, within
 
 Complaint = tuple[str, str]  # dotted path, what is wrong and how to mend it
+Shown = Literal[
+    "floor", "grid", "paths", "references", "trails", "halos", "barrier", "names", "countdown", "background", "large"
+]  # fmt: skip
 
 
 class ProjectorOptics(Model):
@@ -70,8 +73,27 @@ class ProjectorSettings(Model):
     """Address at which its page is served. The browser of another computer reaches 127.0.0.1 through ``ssh -L``."""
     port: Annotated[int, Field(ge=1024, le=65535)] = 8420
     """TCP port of its page."""
+    brightness: Fraction = 1.0
+    """Grey of what a run's picture shows, as a share of white. Lower it where the light is too much for the cameras."""
+    disc_gray: Fraction = 0.4
+    """Constant grey of the disc around each robot, in which its tag is seen, as a share of white."""
     simulated: SimulatedProjectorSettings | None = None
     """A simulated projector in place of a browser's; null: a browser shows the pictures."""
+
+
+class ProjectionSettings(Model):
+    """What projectors show of a run, all the same; an operator changes it during the run."""
+
+    show: Annotated[tuple[Shown, ...], Field(max_length=len(get_args(Shown)), strict=False)] = (
+        "floor", "paths", "references", "trails", "halos", "names", "countdown", "background",
+    )  # fmt: skip
+    """``floor``: its edge, obstacles and keep-out zones. ``paths``: what groups and scripts draw: paths, goals, ways,
+    marks. ``references``: where each robot is to be, and where it goes. ``halos``: a ring around each robot, its
+    heading. ``barrier``: the discs that the barrier keeps apart. ``names``: with what a robot is stopped by.
+    ``countdown``: the time that is left. ``large``: all of it twice as large, to be read from afar."""
+    background: Text | None = None
+    """An image that fills the arena: PNG, JPEG or WebP. A relative path starts at the folder in which robofleet
+    starts."""
 
 
 def complaints(projectors: tuple[ProjectorSettings, ...], cameras: tuple[tuple[str, str], ...]) -> Iterator[Complaint]:

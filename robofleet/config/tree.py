@@ -14,7 +14,7 @@ from robofleet.config.camera import CameraSettings
 from robofleet.config.controller import ControllerSettings
 from robofleet.config.mocap import MocapSettings
 from robofleet.config.obstacles import Arena
-from robofleet.config.projectors import ProjectorSettings
+from robofleet.config.projectors import ProjectionSettings, ProjectorSettings
 from robofleet.config.robots import Robot
 from robofleet.config.troubles import InjectedFault
 from robofleet.core.patterns import ENDPOINT_PATTERN, NETWORK_PATTERN, PRIVATE, TRACKER, driver_role, tracker_role
@@ -242,6 +242,8 @@ class Config(Model):
     """Several overhead cameras, each with a name of its own. Their views may overlap."""
     projectors: Annotated[tuple[ProjectorSettings, ...], Field(max_length=CAMERAS, strict=False)] = ()
     """Projectors that light the floor."""
+    projection: ProjectionSettings = ProjectionSettings()
+    """What projectors show of a run."""
     run: RunSettings
     """Length, seed, start and judgement of a run."""
     drivers: DriverSettings = DriverSettings()

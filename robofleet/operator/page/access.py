@@ -7,6 +7,7 @@ and for a viewer, and an operator's page makes more of them.
 
 import secrets
 from collections import deque
+from urllib.parse import quote
 
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -57,7 +58,7 @@ class TokenAccess:
         """Return the answer to who shows a one-time token: on to the page; None where it is not good."""
         if not self._once.take(shown, scope.get("client"), self._port):
             return None
-        return RedirectResponse(f"/?token={self._token}", _SEE_OTHER)
+        return RedirectResponse(f"{_landing(scope)}token={self._token}", _SEE_OTHER)
 
 
 class CookieAccess:
@@ -93,7 +94,8 @@ class CookieAccess:
     def open(self, scope: Scope, shown: str) -> Response | None:
         """Give a browser its cookie; one that has its cookie may open its address again."""
         # Not a redirection: a browser that came from another site would send no cookie of ours along.
-        page = HTMLResponse(TEMPLATES.get_template("entering.html").render(), 200, {"Content-Security-Policy": _POLICY})
+        entering = TEMPLATES.get_template("entering.html").render(page=_landing(scope))
+        page = HTMLResponse(entering, 200, {"Content-Security-Policy": _POLICY})
         for token in (*self._printed, *self._invited):
             if token.take(shown, scope.get("client"), self._port):
                 session = new_secret()
@@ -109,6 +111,12 @@ Access = TokenAccess | CookieAccess
 def new_secret() -> str:
     """Draw 128 bits."""
     return secrets.token_hex(16)
+
+
+def _landing(scope: Scope) -> str:
+    """Return the page that a one-time token opens: the operator's, or a projector's."""
+    name = HTTPConnection(scope).query_params.get("projector")
+    return "/?" if name is None else f"/projector?name={quote(name)}&"
 
 
 def _opening(root: str, token: OneTimeToken) -> str:

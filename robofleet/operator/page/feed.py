@@ -6,9 +6,10 @@ fewer. So nothing grows behind a slow page, and no other page waits for it.
 
 import asyncio
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from robofleet.bus.bus import Bus
 from robofleet.bus.keys import TICK
@@ -102,6 +103,9 @@ class Feed:
         self.hello = dumps(frames.hello(config, self._groups, folder))
         self._marks = [Marks() for _ in self._groups]  # of each group's scripts
         self.marked = 0  # changes of them
+        self.show: tuple[str, ...] = config.projection.show  # what projectors show
+        self.projectors = {projector.name for projector in config.projectors if projector.calibration is not None}
+        self.showings = 1  # changes of it, and of who shows it
         self.hearing = Hearing(config, bus, clock, self._wake)
         self.diary = Diary(config.ids)
         self.pages: set[Page] = set()
@@ -151,6 +155,16 @@ class Feed:
     def shapes(self) -> str:
         return dumps(frames.shapes(self._groups, [marks.shapes for marks in self._marks]), compact=True)
 
+    def showing(self) -> str:
+        return dumps(frames.showing(self.show, sorted(page.projects for page in self.pages if page.projects)))
+
+    def now_shows(self, show: Sequence[str] | None = None) -> None:
+        """Tell every page that something else is shown, or that somebody else shows it."""
+        self.show = self.show if show is None else tuple(show)
+        self.showings += 1
+        for page in self.pages:
+            page.wake()
+
     def _mark(self) -> None:
         marks = {group.name: own for group, own in zip(self._groups, self._marks, strict=True)}
         self.marked += sum(marks[group].take(note.mark) for group, note in self.hearing.notes if note.mark is not None)
@@ -189,7 +203,7 @@ class Page:
     """One open page: what it was sent, and what it has drawn."""
 
     def __init__(self, feed: Feed) -> None:
-        self._feed = feed
+        self.feed = feed
         self._woken = asyncio.Event()
         self._answers: deque[Frame] = deque(maxlen=_MOST_ANSWERS)
         self._undrawn: deque[tuple[int, int]] = deque()  # ticks sent: number, and arrival of its record [ns]
@@ -203,6 +217,8 @@ class Page:
         self._pictured = "", 0  # camera and exposure of the newest picture sent
         self._ended: Frame | None = None  # that it was told
         self._left = False
+        self._showings = 0  # of the feed's that it was told
+        self.projects: tuple[str, tuple[int, int]] | None = None  # a projector's page: its name, its size [px]
         self.wants_picture = ""  # the camera's name; empty: none
 
     def wake(self) -> None:
@@ -212,7 +228,22 @@ class Page:
         self._answers.append(frame)
         self.wake()
 
-    def drawn(self, seq: int) -> None:
+    def hear(self, request: Any) -> bool:
+        """Take what the page says of itself: what it draws, wants and is; returns whether that makes sense."""
+        match request:
+            case {"ack": int(seq)}:
+                self._drawn(seq)
+            case {"projector": str(name), "size_px": [int(width), int(height)]} if name in self.feed.projectors:
+                self.projects = name, (width, height)
+                self.feed.now_shows()
+            case {"picture": str() | False as wanted}:  # a camera's name
+                self.wants_picture = wanted or ""
+                self.wake()
+            case _:
+                return False
+        return True
+
+    def _drawn(self, seq: int) -> None:
         """Take note of a tick that the page has drawn, and with it all before."""
         while self._undrawn and self._undrawn[0][0] <= seq:
             self._undrawn.popleft()
@@ -225,7 +256,7 @@ class Page:
 
     async def follow(self, say: Say) -> None:
         """Send what the page is owed, until it is left."""
-        await say(self._feed.hello)
+        await say(self.feed.hello)
         while True:
             for text in self._owed():
                 await say(text)
@@ -236,7 +267,7 @@ class Page:
 
     def _owed(self) -> Iterator[str]:
         """Yield what is to be sent; each is made when the one before is gone, so that it is the newest."""
-        feed = self._feed
+        feed = self.feed
         while self._answers:
             yield dumps(self._answers.popleft())
         if feed.ended is not None and feed.ended is not self._ended:
@@ -249,6 +280,9 @@ class Page:
         if feed.marked != self._marked and feed.now_ns() - self._marked_ns >= _BEAT_NS:
             self._marked, self._marked_ns = feed.marked, feed.now_ns()
             yield feed.shapes()
+        if feed.showings != self._showings and feed.config.projectors:
+            self._showings = feed.showings
+            yield feed.showing()
         if feed.now_ns() - self._beat_ns >= _BEAT_NS:
             self._beat_ns = feed.now_ns()
             yield feed.beat()
@@ -260,10 +294,10 @@ class Page:
             yield picture
 
     def _tick_due(self) -> bool:
-        if self._feed.seq == self._seq:
+        if self.feed.seq == self._seq:
             return False
         if len(self._undrawn) >= _MOST_UNDRAWN_TICKS:
-            if self._feed.phase == self._phase and self._feed.now_ns() - self._sent_ns < _ANYWAY_NS:
+            if self.feed.phase == self._phase and self.feed.now_ns() - self._sent_ns < _ANYWAY_NS:
                 return False
             self._undrawn.popleft()
         return True

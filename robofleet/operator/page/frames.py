@@ -20,6 +20,7 @@ from robofleet.core.figures import robot_colours
 from robofleet.core.starting import Starting
 from robofleet.operator.hand import driven, drivers
 from robofleet.operator.page.hearing import Hearing, Shown
+from robofleet.operator.page.projectors import described, lit
 from robofleet.operator.page.words import ENDING, end_words, phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import WAYS, OnTheWay
@@ -58,6 +59,9 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         "robots": [
             {**_robot(config, row), "colour": colour} for row, colour in enumerate(robot_colours(len(config.bodies)))
         ],
+        "projectors": list(described(config)),
+        "lit": list(lit(config)) if config.projectors else [],
+        "background": config.projection.background is not None,
         "groups": [
             {
                 "name": group.name,
@@ -88,6 +92,11 @@ def shapes(groups: Sequence[Group], marks: Sequence[Sequence[Shape]]) -> Frame:
     """Return what is drawn for each group, with its scripts' marks: it takes the place of what ``hello`` said."""
     both = zip(groups, marks, strict=True)
     return {"type": "shapes", "groups": [[_shape(line) for line in (*group.shapes, *body)] for group, body in both]}
+
+
+def showing(show: Sequence[str], pages: Sequence[tuple[str, tuple[int, int]]]) -> Frame:
+    """Return what projectors show, and which of them has a page that is open, of how many pixels."""
+    return {"type": "showing", "show": show, "pages": [{"name": name, "size_px": size} for name, size in pages]}
 
 
 def _places(places: Sequence[Pose | None]) -> list[list[float | None] | None]:
@@ -135,6 +144,7 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "type": "tick",
         "seq": seq,
         "tick": 0 if hearing.record is None else hearing.record.tick,
+        "age_ms": None if hearing.record is None else _rounded((now_ns - hearing.record.stamp_ns) / MS, 1),
         "t_s": _rounded(hearing.reached_s if ending else hearing.t_s, 3),
         "clock_s": _rounded(hearing.clock.clock_s, 3),
         "phase": "ending" if ending else phase_name(state),

@@ -3,7 +3,8 @@
 import asyncio
 import os
 import socket
-from contextlib import closing
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 from rich.console import Console
@@ -18,9 +19,11 @@ from robofleet.operator.page.browser import open_page
 from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.command import Over, There, how_ended
 from robofleet.operator.page.ending import STAYS_MIN
-from robofleet.operator.page.page_address import Addresses, address_lines
+from robofleet.operator.page.page_address import Addresses, address_lines, projector_address
 from robofleet.operator.page.server import Served, serve
 from robofleet.operator.terminal.qr_code import qr_code
+from robofleet.projection.display import DisplayError
+from robofleet.projection.kiosk import kiosk
 from robofleet.runs.companion import STAYS
 
 _NICE = 5  # the page waits for the run, never the other way round
@@ -54,12 +57,38 @@ def of_run(
         asyncio.run(serve(served, listening, lambda at: lifeline.ready(at.line()), lambda: lifeline.by_signal))
 
 
+def announced(at: Addresses, *, browser: bool) -> str:
+    """Return how the operator's page is reached; open it in a browser, if that is wanted."""
+    console = Console(stderr=True)
+    opened = browser and console.is_terminal and open_page(at.once)
+    if at.viewer and (code := qr_code(at.page, console)) is not None:
+        console.print(code)
+    return address_lines(at, opened=opened)
+
+
+def projected(names: Sequence[str], opened: ExitStack | None, at: Addresses) -> str:
+    """Return how projectors' pages are reached, and the operator's, where they are switched.
+
+    ``opened``: a kiosk's browser is to show the only one; None: people open them.
+    """
+    if opened is not None:
+        try:
+            opened.enter_context(kiosk(projector_address(at.once, names[0])))
+        except DisplayError as refused:
+            raise RefusedError(str(refused)) from refused
+        lines = [f"Chromium shows the projector {names[0]}"]
+    else:
+        lines = [f"the projector {name}: {projector_address(at.viewer or at.page, name)}" for name in names]
+    return "\n".join([*lines, f"switch what is shown on the operator's page: {at.page}"])
+
+
 def by_hand(
-    page_run: There, listening: socket.socket, host: str, keys: PageKeys | None, *, browser: bool
+    page_run: There, listening: socket.socket, host: str, keys: PageKeys | None, announce: Callable[[Addresses], str]
 ) -> tuple[bool, str]:
     """Join a run and serve its page until Ctrl-C, or until the run is over and nobody looks.
 
-    Returns whether it could be served, and the last words. ``keys``: None on this computer.
+    Returns whether it could be served, and the last words. ``keys``: None on this computer. ``announce`` returns what
+    is printed when the page can be opened.
     """
     config, folder, run = page_run
     over = Over(page_run)
@@ -67,13 +96,6 @@ def by_hand(
     def still_there() -> None:
         if over():
             raise RefusedError(how_ended(config, folder))
-
-    def announce(at: Addresses) -> str:
-        console = Console(stderr=True)
-        opened = browser and console.is_terminal and open_page(at.once)
-        if at.viewer and (code := qr_code(at.page, console)) is not None:
-            console.print(code)
-        return address_lines(at, opened=opened)
 
     clock, arena, endpoint = WallClock(), config.arena.name, config.bus.endpoint
     within_s = _ANSWERS_WITHIN_S if run is None else _BEGINS_WITHIN_S
