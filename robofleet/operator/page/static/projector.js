@@ -11,7 +11,7 @@ const name = new URLSearchParams(location.search).get("name");
 const canvas = document.getElementById("light");
 
 /** What the page shows now, for whoever looks at it from outside. */
-const state = { hello: null, tick: null, robots: [], rates: [], show: [], words: "", pictures: 0, light_in_s: 0 };
+const state = { hello: null, tick: null, robots: [], rates: [], show: [], words: "", pictures: 0, light_in_s: 0, seen: [] };
 const link = new Link((frame) => frames[frame.type]?.(frame));
 window.robofleet = { state, pixel: (x_m, y_m, z_m) => scene?.lens.pixel(x_m, y_m, z_m) };
 
@@ -93,7 +93,7 @@ function draw(now) {
   const lateMs = tick === null ? 0 : (tick.age_ms ?? 0) + performance.now() - tickAt + SHOWN_PICTURES * periodMs;
   const aheadMs = Math.min(LONGEST_MS, lateMs + 1000 * scene.delay_s);
   state.light_in_s = aheadMs / 1000;
-  scene.draw(state, aheadMs);
+  state.seen = scene.draw(state, aheadMs).map(({ x_m, y_m, psi_rad }) => [x_m, y_m, psi_rad]);
   state.pictures++;
 }
 

@@ -25,7 +25,8 @@ export class Scene {
   #show = new Set();
   #trails = new Trails();
   #labels = new Labels(({ id, words }) => `${id} ${words}`);
-  #measuredAt = []; // when each robot was seen last
+  #takenAt = 0; // when the newest tick came
+  #measuredAt = []; // when the newest tick came that measured each robot
   #view = null;
   #warp = null;
 
@@ -79,17 +80,17 @@ export class Scene {
 
   /** Take a tick's robots. */
   take(robots) {
-    const now = performance.now();
+    this.#takenAt = performance.now();
     this.#trails.take(robots);
-    for (const { row, measured } of robots) if (measured !== 0) this.#measuredAt[row] = now;
+    for (const { row, measured } of robots) if (measured !== 0) this.#measuredAt[row] = this.#takenAt;
   }
 
-  /** Draw robots as they will be in some time, and the rest of a tick. */
+  /** Draw a tick, its robots as they will be in some time; returns these. */
   draw({ tick, robots, rates }, aheadMs) {
     const [g, view, show] = [this.#warp, this.#view, this.#show];
-    if (g === null) return;
+    if (g === null) return [];
     g.clear(this.#still);
-    if (tick === null) return;
+    if (tick === null) return [];
     const seen = robots.filter((robot) => robot.x_m !== null).map((robot) => this.#then(robot, rates[robot.row] ?? [0, 0], aheadMs));
     if (show.has("trails")) this.#trails.draw(g, view, this.#colours);
     if (show.has("references")) {
@@ -108,6 +109,7 @@ export class Scene {
     for (const robot of seen) {
       g.fillCylinder(view.x(robot.x_m), view.y(robot.y_m), robot.disc_m * view.scale, robot.tag_height_m);
     }
+    return seen;
   }
 
   #on(canvas) {
@@ -123,7 +125,7 @@ export class Scene {
     const [x_m, y_m, psi_rad] = ahead([robot.x_m, robot.y_m, robot.psi_rad], bodySpeed(robot, lit), ms / 1000);
     const turn = psi_rad - robot.psi_rad;
     const [px, py] = [robot.point_x_m - robot.x_m, robot.point_y_m - robot.y_m];
-    const unseenMs = Math.min(UNSEEN_MS, performance.now() - (this.#measuredAt[robot.row] ?? performance.now()));
+    const unseenMs = Math.min(UNSEEN_MS, this.#takenAt - (this.#measuredAt[robot.row] ?? this.#takenAt));
     const moved = (value, change) => (value === null ? null : value + change);
     return {
       ...robot,
