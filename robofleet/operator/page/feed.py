@@ -232,7 +232,7 @@ class Page:
         """Take what the page says of itself: what it draws, wants and is; returns whether that makes sense."""
         match request:
             case {"ack": int(seq)}:
-                self._drawn(seq)
+                self.drawn(seq)
             case {"projector": str(name), "size_px": [int(width), int(height)]} if name in self.feed.projectors:
                 self.projects = name, (width, height)
                 self.feed.now_shows()
@@ -243,7 +243,7 @@ class Page:
                 return False
         return True
 
-    def _drawn(self, seq: int) -> None:
+    def drawn(self, seq: int) -> None:
         """Take note of a tick that the page has drawn, and with it all before."""
         while self._undrawn and self._undrawn[0][0] <= seq:
             self._undrawn.popleft()
