@@ -280,7 +280,6 @@ def project(
         keys = page_keys(page_run.config.arena.name, host, "--host")
         from robofleet.operator.page.process import by_hand, projected  # noqa: PLC0415
 
-        names = [projector.name for projector in chosen]
-        done, line = by_hand(page_run, socket, host, keys, partial(projected, names, opened if kiosk else None))
+        done, line = by_hand(page_run, socket, host, keys, partial(projected, chosen, opened if kiosk else None))
     if line:
         raise typer.Exit(direct.answered(done, line))

@@ -71,7 +71,7 @@ class BrowserDisplay:
 
     def kiosk(self) -> None:
         """Open the page full-screen on this computer; DisplayError without a Chromium or a screen."""
-        self._opened.enter_context(kiosk(self.address))
+        self._opened.enter_context(kiosk(self.address, (self._projector.width, self._projector.height)))
 
     def show(self, picture: Image) -> int:
         """Show a picture; returns when the page had drawn it."""

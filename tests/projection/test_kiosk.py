@@ -33,11 +33,11 @@ def test_a_kiosk_is_full_screen_and_starts_also_as_root(
     started: Path, monkeypatch: pytest.MonkeyPatch, user: int, sandbox: bool
 ) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: user)
-    with kiosk(ADDRESS):
+    with kiosk(ADDRESS, (1920, 1080)):
         assert wait(started.exists, 10)
         *options, address = started.read_text().splitlines()
     assert address == ADDRESS
-    assert "--kiosk" in options
+    assert {"--kiosk", "--window-size=1921,1081"} <= {*options}
     assert ("--no-sandbox" not in options) == sandbox
     (profile,) = (option.partition("=")[2] for option in options if option.startswith("--user-data-dir="))
     assert not Path(profile).exists()
@@ -46,8 +46,11 @@ def test_a_kiosk_is_full_screen_and_starts_also_as_root(
 def test_without_a_browser_or_a_screen_it_says_what_to_do(started: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(DisplayError, match=f"no screen here .*: open {ADDRESS} in a browser"), kiosk(ADDRESS):
+    with (
+        pytest.raises(DisplayError, match=f"no screen here .*: open {ADDRESS} in a browser"),
+        kiosk(ADDRESS, (1920, 1080)),
+    ):
         pass
     monkeypatch.setenv("PATH", str(started.parent / "nothing"))
-    with pytest.raises(DisplayError, match="no Chromium here"), kiosk(ADDRESS):
+    with pytest.raises(DisplayError, match="no Chromium here"), kiosk(ADDRESS, (1920, 1080)):
         pass

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from robofleet.bus.joining import joined
 from robofleet.bus.permissions import PAGE
+from robofleet.config.projectors import ProjectorSettings
 from robofleet.config.tree import Config
 from robofleet.core.clock import WallClock
 from robofleet.core.refusal import RefusedError
@@ -66,19 +67,20 @@ def announced(at: Addresses, *, browser: bool) -> str:
     return address_lines(at, opened=opened)
 
 
-def projected(names: Sequence[str], opened: ExitStack | None, at: Addresses) -> str:
+def projected(chosen: Sequence[ProjectorSettings], opened: ExitStack | None, at: Addresses) -> str:
     """Return how projectors' pages are reached, and the operator's, where they are switched.
 
     ``opened``: a kiosk's browser is to show the only one; None: people open them.
     """
     if opened is not None:
         try:
-            opened.enter_context(kiosk(projector_address(at.once, names[0])))
+            (own,) = chosen
+            opened.enter_context(kiosk(projector_address(at.once, own.name), (own.width, own.height)))
         except DisplayError as refused:
             raise RefusedError(str(refused)) from refused
-        lines = [f"Chromium shows the projector {names[0]}"]
+        lines = [f"Chromium shows the projector {chosen[0].name}"]
     else:
-        lines = [f"the projector {name}: {projector_address(at.viewer or at.page, name)}" for name in names]
+        lines = [f"the projector {each.name}: {projector_address(at.viewer or at.page, each.name)}" for each in chosen]
     return "\n".join([*lines, f"switch what is shown on the operator's page: {at.page}"])
 
 

@@ -158,10 +158,10 @@ def test_what_cannot_be_projected_is_refused_in_a_line(tmp_path: Path) -> None:
 
 def test_the_command_says_what_to_open(monkeypatch: pytest.MonkeyPatch) -> None:
     at = Addresses("http://127.0.0.1:5/?token=ab", "http://127.0.0.1:5/open?once=cd")
-    lines = projected(["left", "right"], None, at).splitlines()
+    lines = projected(config(hanging("left", "right")).projectors, None, at).splitlines()
     assert lines[0] == "the projector left: http://127.0.0.1:5/projector?name=left&token=ab"
     assert lines[2].endswith(at.page)
     for screen in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(screen, raising=False)
     with ExitStack() as opened, pytest.raises(RefusedError, match="--kiosk: there is no"):
-        projected(["left"], opened, at)
+        projected(config(hanging("left")).projectors, opened, at)

@@ -53,9 +53,13 @@ function rates(before, ms) {
 /** Take the run, or another size of the window. */
 function begin() {
   if (state.hello === null) return;
-  const size = [innerWidth, innerHeight].map((side) => Math.round(side * devicePixelRatio));
+  const seen = [Math.min(innerWidth, screen.width), Math.min(innerHeight, screen.height)];
+  const size = seen.map((side) => Math.round(side * devicePixelRatio));
   const own = state.hello.projectors.find((projector) => projector.name === name);
   [canvas.width, canvas.height] = size;
+  for (const image of document.querySelectorAll("#light, #veil")) {
+    [image.style.width, image.style.height] = seen.map((side) => `${side}px`);
+  }
   scene = null;
   state.fault = fault(own, size);
   if (own?.optics) link.send({ projector: name, size_px: size });

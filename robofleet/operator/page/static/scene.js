@@ -189,7 +189,7 @@ export class Scene {
 
 /** Darken what other projectors light, too. */
 function veil(link, projector) {
-  const image = document.getElementById("veil") ?? Object.assign(document.createElement("img"), { id: "veil", alt: "" });
+  const image = document.getElementById("veil");
   image.src = link.address(`projector/veil/${encodeURIComponent(projector)}`);
-  document.body.append(image);
+  image.hidden = false;
 }
