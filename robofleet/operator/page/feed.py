@@ -203,7 +203,7 @@ class Page:
     """One open page: what it was sent, and what it has drawn."""
 
     def __init__(self, feed: Feed) -> None:
-        self.feed = feed
+        self._feed = feed
         self._woken = asyncio.Event()
         self._answers: deque[Frame] = deque(maxlen=_MOST_ANSWERS)
         self._undrawn: deque[tuple[int, int]] = deque()  # ticks sent: number, and arrival of its record [ns]
@@ -233,9 +233,9 @@ class Page:
         match request:
             case {"ack": int(seq)}:
                 self.drawn(seq)
-            case {"projector": str(name), "size_px": [int(width), int(height)]} if name in self.feed.projectors:
+            case {"projector": str(name), "size_px": [int(width), int(height)]} if name in self._feed.projectors:
                 self.projects = name, (width, height)
-                self.feed.now_shows()
+                self._feed.now_shows()
             case {"picture": str() | False as wanted}:  # a camera's name
                 self.wants_picture = wanted or ""
                 self.wake()
@@ -256,7 +256,7 @@ class Page:
 
     async def follow(self, say: Say) -> None:
         """Send what the page is owed, until it is left."""
-        await say(self.feed.hello)
+        await say(self._feed.hello)
         while True:
             for text in self._owed():
                 await say(text)
@@ -267,7 +267,7 @@ class Page:
 
     def _owed(self) -> Iterator[str]:
         """Yield what is to be sent; each is made when the one before is gone, so that it is the newest."""
-        feed = self.feed
+        feed = self._feed
         while self._answers:
             yield dumps(self._answers.popleft())
         if feed.ended is not None and feed.ended is not self._ended:
@@ -294,10 +294,10 @@ class Page:
             yield picture
 
     def _tick_due(self) -> bool:
-        if self.feed.seq == self._seq:
+        if self._feed.seq == self._seq:
             return False
         if len(self._undrawn) >= _MOST_UNDRAWN_TICKS:
-            if self.feed.phase == self._phase and self.feed.now_ns() - self._sent_ns < _ANYWAY_NS:
+            if self._feed.phase == self._phase and self._feed.now_ns() - self._sent_ns < _ANYWAY_NS:
                 return False
             self._undrawn.popleft()
         return True

@@ -135,6 +135,8 @@ async def serve(
 def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
     """Return what is behind the guard, which has given each request its role."""
 
+    veils: dict[str, bytes] = {}  # of projectors, by name: each is made once
+
     async def index(request: Request) -> Response:
         role = request.scope["role"] if isinstance(access, CookieAccess) else None
         return TEMPLATES.TemplateResponse(request, "index.html", {"role": role})
@@ -169,7 +171,9 @@ def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
         name = request.path_params["name"]
         if name not in feed.projectors:
             return Response(status_code=404)
-        return Response(await asyncio.to_thread(projectors.veil, feed.config, name), media_type="image/png")
+        if name not in veils:
+            veils[name] = await asyncio.to_thread(projectors.veil, feed.config, name)
+        return Response(veils[name], media_type="image/png")
 
     async def stop(_request: Request) -> Response:
         return JSONResponse(await controls.do(ESTOP))

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import cv2
+import httpx
 import numpy as np
 import pytest
 from selenium.webdriver import Chrome
@@ -186,6 +187,7 @@ def test_an_operator_sees_who_shows_the_run_and_switches_it(browser: Chrome, sta
         page.becomes(
             f"{items} === 'main: no browser shows it (its page) raw: not calibrated: robofleet calibrate projector'"
         )
+        assert httpx.get(browser.find_element(By.CSS_SELECTOR, "#projection-pages a").get_attribute("href")).is_success
         projector.say(projector="main", size_px=[800, 600])
         page.becomes(f"{items}.startsWith('main: its browser shows 800 x 600 px: make it full-screen')")
         projector.say(projector="main", size_px=list(SIZE))

@@ -170,8 +170,12 @@ export class Scene {
     g.font = "600 26px system-ui, sans-serif";
     g.textAlign = "left";
     g.textBaseline = "top";
+    g.strokeStyle = colour.floor;
     g.fillStyle = colour.ink;
-    g.fillText(phase === "running" ? clock : (PHASES[phase] ?? phase), 12, 10);
+    g.lineWidth = 4;
+    const words = phase === "running" ? clock : (PHASES[phase] ?? phase);
+    g.strokeText(words, 12, 10);
+    g.fillText(words, 12, 10);
   }
 
   async #load(address) {
