@@ -4,6 +4,7 @@ import base64
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import cv2
 import httpx
@@ -42,8 +43,8 @@ class Lit:
     def __init__(self, browser: Chrome, stand: WebStand, fleet: Fleet) -> None:
         self.browser, self.stand, self.fleet = browser, stand, fleet
 
-    def run(self, script: str, *arguments: object) -> object:
-        return self.browser.execute_script(script, *arguments)  # type: ignore[no-untyped-call]
+    def run(self, script: str, *arguments: Any) -> Any:
+        return self.browser.execute_script(script, *arguments)
 
     def becomes(self, condition: str) -> None:
         assert wait(lambda: self.run(f"return {condition}"), SOON_S), self.run("return JSON.stringify(robofleet.state)")
@@ -103,7 +104,8 @@ def _off_px(picture: Array, points: Array) -> float:
     steps = np.linspace(-4.0, 4.0, 33)
     places = (middle[:, None] + steps[None, :, None] * across[:, None]).astype(np.float32)
     kept = np.isfinite(places).all(axis=(1, 2))
-    light = cv2.remap(picture.astype(np.float32), places[kept], None, cv2.INTER_LINEAR)
+    u, v = places[kept, :, 0], places[kept, :, 1]
+    light = cv2.remap(picture.astype(np.float32), u, v, cv2.INTER_LINEAR)
     assert len(light) > 20
     assert (light.max(axis=1) > 150.0).all()
     return float(np.percentile(np.abs((light * steps).sum(axis=1) / light.sum(axis=1)), 90))
@@ -141,13 +143,13 @@ def test_what_moves_is_drawn_where_it_will_be_when_its_light_falls(browser: Chro
         "import('/prediction.js').then(({ ahead }) => done(poses.map((pose, k) => ahead(pose, speeds[k], 0.3))))"
     )
     with lit(browser, stand, TURNING) as page:
-        told = browser.execute_async_script(script, poses.tolist(), speeds.tolist())  # type: ignore[no-untyped-call]
+        told = browser.execute_async_script(script, poses.tolist(), speeds.tolist())
         assert np.array(told) == pytest.approx(ahead(poses, speeds, 0.3), abs=1e-12)
         page.becomes("window.robofleet?.state.pictures > 1")
         page.becomes("robofleet.state.light_in_s > 0.05")  # the projector's own delay, and the page's
         page.run("robofleet.state.seen = null")
         page.becomes("robofleet.state.seen !== null")
-        seconds, seen = page.run("return [robofleet.state.light_in_s, robofleet.state.seen]")  # type: ignore[misc]
+        seconds, seen = page.run("return [robofleet.state.light_in_s, robofleet.state.seen]")
         vehicle = stand.config.members[0].vehicle
         speed = body_from_wheels(6.0, 10.0, vehicle.wheel_radius_m, vehicle.wheel_base_m)
         now = np.array([[robot.x_m, robot.y_m, robot.psi_rad] for robot in TURNING])
@@ -179,15 +181,15 @@ def test_a_window_of_another_size_and_a_run_that_is_silent_are_told(browser: Chr
 
 
 def test_an_operator_sees_who_shows_the_run_and_switches_it(browser: Chrome, stand: WebStand) -> None:
-    with Fleet(stand).alive(), stand.page() as projector:
+    with Fleet(stand).alive() as fleet, stand.page() as projector:
         show_as(browser, (1440, 1300))
         browser.get(stand.url)
-        page = Lit(browser, stand, None)  # type: ignore[arg-type]
+        page = Lit(browser, stand, fleet)
         items = "document.getElementById('projection-pages').innerText.replace(/\\s+/g, ' ').trim()"
         page.becomes(
             f"{items} === 'main: no browser shows it (its page) raw: not calibrated: robofleet calibrate projector'"
         )
-        assert httpx.get(browser.find_element(By.CSS_SELECTOR, "#projection-pages a").get_attribute("href")).is_success
+        assert httpx.get(page.run("return document.querySelector('#projection-pages a').href")).is_success
         projector.say(projector="main", size_px=[800, 600])
         page.becomes(f"{items}.startsWith('main: its browser shows 800 x 600 px: make it full-screen')")
         projector.say(projector="main", size_px=list(SIZE))

@@ -22,7 +22,7 @@ from robofleet.safety.supervisor import Event, Phase
 from tests.operator.page.secureweb import HOST, Visitor, keys_in, trusting
 from tests.operator.page.webstand import WebStand, web_stand
 from tests.projection.projectors import SIZE, tilted
-from tests.runs.realrun import PLATOON
+from tests.shipped import PLATOON
 
 
 def hanging(*names: str, apart_m: float = 1.0) -> str:
@@ -129,6 +129,7 @@ def test_two_projectors_veils_leave_each_place_its_light(stand: WebStand) -> Non
     light = []
     for name in ("left", "right"):
         png = cv2.imdecode(np.frombuffer(projectors.veil(both, name), np.uint8), cv2.IMREAD_UNCHANGED)
+        assert png is not None
         assert png.shape == (*SIZE[::-1], 4)
         light.append((1.0 - png[..., 3] / 255.0) ** 2.2)
     x, y = np.meshgrid(np.linspace(-1.2, 1.2, 25), np.linspace(-0.5, 0.5, 11))

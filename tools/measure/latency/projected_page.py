@@ -42,12 +42,12 @@ def above(arena_m: tuple[float, float], name: str) -> dict[str, object]:
     T[:3, 3] = 0.0, -high * np.tan(_TILT_RAD), high
     K = [[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]]
     optics = Projector(CameraGeometry(K, [-0.03, 0.01, 5e-4, -4e-4], T), (width, height)).model.model_dump(mode="json")
-    return {"name": name, "width": width, "height": height, "calibration": optics | {"delay_s": 0.05}}
+    return {"name": name, "width": width, "height": height, "calibration": {**optics, "delay_s": 0.05}}
 
 
-def cpu_s(run: RealRun) -> float:
-    """Return the processor time that a run's processes have taken, user and system [s]."""
-    root = psutil.Process(run.launcher.pid)
+def cpu_s(pid: int) -> float:
+    """Return the processor time that a process and its children have taken, user and system [s]."""
+    root = psutil.Process(pid)
     times = [process.cpu_times() for process in (root, *root.children(recursive=True))]
     return float(sum(taken.user + taken.system for taken in times))
 
@@ -55,30 +55,37 @@ def cpu_s(run: RealRun) -> float:
 def turn(run: RealRun, seconds: float) -> float:
     """Return which share of a processor a run takes, once it has settled [%]."""
     CLOCK.sleep_until(CLOCK.now_ns() + _SETTLED_NS)
-    began_ns, before = CLOCK.now_ns(), cpu_s(run)
+    began_ns, before = CLOCK.now_ns(), cpu_s(run.launcher.pid)
     CLOCK.sleep_until(began_ns + round(seconds * S))
-    return 100.0 * (cpu_s(run) - before) * S / (CLOCK.now_ns() - began_ns)
+    return 100.0 * (cpu_s(run.launcher.pid) - before) * S / (CLOCK.now_ns() - began_ns)
 
 
-def projected(browser: Chrome, run: RealRun, address: str, name: str, seconds: float) -> tuple[float, float]:
-    """Return the run's share of a processor while a projector's page is open [%], and the page's pictures a second."""
+def projected(browser: Chrome, run: RealRun, address: str, name: str, seconds: float) -> tuple[float, float, float]:
+    """Return the run's share of a processor while a projector's page is open [%], the page's pictures a second, and the
+    processor time that the browser takes for each [ms]."""
     show_as(browser, SIZES[name])
     browser.get(address.replace("/?", f"/projector?name={name}&"))
     pictures = "return window.robofleet?.state.pictures ?? 0"
     assert wait(lambda: browser.execute_script(pictures) > 5, _WITHIN_S), browser.execute_script(
         "return JSON.stringify(robofleet.state.words)"
     )
-    began_ns, before = CLOCK.now_ns(), browser.execute_script(pictures)
+    began_ns, before, taken_s = CLOCK.now_ns(), browser.execute_script(pictures), cpu_s(_pid(browser))
     share = turn(run, seconds)
-    rate = (browser.execute_script(pictures) - before) * S / (CLOCK.now_ns() - began_ns)
+    shown, taken_s = browser.execute_script(pictures) - before, cpu_s(_pid(browser)) - taken_s
+    rate = shown * S / (CLOCK.now_ns() - began_ns)
     browser.get("about:blank")
-    return share, rate
+    return share, rate, 1e3 * taken_s / shown
+
+
+def _pid(browser: Chrome) -> int:
+    return int(browser.service.process.pid)
 
 
 def main() -> None:
     arguments = program(__doc__, robots=20, turns=(3, "of each side"), seconds=(20.0, "of each turn")).parse_args()
-    shares: dict[str, list[float]] = {"without": []} | {name: [] for name in SIZES}
+    shares: dict[str, list[float]] = {name: [] for name in ("without", *SIZES)}
     rates: dict[str, list[float]] = {name: [] for name in SIZES}
+    costs_ms: dict[str, list[float]] = {name: [] for name in SIZES}
     with tempfile.TemporaryDirectory() as name, chromium() as browser:
         folder = Path(name)
         file, tool = folder / "fleet.yaml", Path(__file__).parents[3] / "tools" / "large_fleet.py"
@@ -90,12 +97,14 @@ def main() -> None:
             run.wait_until_running()
             found = re.search(r"http://\S+", run.said)
             assert found is not None, run.said
+            turn(run, arguments.seconds)  # what has just started takes less, or more
             for _ in range(arguments.turns):
                 shares["without"].append(turn(run, arguments.seconds))
                 for size in SIZES:
-                    share, rate = projected(browser, run, found[0], size, arguments.seconds)
+                    share, rate, cost_ms = projected(browser, run, found[0], size, arguments.seconds)
                     shares[size].append(share)
                     rates[size].append(rate)
+                    costs_ms[size].append(cost_ms)
                 assert run.launcher.poll() is None, run.said
         finally:
             run.clean_up()
@@ -105,7 +114,8 @@ def main() -> None:
     for size, (width, height) in SIZES.items():
         share = float(np.median(shares[size]))
         print(
-            f"{width} x {height}: {np.median(rates[size]):.1f} pictures/s ({_spread(rates[size])}); the run takes "
+            f"{width} x {height}: {np.median(rates[size]):.1f} pictures/s ({_spread(rates[size])}), "
+            f"{np.median(costs_ms[size]):.0f} ms of the browser's processor time each; the run takes "
             f"{share:.1f} % ({_spread(shares[size])}), {100.0 * (share / base - 1.0):+.1f} % of what it took"
         )
 
