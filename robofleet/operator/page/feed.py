@@ -245,9 +245,11 @@ class Page:
 
     def drawn(self, seq: int) -> None:
         """Take note of a tick that the page has drawn, and with it all before."""
+        waits = len(self._undrawn) >= _MOST_UNDRAWN_TICKS
         while self._undrawn and self._undrawn[0][0] <= seq:
             self._undrawn.popleft()
-        self.wake()
+        if waits:
+            self.wake()
 
     def leave(self) -> None:
         """Let ``follow`` return, when what is owed is sent."""

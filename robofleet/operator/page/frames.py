@@ -9,12 +9,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from robofleet.behaviours.described import Group
 from robofleet.behaviours.interface import Dots, Figure, Pose, Shape, with_unit
 from robofleet.bus.keys import STATE, TICK
 from robofleet.bus.messages import FleetPoses, RobotStatus, RobotTick, RunState, TickRecord
 from robofleet.config import barrier, obstacles
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
 from robofleet.core.starting import Starting
@@ -38,6 +41,10 @@ COLUMNS = (
     "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered", "to_go_m",
     "figures",
 )  # fmt: skip
+_PLACE, _WHEELS, _FLAGS = (
+    [RobotTick._fields.index(name) for name in names]
+    for names in (COLUMNS[:5], ("left_rad_s", "right_rad_s"), ("measured", "lost", "filtered"))
+)
 _LONGEST_LATENCY_MS = 1000.0  # two hosts' stamps give any number: more is no latency
 _FIGURE_DIGITS = 6
 
@@ -273,27 +280,36 @@ def _rows(
 ) -> list[list[Any]]:
     ticks = None if hearing.controller_silent() or hearing.record is None else hearing.record
     texts = live_figures.told(groups, ticks)
-    unknown = [None] * texts.figures.shape[1]
+    told = np.array(() if ticks is None else ticks.robots).reshape(-1, len(RobotTick._fields))
+    places, wheels, flags = (
+        _table(told[:, _PLACE], 4),
+        _table(told[:, _WHEELS], 2),
+        told[:, _FLAGS].astype(int).tolist(),
+    )
+    references, figures = _table(texts.references, 4), _table(texts.figures, _FIGURE_DIGITS)
     rows: list[list[Any]] = []
     for row, (status, arrival_ns) in enumerate(hearing.robots):
-        record = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
-        driven, placed = row < len(texts.references), record is not None and hearing.placed[row]
+        record = None if ticks is None or row >= len(told) else ticks.robots[row]
+        driven = row < len(references)
         rows.append([
-            *(_place(record) if record is not None and placed else _standing(hearing, row)),
-            *([_rounded(value, 4) for value in texts.references[row]] if driven else [None] * 2),
-            *((_rounded(record.left_rad_s, 2), _rounded(record.right_rad_s, 2)) if record else [None] * 2),
+            *(places[row] if record is not None and hearing.placed[row] else _standing(hearing, row)),
+            *(references[row] if driven else (None, None)),
+            *(wheels[row] if record is not None else (None, None)),
             *_gate(status), own_state(state, row, record) or None, _battery(status),
             _age_ms(arrival_ns, now_ns),
-            *((int(record.measured), int(record.lost), int(record.filtered)) if record else [None] * 3),
+            *(flags[row] if record is not None else (None, None, None)),
             _rounded(to_go_m[row], 3) if driven else None,
-            [_rounded(value, _FIGURE_DIGITS) for value in texts.figures[row]] if driven else unknown,
+            figures[row] if driven else [None] * texts.figures.shape[1],
         ])  # fmt: skip
     return rows
 
 
-def _place(record: RobotTick) -> list[float | None]:
-    pose = record.x_m, record.y_m, record.psi_rad, record.point_x_m, record.point_y_m
-    return [_rounded(value, 4) for value in pose]
+def _table(values: Array, digits: int) -> list[list[float | None]]:
+    """Return numbers (N, C), rounded, row by row; what is not finite is not known."""
+    rows: list[list[float | None]] = np.round(values, digits).tolist()
+    if np.isfinite(values).all():
+        return rows
+    return [[value if math.isfinite(value) else None for value in row] for row in rows]
 
 
 def _standing(hearing: Hearing, row: int) -> list[float | None]:

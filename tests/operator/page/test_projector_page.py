@@ -47,7 +47,7 @@ class Lit:
         return self.browser.execute_script(script, *arguments)
 
     def becomes(self, condition: str) -> None:
-        assert wait(lambda: self.run(f"return {condition}"), SOON_S), self.run("return JSON.stringify(robofleet.state)")
+        assert wait(lambda: self.run(f"return {condition}"), SOON_S), self.run("return document.body.innerText")
 
     def shows(self, *show: str) -> None:
         with self.stand.page() as operator:
@@ -133,6 +133,14 @@ def test_each_robot_and_its_tag_lie_in_constant_grey(browser: Chrome, stand: Web
             at = np.round(tilted().pixels(on_floor(halo))).astype(int)
             own = picture[at[:, 1], at[:, 0]].astype(int)
             assert (np.ptp(own, axis=1) > 40).mean() > 0.4  # coloured; the far side is behind the disc
+        page.fleet.robots = [robot._replace(x_m=robot.x_m + 0.3, y_m=robot.y_m - 0.1) for robot in STANDING]
+        page.becomes(f"robofleet.state.seen[0][0] > {STANDING[0].x_m + 0.25}")
+        page.run("robofleet.state.pictures = 0")
+        page.becomes("robofleet.state.pictures > 3")
+        picture = page.picture()
+        for robot in STANDING:
+            ((u, v),) = np.round(tilted().pixels(np.array([[robot.x_m, robot.y_m, 0.0]]))).astype(int)
+            assert not picture[v - 20 : v + 20, u - 20 : u + 20].any(), "what was drawn before is still there"
 
 
 def test_what_moves_is_drawn_where_it_will_be_when_its_light_falls(browser: Chrome, stand: WebStand) -> None:

@@ -7,6 +7,7 @@ import { robotsOf } from "./robots.js";
 const LONGEST_MS = 500; // beyond, nobody knows where a robot is
 const JUMP_M = 0.05; // of a reference between two ticks: it does not move, it is another
 const SHOWN_PICTURES = 1.5; // from a picture's drawing to the one that `delay_s` counts from, and half as long as it stays
+const ACK_TICKS = 2; // of the four that the server lets be on their way: each word costs the run's computer something
 const name = new URLSearchParams(location.search).get("name");
 const canvas = document.getElementById("light");
 
@@ -16,7 +17,7 @@ const link = new Link((frame) => frames[frame.type]?.(frame));
 window.robofleet = { state, pixel: (x_m, y_m, z_m) => scene?.lens.pixel(x_m, y_m, z_m) };
 
 let scene = null; // null: nothing can be drawn
-let [tickAt, drawnSeq, lastPicture, periodMs] = [0, null, 0, 1000 / 60];
+let [tickAt, drawnSeq, lastPicture, periodMs] = [0, 0, 0, 1000 / 60];
 
 const frames = {
   hello(hello) {
@@ -91,7 +92,7 @@ function draw(now) {
   const told = words(performance.now());
   if (told !== state.words) document.getElementById("words").textContent = state.words = told;
   canvas.hidden = told !== "";
-  if (state.tick !== null && state.tick.seq !== drawnSeq) link.send({ ack: (drawnSeq = state.tick.seq) });
+  if (state.tick !== null && Math.abs(state.tick.seq - drawnSeq) >= ACK_TICKS) link.send({ ack: (drawnSeq = state.tick.seq) });
   if (told !== "" || scene === null) return;
   const { tick } = state;
   const lateMs = tick === null ? 0 : (tick.age_ms ?? 0) + performance.now() - tickAt + SHOWN_PICTURES * periodMs;
