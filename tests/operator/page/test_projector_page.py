@@ -17,6 +17,7 @@ from robofleet.bus.messages import RobotTick
 from robofleet.core.arrays import Array, Image
 from robofleet.projection.disc import disc_radii
 from robofleet.projection.prediction import ahead
+from robofleet.safety.supervisor import Event, Phase
 from robofleet.vehicles.differential_drive import body_from_wheels
 from tests.operator.page.browser import show_as
 from tests.operator.page.openpage import SOON_S, Fleet
@@ -162,6 +163,13 @@ def test_what_moves_is_drawn_where_it_will_be_when_its_light_falls(browser: Chro
         speed = body_from_wheels(6.0, 10.0, vehicle.wheel_radius_m, vehicle.wheel_base_m)
         now = np.array([[robot.x_m, robot.y_m, robot.psi_rad] for robot in TURNING])
         assert np.array(seen) == pytest.approx(ahead(now, np.array([speed] * 4), seconds), abs=1e-3)
+
+
+def test_beside_a_robot_that_stops_the_run_stands_why(browser: Chrome, stand: WebStand) -> None:
+    with lit(browser, stand, STANDING) as page:
+        page.fleet.phase, page.fleet.cause, page.fleet.robot = Phase.HOLD, Event.BATTERY_LOW, 2
+        page.becomes("robofleet.state.robots[2]?.words.startsWith('stopped: the battery is low')")
+        assert page.run("return robofleet.state.robots.map((robot) => robot.trouble)") == [0, 0, 2, 0]
 
 
 @pytest.mark.parametrize(

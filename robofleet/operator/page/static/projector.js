@@ -2,8 +2,9 @@
 
 import { Scene } from "./scene.js";
 import { Link } from "./link.js";
-import { robotsOf } from "./robots.js";
+import { HALTED, robotsOf } from "./robots.js";
 
+const STOPPED = ["hold", "fault", "estop"]; // phases
 const LONGEST_MS = 500; // beyond, nobody knows where a robot is
 const JUMP_M = 0.05; // of a reference between two ticks: it does not move, it is another
 const SHOWN_PICTURES = 1.5; // from a picture's drawing to the one that `delay_s` counts from, and half as long as it stays
@@ -27,7 +28,7 @@ const frames = {
   tick(tick) {
     const before = state.tick;
     [state.tick, tickAt] = [tick, performance.now()];
-    state.robots = robotsOf(state.hello, tick, link.ended);
+    state.robots = robotsOf(state.hello, tick, link.ended).map((robot) => blamed(robot, tick));
     const ticks = tick.tick - (before?.tick ?? tick.tick);
     if (ticks !== 0) state.rates = rates(before, tick.phase === "running" ? ticks * state.hello.tick_ms : 0);
     scene?.take(state.robots);
@@ -41,6 +42,13 @@ const frames = {
     scene?.choose(show);
   },
 };
+
+/** A robot by which all of the run is stopped: it says so, though it is not halted alone. */
+function blamed(robot, { phase, cause }) {
+  const [start, stops] = [`${robot.id}: `, STOPPED.includes(phase) && cause !== null];
+  if (!stops || !cause.startsWith(start) || robot.trouble >= HALTED) return robot;
+  return { ...robot, trouble: HALTED, words: `stopped: ${cause.slice(start.length)}` };
+}
 
 /** How fast each reference moves [m/ms]. */
 function rates(before, ms) {

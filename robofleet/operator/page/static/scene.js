@@ -24,7 +24,7 @@ export class Scene {
   #background = null;
   #show = new Set();
   #trails = new Trails();
-  #labels = new Labels(({ id, words }) => `${id} ${words}`);
+  #labels = new Labels(({ id, words }) => `${id}: ${words}`);
   #takenAt = 0; // when the newest tick came
   #measuredAt = []; // when the newest tick came that measured each robot
   #view = null;
