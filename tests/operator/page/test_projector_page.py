@@ -203,7 +203,7 @@ def test_an_operator_sees_who_shows_the_run_and_switches_it(browser: Chrome, sta
         page = Lit(browser, stand, fleet)
         items = "document.getElementById('projection-pages').innerText.replace(/\\s+/g, ' ').trim()"
         page.becomes(
-            f"{items} === 'main: no browser shows it (its page) raw: not calibrated: robofleet calibrate projector'"
+            f"{items} === 'main: no browser has it open (its page) raw: not calibrated: robofleet calibrate projector'"
         )
         assert httpx.get(page.run("return document.querySelector('#projection-pages a').href")).is_success
         projector.say(projector="main", size_px=[800, 600])

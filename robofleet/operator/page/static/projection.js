@@ -47,7 +47,7 @@ export class Projection {
       optics === null
         ? "not calibrated: robofleet calibrate projector"
         : open.length === 0
-          ? "no browser shows it"
+          ? "no browser has it open"
           : open.every(fits)
             ? "is shown"
             : `its browser shows ${open.find((page) => !fits(page)).size_px.join(" x ")} px: make it full-screen`;
