@@ -1,5 +1,6 @@
 """The commands of an operator to a run that is on."""
 
+import sys
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -262,11 +263,12 @@ def project(
 
     $ robofleet project platoon --projector left
 
-    It prints the address of an operator's page, too: there you switch what is shown.
+    It prints the address of the operator's page, too: there you switch what is shown.
     """
     need_extra("lab", *WEB_PACKAGES)
     from robofleet.operator.page.certificate import page_keys  # noqa: PLC0415
     from robofleet.operator.page.command import there  # noqa: PLC0415
+    from robofleet.operator.page.known_page import page_of  # noqa: PLC0415
     from robofleet.operator.page.projectors import background, calibrated  # noqa: PLC0415
 
     page_run = there(run, for_one_process)
@@ -276,10 +278,17 @@ def project(
         raise RefusedError("--kiosk shows the page on this computer: leave --host out")
     if kiosk and chosen[1:]:
         raise RefusedError("--kiosk opens one projector's page: name it with --projector")
-    with listening(host, port, "--host") as socket, ExitStack() as opened:
-        keys = page_keys(page_run.config.arena.name, host, "--host")
-        from robofleet.operator.page.process import by_hand, projected  # noqa: PLC0415
+    arena, own_port = page_run.config.arena.name, port or not is_local(host)
+    with ExitStack() as opened:
+        from robofleet.operator.page.process import by_hand, projected, until_over  # noqa: PLC0415
 
-        done, line = by_hand(page_run, socket, host, keys, partial(projected, chosen, opened if kiosk else None))
+        announce = partial(projected, chosen, opened if kiosk else None)
+        if page_run.run is not None and not own_port and (at := page_of(arena)) is not None:  # of `run --web`
+            print(announce(at), file=sys.stderr)
+            if kiosk:
+                until_over(page_run)
+            return
+        socket = opened.enter_context(listening(host, port, "--host"))
+        done, line = by_hand(page_run, socket, host, page_keys(arena, host, "--host"), announce)
     if line:
         raise typer.Exit(direct.answered(done, line))

@@ -40,11 +40,17 @@ class TokenAccess:
 
     def __init__(self, root: str, port: int) -> None:
         self._root, self._port = root, port
-        self._token, self._once = new_secret(), OneTimeToken()
+        self._token = new_secret()
+        self._once = deque([OneTimeToken()], _MOST_INVITED)
 
     def addresses(self) -> Addresses:
         """Return the address with the token, and the one for a browser's command line."""
-        return Addresses(f"{self._root}/?token={self._token}", _opening(self._root, self._once))
+        return Addresses(f"{self._root}/?token={self._token}", _opening(self._root, self._once[0]))
+
+    def another(self) -> str:
+        """Return one more address for a browser's command line."""
+        self._once.append(OneTimeToken())
+        return _opening(self._root, self._once[-1])
 
     def role(self, scope: Scope) -> str | None:
         """Return the operator's role for the token, of a POST in its header, else in its address; None: a stranger."""
@@ -56,7 +62,7 @@ class TokenAccess:
 
     def open(self, scope: Scope, shown: str) -> Response | None:
         """Return the answer to who shows a one-time token: on to the page; None where it is not good."""
-        if not self._once.take(shown, scope.get("client"), self._port):
+        if not any(token.take(shown, scope.get("client"), self._port) for token in self._once):
             return None
         return RedirectResponse(f"{_landing(scope)}token={self._token}", _SEE_OTHER)
 

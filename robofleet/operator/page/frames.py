@@ -306,7 +306,7 @@ def _rows(
 
 def _table(values: Array, digits: int) -> list[list[float | None]]:
     """Return numbers (N, C), rounded, row by row; what is not finite is not known."""
-    rows: list[list[float | None]] = np.round(values, digits).tolist()
+    rows: list[list[Any]] = np.round(values, digits).tolist()
     if np.isfinite(values).all():
         return rows
     return [[value if math.isfinite(value) else None for value in row] for row in rows]

@@ -13,13 +13,14 @@ from robofleet.bus.joining import joined
 from robofleet.bus.permissions import PAGE
 from robofleet.config.projectors import ProjectorSettings
 from robofleet.config.tree import Config
-from robofleet.core.clock import WallClock
+from robofleet.core.clock import S, WallClock
 from robofleet.core.refusal import RefusedError
 from robofleet.nodes.node import Lifeline
 from robofleet.operator.page.browser import open_page
 from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.command import Over, There, how_ended
 from robofleet.operator.page.ending import STAYS_MIN
+from robofleet.operator.page.known_page import forget, keep
 from robofleet.operator.page.page_address import Addresses, address_lines, projector_address
 from robofleet.operator.page.server import Served, serve
 from robofleet.operator.terminal.qr_code import qr_code
@@ -27,6 +28,7 @@ from robofleet.projection.display import DisplayError
 from robofleet.projection.kiosk import kiosk
 from robofleet.runs.companion import STAYS
 
+_LOOK_NS = S // 4
 _NICE = 5  # the page waits for the run, never the other way round
 _EXIT_WITHIN_S = STAYS_MIN * 60.0 + 5.0  # of the run's end, whatever happens
 _ANSWERS_WITHIN_S, _BEGINS_WITHIN_S = 1.5, 15.0  # a bus that nobody has started here; one that a launcher brings now
@@ -54,8 +56,19 @@ def of_run(
         line=lambda: lifeline.newest_line, launcher_lives=lambda: os.getppid() == launcher,
         stays=lambda: lifeline.say(STAYS),
     )  # fmt: skip
+    own: list[Addresses] = []
+
+    def ready(at: Addresses) -> None:
+        own.append(at)
+        keep(config.arena.name, at)
+        lifeline.ready(at.line())
+
     with closing(bus), lifeline.logged("web", config.arena.name):
-        asyncio.run(serve(served, listening, lambda at: lifeline.ready(at.line()), lambda: lifeline.by_signal))
+        try:
+            asyncio.run(serve(served, listening, ready, lambda: lifeline.by_signal))
+        finally:
+            for at in own:
+                forget(config.arena.name, at)
 
 
 def announced(at: Addresses, *, browser: bool) -> str:
@@ -82,6 +95,14 @@ def projected(chosen: Sequence[ProjectorSettings], opened: ExitStack | None, at:
     else:
         lines = [f"the projector {each.name}: {projector_address(at.viewer or at.page, each.name)}" for each in chosen]
     return "\n".join([*lines, f"switch what is shown on the operator's page: {at.page}"])
+
+
+def until_over(page_run: There) -> None:
+    """Wait for the end of a run, or for Ctrl-C."""
+    over, clock, lifeline = Over(page_run), WallClock(), Lifeline(None)
+    lifeline.ready("Ctrl-C closes it")
+    while not (over() or lifeline.cut):
+        clock.sleep_until(clock.now_ns() + _LOOK_NS)
 
 
 def by_hand(

@@ -150,6 +150,9 @@ def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
         address = access.invite(role)
         return JSONResponse({"role": role, "address": address, "code": await asyncio.to_thread(_code, address)})
 
+    async def once(_request: Request) -> Response:
+        return JSONResponse(access.another()) if isinstance(access, TokenAccess) else Response(status_code=404)
+
     async def report(_request: Request) -> Response:
         try:
             page = await asyncio.to_thread(read_plain, feed.folder / REPORT, _LARGEST_REPORT)
@@ -191,6 +194,7 @@ def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
             Route("/", index),
             Route("/index.html", index),
             Route("/invite/{role}", invite, methods=["POST"]),
+            Route("/once", once, methods=["POST"]),
             Route("/report", report),
             Route("/projector", projector),
             Route("/projector/background", background),

@@ -1,6 +1,7 @@
 """Projectors' pages at the server: who may open and switch them, what is told, and what stands in the way."""
 
 import json
+import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,6 +17,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.refusal import RefusedError
 from robofleet.operator.page import projectors
+from robofleet.operator.page.known_page import forget, keep, page_of
 from robofleet.operator.page.page_address import Addresses, projector_address
 from robofleet.operator.page.process import projected
 from robofleet.safety.supervisor import Event, Phase
@@ -87,8 +89,8 @@ def test_a_viewer_sees_a_projectors_page_and_switches_nothing(tmp_path: Path) ->
     ):
         viewer = Visitor(stand, trusting(tmp_path / "keys"))
         end.callback(viewer.client.close)
-        entering = viewer.enter(projector_address(stand.addresses.viewer, "main"))
-        assert "url=/projector?name=main" in entering.text
+        entering = viewer.enter(projector_address(stand.addresses.viewer, 'main">&x'))
+        assert 'url=/projector?name=main%22%3E%26x&amp;"' in entering.text
         assert viewer.client.get("/projector?name=main").status_code == 200
         page = end.enter_context(viewer.page())
         page.say(show=["large"])
@@ -100,16 +102,9 @@ def test_a_viewer_sees_a_projectors_page_and_switches_nothing(tmp_path: Path) ->
 
 
 def test_a_strangers_projector_is_refused(stand: WebStand) -> None:
+    assert httpx.post(f"http://{stand.authority}/once").status_code == 403
     for path in ("projector?name=main", "projector/background", "projector/veil/main"):
         assert httpx.get(f"http://{stand.authority}/{path}").status_code == 403
-
-
-def test_a_browsers_command_line_opens_the_projectors_page_once_and_no_other_place(stand: WebStand) -> None:
-    address = projector_address(stand.once, "main&token=1")  # a name that no configuration has
-    opened = httpx.get(address)
-    assert opened.status_code == 303
-    assert opened.headers["location"] == f"/projector?name=main%26token%3D1&token={stand.token}"
-    assert httpx.get(address).status_code == 403
 
 
 def test_a_tick_says_how_old_it_is(stand: WebStand) -> None:
@@ -154,6 +149,30 @@ def test_what_cannot_be_projected_is_refused_in_a_line(tmp_path: Path) -> None:
     for file, why in (tmp_path / "none.png", "No such file"), (tmp_path / "text.png", "is no image"):
         with pytest.raises(RefusedError, match=f"projection.background: .*{why}"):
             projectors.background(config(f"projection.background={file}"))
+
+
+def test_a_runs_page_is_found_while_it_is_served(stand: WebStand, monkeypatch: pytest.MonkeyPatch) -> None:
+    with tempfile.TemporaryDirectory() as folder:  # short: a socket's path stands there
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        assert page_of("platoon") is None
+        keep("platoon", stand.addresses)
+        known = page_of("platoon")
+        assert known is not None
+        assert known._replace(once=stand.once) == stand.addresses
+        address = projector_address(known.once, "main&token=1")  # a name that no configuration has
+        opened = httpx.get(address)
+        assert opened.status_code == 303
+        assert opened.headers["location"] == f"/projector?name=main%26token%3D1&token={stand.token}"
+        assert httpx.get(address).status_code == 403, "it opens once"
+        assert httpx.get(stand.once).status_code == 303
+        assert (Path(folder) / "robofleet" / "platoon.page").stat().st_mode & 0o077 == 0
+        gone = Addresses("http://127.0.0.1:9/?token=ab", "http://127.0.0.1:9/open?once=cd")
+        forget("platoon", gone)  # another run's
+        assert page_of("platoon") is not None
+        keep("platoon", gone)
+        assert page_of("platoon") is None, "nobody serves it"
+        forget("platoon", gone)
+        assert not (Path(folder) / "robofleet" / "platoon.page").exists()
 
 
 def test_the_command_says_what_to_open(monkeypatch: pytest.MonkeyPatch) -> None:
