@@ -280,16 +280,16 @@ def _rows(
 ) -> list[list[Any]]:
     ticks = None if hearing.controller_silent() or hearing.record is None else hearing.record
     texts = live_figures.told(groups, ticks)
-    told = np.array(() if ticks is None else ticks.robots).reshape(-1, len(RobotTick._fields))
+    numbers = np.array(() if ticks is None else ticks.robots).reshape(-1, len(RobotTick._fields))
     places, wheels, flags = (
-        _table(told[:, _PLACE], 4),
-        _table(told[:, _WHEELS], 2),
-        told[:, _FLAGS].astype(int).tolist(),
+        _table(numbers[:, _PLACE], 4),
+        _table(numbers[:, _WHEELS], 2),
+        numbers[:, _FLAGS].astype(int).tolist(),
     )
     references, figures = _table(texts.references, 4), _table(texts.figures, _FIGURE_DIGITS)
     rows: list[list[Any]] = []
     for row, (status, arrival_ns) in enumerate(hearing.robots):
-        record = None if ticks is None or row >= len(told) else ticks.robots[row]
+        record = None if ticks is None or row >= len(numbers) else ticks.robots[row]
         driven = row < len(references)
         rows.append([
             *(places[row] if record is not None and hearing.placed[row] else _standing(hearing, row)),

@@ -6,11 +6,11 @@ const WORDS = { [HALTED]: "halted", [LOST]: "lost", [LATCHED]: "latched" };
 
 export class Labels {
   #widths = new Map(); // half of each [px]; to measure is dear
-  #told;
+  #troubleWords;
 
-  /** `told` returns what is written of a robot in trouble. */
-  constructor(told = (robot) => `${robot.id} ${WORDS[robot.trouble]}`) {
-    this.#told = told;
+  /** `troubleWords` returns what is written of a robot in trouble. */
+  constructor(troubleWords = (robot) => `${robot.id} ${WORDS[robot.trouble]}`) {
+    this.#troubleWords = troubleWords;
   }
 
   /** The worst first, each where nothing is yet; one without a place is left out, but for a robot in trouble. */
@@ -24,7 +24,7 @@ export class Labels {
     });
     for (const robot of [...robots].sort((a, b) => b.trouble - a.trouble || a.row - b.row)) {
       const bad = robot.trouble >= HALTED;
-      const words = bad ? this.#told(robot) : robot.id;
+      const words = bad ? this.#troubleWords(robot) : robot.id;
       g.font = `${bad ? 700 : 600} 12px system-ui, sans-serif`;
       const half = this.#halfWidth(g, words);
       const around = places(view, robot, half);

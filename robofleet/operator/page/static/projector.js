@@ -97,11 +97,11 @@ function draw(now) {
   requestAnimationFrame(draw);
   periodMs += 0.1 * (Math.min(100, now - lastPicture) - periodMs);
   lastPicture = now;
-  const told = words(performance.now());
-  if (told !== state.words) document.getElementById("words").textContent = state.words = told;
-  canvas.hidden = told !== "";
+  const text = words(performance.now());
+  if (text !== state.words) document.getElementById("words").textContent = state.words = text;
+  canvas.hidden = text !== "";
   if (state.tick !== null && Math.abs(state.tick.seq - drawnSeq) >= ACK_TICKS) link.send({ ack: (drawnSeq = state.tick.seq) });
-  if (told !== "" || scene === null) return;
+  if (text !== "" || scene === null) return;
   const { tick } = state;
   const lateMs = tick === null ? 0 : (tick.age_ms ?? 0) + performance.now() - tickAt + SHOWN_PICTURES * periodMs;
   const aheadMs = Math.min(LONGEST_MS, lateMs + 1000 * scene.delay_s);
