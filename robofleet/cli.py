@@ -81,7 +81,7 @@ COMMANDS = (
     Row("keys list", "hosts.keys_commands", "listed"),
     *(Row(f"keys {name}", "hosts.keys_commands", name) for name in ("renew", "revoke", "bundle")),
     Row("join", "hosts.join_command", "join", _COMPUTERS),
-    *(Row(name, "operator.commands", name) for name in ("arm", "start", "hosts")),
+    *(Row(name, "operator.commands", name) for name in ("arm", "start", "project", "hosts")),
     *(Row(name, f"calibration.commands.{name}", name) for name in ("identify", "gap")),
     Row("layout", "reports.commands", "layout"),
     Row("schema", "operator.config_commands", "schema"),

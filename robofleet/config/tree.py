@@ -282,7 +282,7 @@ class Config(Model):
             The copy.
         """
         copy = super().model_copy(update=update, deep=deep)
-        for found in ("units", "unit_of", "_by_id"):
+        for found in ("units", "unit_of", "_by_id", "ids"):
             copy.__dict__.pop(found, None)
         return copy
 
@@ -428,7 +428,7 @@ class Config(Model):
         """Every robot, the groups' first: what stands in the arena, and the order in which its robots are numbered."""
         return (*self.members, *self.bystanders)
 
-    @property
+    @cached_property
     def ids(self) -> Roster:
         """The names of the bodies, in their order, and of their groups."""
         groups = {robot_id: group.title for group in self.groups for robot_id in group.robots}

@@ -1,15 +1,18 @@
 """The commands of an operator to a run that is on."""
 
+import sys
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from robofleet.core.refusal import WEB_PACKAGES, need_extra
+from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra
 from robofleet.core.valid_json import dumps
 from robofleet.operator import direct
 from robofleet.operator.node_commands import LifelineFd, for_one_process
-from robofleet.operator.page.page_address import LOOPBACK, listening
+from robofleet.operator.page.page_address import LOOPBACK, is_local, listening
 
 
 def running_names() -> list[str]:
@@ -177,29 +180,32 @@ def hosts(
         Console().print(asking.table(found))
 
 
+PageRun = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="ARENA|CONFIG",
+        help="The run's arena; not needed if only one run is on.",
+        autocompletion=running_names,
+        show_default=False,
+    ),
+]
+PagePort = Annotated[
+    int,
+    typer.Option(metavar="N", min=0, max=65535, show_default=False, help="Port of the page. Default: any free port."),
+]
+PageHost = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Serve the page at this address of the computer; for a phone, its address in the phone's network.",
+    ),
+]
+
+
 def web(
-    run: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="ARENA|CONFIG",
-            help="The run's arena; not needed if only one run is on.",
-            autocompletion=running_names,
-            show_default=False,
-        ),
-    ] = None,
-    port: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=0, max=65535, show_default=False, help="Port of the page. Default: any free port."
-        ),
-    ] = 0,
-    host: Annotated[
-        str,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Serve the page at this address of the computer; for a phone, its address in the phone's network.",
-        ),
-    ] = LOOPBACK,
+    run: PageRun = None,
+    port: PagePort = 0,
+    host: PageHost = LOOPBACK,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Print the page's address; open no browser.")
     ] = False,
@@ -231,8 +237,58 @@ def web(
     page_run = there(run, for_one_process)
     with listening(host, port, "--host") as socket:
         keys = page_keys(page_run.config.arena.name, host, "--host")
-        from robofleet.operator.page.process import by_hand  # noqa: PLC0415 - the server's packages take their time
+        from robofleet.operator.page.process import announced, by_hand  # noqa: PLC0415 - the server's packages take time
 
-        done, line = by_hand(page_run, socket, host, keys, browser=not no_browser)
+        done, line = by_hand(page_run, socket, host, keys, partial(announced, browser=not no_browser))
+    if line:
+        raise typer.Exit(direct.answered(done, line))
+
+
+def project(
+    run: PageRun = None,
+    name: Annotated[
+        str, typer.Option("--projector", metavar="NAME", help="Which projector. Default: each, by its own address.")
+    ] = "",
+    kiosk: Annotated[
+        bool, typer.Option("--kiosk", help="Open Chromium here, full-screen, where the projector is this computer's.")
+    ] = False,
+    port: PagePort = 0,
+    host: PageHost = LOOPBACK,
+) -> None:
+    """Show a run on the floor, by projectors that are calibrated.
+
+    It prints an address for each projector: open it in a browser on the projector's computer, and click the page once.
+
+    $ robofleet project --kiosk
+
+    $ robofleet project platoon --projector left
+
+    It prints the address of the operator's page, too: there you switch what is shown.
+    """
+    need_extra("lab", *WEB_PACKAGES)
+    from robofleet.operator.page.certificate import page_keys  # noqa: PLC0415
+    from robofleet.operator.page.command import there  # noqa: PLC0415
+    from robofleet.operator.page.known_page import page_of  # noqa: PLC0415
+    from robofleet.operator.page.projectors import background, calibrated  # noqa: PLC0415
+
+    page_run = there(run, for_one_process)
+    chosen = calibrated(page_run.config, name)
+    background(page_run.config)
+    if kiosk and not is_local(host):
+        raise RefusedError("--kiosk shows the page on this computer: leave --host out")
+    if kiosk and chosen[1:]:
+        raise RefusedError("--kiosk opens one projector's page: name it with --projector")
+    arena, own_port = page_run.config.arena.name, port or not is_local(host)
+    with ExitStack() as opened:
+        from robofleet.operator.page.process import by_hand, projected, until_over  # noqa: PLC0415
+
+        announce = partial(projected, chosen, opened if kiosk else None)
+        if page_run.run is not None and not own_port and (at := page_of(arena)) is not None:  # of `run --web`
+            print(announce(at), file=sys.stderr)
+            if kiosk:
+                until_over(page_run)
+            return
+        socket = opened.enter_context(listening(host, port, "--host"))
+        done, line = by_hand(page_run, socket, host, page_keys(arena, host, "--host"), announce)
     if line:
         raise typer.Exit(direct.answered(done, line))

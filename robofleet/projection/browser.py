@@ -6,11 +6,9 @@ or comes later gets the newest picture.
 
 import asyncio
 import json
-import shutil
 import socket
-import subprocess
-import tempfile
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +26,9 @@ from robofleet.config.projectors import ProjectorSettings
 from robofleet.core.arrays import Image
 from robofleet.core.clock import Clock
 from robofleet.projection.display import DisplayError
+from robofleet.projection.kiosk import kiosk
 
 _PAGE = Path(__file__).with_name("page.html")
-_CHROMIUMS = "chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 _DRAWN_WITHIN_S = 5.0
 _LARGEST_MESSAGE = 256  # of a page [bytes]
 _END_WITHIN_S = 5.0
@@ -46,7 +44,7 @@ class BrowserDisplay:
         self._png, self._number, self._drawn, self._drawn_ns = b"", 0, 0, 0
         self._size: tuple[int, int] | None = None  # of the page that is there [px]
         self._pages: set[WebSocket] = set()
-        self._kiosk: tuple[subprocess.Popen[bytes], tempfile.TemporaryDirectory[str]] | None = None
+        self._opened = ExitStack()  # a kiosk's browser
         try:
             listening = socket.create_server((projector.host, projector.port))
         except OSError as error:
@@ -72,17 +70,8 @@ class BrowserDisplay:
         self._thread.start()
 
     def kiosk(self) -> None:
-        """Open the page full-screen on this computer; DisplayError without a Chromium."""
-        chromium = next(filter(None, map(shutil.which, _CHROMIUMS)), None)
-        if chromium is None:
-            raise DisplayError(f"--kiosk: there is no Chromium here: open {self.address} in a browser, full-screen")
-        profile = tempfile.TemporaryDirectory(prefix="robofleet-kiosk-", ignore_cleanup_errors=True)
-        command = [chromium, "--kiosk", "--no-first-run", "--force-device-scale-factor=1"]
-        quiet = subprocess.DEVNULL
-        process = subprocess.Popen(
-            [*command, f"--user-data-dir={profile.name}", self.address], stdin=quiet, stdout=quiet, stderr=quiet
-        )
-        self._kiosk = process, profile
+        """Open the page full-screen on this computer; DisplayError without a Chromium or a screen."""
+        self._opened.enter_context(kiosk(self.address, (self._projector.width, self._projector.height)))
 
     def show(self, picture: Image) -> int:
         """Show a picture; returns when the page had drawn it."""
@@ -109,16 +98,7 @@ class BrowserDisplay:
         """End the page's server, and a kiosk's browser."""
         self._server.should_exit = True
         self._thread.join(_END_WITHIN_S)
-        if self._kiosk is not None:
-            process, profile = self._kiosk
-            process.terminate()
-            try:
-                process.wait(_END_WITHIN_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            profile.cleanup()
-            self._kiosk = None
+        self._opened.close()
 
     def _away(self, why: str) -> DisplayError:
         return DisplayError(f"projector {self._projector.name}: {why}")

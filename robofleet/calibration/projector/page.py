@@ -11,7 +11,7 @@ from robofleet.calibration.projector.measured import COLUMNS, ROWS, Found
 from robofleet.calibration.report import Report
 from robofleet.core.figures import COLOURS, INK, STYLE
 
-_BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", COLOURS[0]])
+_BLUES = LinearSegmentedColormap.from_list("blues", ["#cfe0f0", COLOURS[0]])  # white is not lit
 _SIZE = 7.0, 5.0  # [inch]
 _ARROW_SHARE = 0.08  # of the longest arrow, over the arena's width
 

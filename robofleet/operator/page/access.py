@@ -7,6 +7,7 @@ and for a viewer, and an operator's page makes more of them.
 
 import secrets
 from collections import deque
+from urllib.parse import quote
 
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -39,11 +40,17 @@ class TokenAccess:
 
     def __init__(self, root: str, port: int) -> None:
         self._root, self._port = root, port
-        self._token, self._once = new_secret(), OneTimeToken()
+        self._token = new_secret()
+        self._once = deque([OneTimeToken()], _MOST_INVITED)
 
     def addresses(self) -> Addresses:
         """Return the address with the token, and the one for a browser's command line."""
-        return Addresses(f"{self._root}/?token={self._token}", _opening(self._root, self._once))
+        return Addresses(f"{self._root}/?token={self._token}", _opening(self._root, self._once[0]))
+
+    def another(self) -> str:
+        """Return one more address for a browser's command line."""
+        self._once.append(OneTimeToken())
+        return _opening(self._root, self._once[-1])
 
     def role(self, scope: Scope) -> str | None:
         """Return the operator's role for the token, of a POST in its header, else in its address; None: a stranger."""
@@ -55,9 +62,9 @@ class TokenAccess:
 
     def open(self, scope: Scope, shown: str) -> Response | None:
         """Return the answer to who shows a one-time token: on to the page; None where it is not good."""
-        if not self._once.take(shown, scope.get("client"), self._port):
+        if not any(token.take(shown, scope.get("client"), self._port) for token in self._once):
             return None
-        return RedirectResponse(f"/?token={self._token}", _SEE_OTHER)
+        return RedirectResponse(f"{_landing(scope)}token={self._token}", _SEE_OTHER)
 
 
 class CookieAccess:
@@ -93,7 +100,8 @@ class CookieAccess:
     def open(self, scope: Scope, shown: str) -> Response | None:
         """Give a browser its cookie; one that has its cookie may open its address again."""
         # Not a redirection: a browser that came from another site would send no cookie of ours along.
-        page = HTMLResponse(TEMPLATES.get_template("entering.html").render(), 200, {"Content-Security-Policy": _POLICY})
+        entering = TEMPLATES.get_template("entering.html").render(page=_landing(scope))
+        page = HTMLResponse(entering, 200, {"Content-Security-Policy": _POLICY})
         for token in (*self._printed, *self._invited):
             if token.take(shown, scope.get("client"), self._port):
                 session = new_secret()
@@ -109,6 +117,12 @@ Access = TokenAccess | CookieAccess
 def new_secret() -> str:
     """Draw 128 bits."""
     return secrets.token_hex(16)
+
+
+def _landing(scope: Scope) -> str:
+    """Return the page that a one-time token opens: the operator's, or a projector's."""
+    name = HTTPConnection(scope).query_params.get("projector")
+    return "/?" if name is None else f"/projector?name={quote(name)}&"
 
 
 def _opening(root: str, token: OneTimeToken) -> str:

@@ -6,9 +6,10 @@ fewer. So nothing grows behind a slow page, and no other page waits for it.
 
 import asyncio
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from robofleet.bus.bus import Bus
 from robofleet.bus.keys import TICK
@@ -102,6 +103,9 @@ class Feed:
         self.hello = dumps(frames.hello(config, self._groups, folder))
         self._marks = [Marks() for _ in self._groups]  # of each group's scripts
         self.marked = 0  # changes of them
+        self.show: tuple[str, ...] = config.projection.show  # what projectors show
+        self.projectors = {projector.name for projector in config.projectors if projector.calibration is not None}
+        self.showings = 1  # changes of it, and of who shows it
         self.hearing = Hearing(config, bus, clock, self._wake)
         self.diary = Diary(config.ids)
         self.pages: set[Page] = set()
@@ -150,6 +154,16 @@ class Feed:
 
     def shapes(self) -> str:
         return dumps(frames.shapes(self._groups, [marks.shapes for marks in self._marks]), compact=True)
+
+    def showing(self) -> str:
+        return dumps(frames.showing(self.show, sorted(page.projects for page in self.pages if page.projects)))
+
+    def now_shows(self, show: Sequence[str] | None = None) -> None:
+        """Tell every page that something else is shown, or that somebody else shows it."""
+        self.show = self.show if show is None else tuple(show)
+        self.showings += 1
+        for page in self.pages:
+            page.wake()
 
     def _mark(self) -> None:
         marks = {group.name: own for group, own in zip(self._groups, self._marks, strict=True)}
@@ -203,6 +217,8 @@ class Page:
         self._pictured = "", 0  # camera and exposure of the newest picture sent
         self._ended: Frame | None = None  # that it was told
         self._left = False
+        self._showings = 0  # of the feed's that it was told
+        self.projects: tuple[str, tuple[int, int]] | None = None  # a projector's page: its name, its size [px]
         self.wants_picture = ""  # the camera's name; empty: none
 
     def wake(self) -> None:
@@ -212,11 +228,28 @@ class Page:
         self._answers.append(frame)
         self.wake()
 
+    def hear(self, request: Any) -> bool:
+        """Take what the page says of itself: what it draws, wants and is; returns whether that makes sense."""
+        match request:
+            case {"ack": int(seq)}:
+                self.drawn(seq)
+            case {"projector": str(name), "size_px": [int(width), int(height)]} if name in self._feed.projectors:
+                self.projects = name, (width, height)
+                self._feed.now_shows()
+            case {"picture": str() | False as wanted}:  # a camera's name
+                self.wants_picture = wanted or ""
+                self.wake()
+            case _:
+                return False
+        return True
+
     def drawn(self, seq: int) -> None:
         """Take note of a tick that the page has drawn, and with it all before."""
+        waits = len(self._undrawn) >= _MOST_UNDRAWN_TICKS
         while self._undrawn and self._undrawn[0][0] <= seq:
             self._undrawn.popleft()
-        self.wake()
+        if waits:
+            self.wake()
 
     def leave(self) -> None:
         """Let ``follow`` return, when what is owed is sent."""
@@ -249,6 +282,9 @@ class Page:
         if feed.marked != self._marked and feed.now_ns() - self._marked_ns >= _BEAT_NS:
             self._marked, self._marked_ns = feed.marked, feed.now_ns()
             yield feed.shapes()
+        if feed.showings != self._showings and feed.config.projectors:
+            self._showings = feed.showings
+            yield feed.showing()
         if feed.now_ns() - self._beat_ns >= _BEAT_NS:
             self._beat_ns = feed.now_ns()
             yield feed.beat()

@@ -9,17 +9,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from robofleet.behaviours.described import Group
 from robofleet.behaviours.interface import Dots, Figure, Pose, Shape, with_unit
 from robofleet.bus.keys import STATE, TICK
 from robofleet.bus.messages import FleetPoses, RobotStatus, RobotTick, RunState, TickRecord
 from robofleet.config import barrier, obstacles
 from robofleet.config.tree import Config
+from robofleet.core.arrays import Array
 from robofleet.core.clock import MS, S
 from robofleet.core.figures import robot_colours
 from robofleet.core.starting import Starting
 from robofleet.operator.hand import driven, drivers
 from robofleet.operator.page.hearing import Hearing, Shown
+from robofleet.operator.page.projectors import described, lit
 from robofleet.operator.page.words import ENDING, end_words, phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import WAYS, OnTheWay
@@ -37,6 +41,10 @@ COLUMNS = (
     "gate", "latch", "halted", "battery", "age_ms", "measured", "lost", "filtered", "to_go_m",
     "figures",
 )  # fmt: skip
+_PLACE, _WHEELS, _FLAGS = (
+    [RobotTick._fields.index(name) for name in names]
+    for names in (COLUMNS[:5], ("left_rad_s", "right_rad_s"), ("measured", "lost", "filtered"))
+)
 _LONGEST_LATENCY_MS = 1000.0  # two hosts' stamps give any number: more is no latency
 _FIGURE_DIGITS = 6
 
@@ -58,6 +66,9 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         "robots": [
             {**_robot(config, row), "colour": colour} for row, colour in enumerate(robot_colours(len(config.bodies)))
         ],
+        "projectors": list(described(config)),
+        "lit": list(lit(config)) if config.projectors else [],
+        "background": config.projection.background is not None,
         "groups": [
             {
                 "name": group.name,
@@ -88,6 +99,11 @@ def shapes(groups: Sequence[Group], marks: Sequence[Sequence[Shape]]) -> Frame:
     """Return what is drawn for each group, with its scripts' marks: it takes the place of what ``hello`` said."""
     both = zip(groups, marks, strict=True)
     return {"type": "shapes", "groups": [[_shape(line) for line in (*group.shapes, *body)] for group, body in both]}
+
+
+def showing(show: Sequence[str], pages: Sequence[tuple[str, tuple[int, int]]]) -> Frame:
+    """Return what projectors show, and which of them has a page that is open, of how many pixels."""
+    return {"type": "showing", "show": show, "pages": [{"name": name, "size_px": size} for name, size in pages]}
 
 
 def _places(places: Sequence[Pose | None]) -> list[list[float | None] | None]:
@@ -135,6 +151,7 @@ def tick(hearing: Hearing, config: Config, groups: Sequence[Group], seq: int, no
         "type": "tick",
         "seq": seq,
         "tick": 0 if hearing.record is None else hearing.record.tick,
+        "age_ms": None if hearing.record is None else _rounded((now_ns - hearing.record.stamp_ns) / MS, 1),
         "t_s": _rounded(hearing.reached_s if ending else hearing.t_s, 3),
         "clock_s": _rounded(hearing.clock.clock_s, 3),
         "phase": "ending" if ending else phase_name(state),
@@ -263,27 +280,36 @@ def _rows(
 ) -> list[list[Any]]:
     ticks = None if hearing.controller_silent() or hearing.record is None else hearing.record
     texts = live_figures.told(groups, ticks)
-    unknown = [None] * texts.figures.shape[1]
+    numbers = np.array(() if ticks is None else ticks.robots).reshape(-1, len(RobotTick._fields))
+    places, wheels, flags = (
+        _table(numbers[:, _PLACE], 4),
+        _table(numbers[:, _WHEELS], 2),
+        numbers[:, _FLAGS].astype(int).tolist(),
+    )
+    references, figures = _table(texts.references, 4), _table(texts.figures, _FIGURE_DIGITS)
     rows: list[list[Any]] = []
     for row, (status, arrival_ns) in enumerate(hearing.robots):
-        record = None if ticks is None or row >= len(ticks.robots) else ticks.robots[row]
-        driven, placed = row < len(texts.references), record is not None and hearing.placed[row]
+        record = None if ticks is None or row >= len(numbers) else ticks.robots[row]
+        driven = row < len(references)
         rows.append([
-            *(_place(record) if record is not None and placed else _standing(hearing, row)),
-            *([_rounded(value, 4) for value in texts.references[row]] if driven else [None] * 2),
-            *((_rounded(record.left_rad_s, 2), _rounded(record.right_rad_s, 2)) if record else [None] * 2),
+            *(places[row] if record is not None and hearing.placed[row] else _standing(hearing, row)),
+            *(references[row] if driven else (None, None)),
+            *(wheels[row] if record is not None else (None, None)),
             *_gate(status), own_state(state, row, record) or None, _battery(status),
             _age_ms(arrival_ns, now_ns),
-            *((int(record.measured), int(record.lost), int(record.filtered)) if record else [None] * 3),
+            *(flags[row] if record is not None else (None, None, None)),
             _rounded(to_go_m[row], 3) if driven else None,
-            [_rounded(value, _FIGURE_DIGITS) for value in texts.figures[row]] if driven else unknown,
+            figures[row] if driven else [None] * texts.figures.shape[1],
         ])  # fmt: skip
     return rows
 
 
-def _place(record: RobotTick) -> list[float | None]:
-    pose = record.x_m, record.y_m, record.psi_rad, record.point_x_m, record.point_y_m
-    return [_rounded(value, 4) for value in pose]
+def _table(values: Array, digits: int) -> list[list[float | None]]:
+    """Return numbers (N, C), rounded, row by row; what is not finite is not known."""
+    rows: list[list[Any]] = np.round(values, digits).tolist()
+    if np.isfinite(values).all():
+        return rows
+    return [[value if math.isfinite(value) else None for value in row] for row in rows]
 
 
 def _standing(hearing: Hearing, row: int) -> list[float | None]:

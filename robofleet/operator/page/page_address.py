@@ -4,7 +4,7 @@ import os
 import socket
 from collections.abc import Mapping
 from typing import NamedTuple, Self
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 from robofleet.core.refusal import RefusedError
 
@@ -30,6 +30,13 @@ class Addresses(NamedTuple):
         """Return what ``line`` has written; None where that is not all of it."""
         words = line.split()
         return cls(*words) if len(words) in (2, len(cls._fields)) else None
+
+
+def projector_address(page: str, name: str) -> str:
+    """Return the address of a projector's page, by an address of the operator's page or of a one-time token."""
+    if "/open?" in page:
+        return f"{page}&projector={quote(name)}"
+    return page.replace("/?", f"/projector?name={quote(name)}&", 1)
 
 
 def is_local(host: str) -> bool:

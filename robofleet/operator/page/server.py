@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 from weakref import WeakSet
 
 import segno
@@ -23,12 +23,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from robofleet.bus.bus import Bus
 from robofleet.bus.permissions import OPERATOR
+from robofleet.config.projectors import Shown
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock
 from robofleet.core.files import read_plain
 from robofleet.core.refusal import RefusedError
 from robofleet.operator.asking import ESTOP
 from robofleet.operator.hand import Hands, Stick
+from robofleet.operator.page import projectors
 from robofleet.operator.page.access import ROLES, Access, CookieAccess, TokenAccess, permits
 from robofleet.operator.page.certificate import PageKeys
 from robofleet.operator.page.connection_limiter import Complaints, Connection, ConnectionLimiter
@@ -42,6 +44,7 @@ from robofleet.operator.page.refused import TEMPLATES
 from robofleet.operator.page.tls_handshake import TlsHandshake
 from robofleet.operator.page.verdict import REPORT
 
+_SHOWN = frozenset(get_args(Shown))
 _PAGE = Path(__file__).parent / "static"
 _LARGEST_REPORT = 1 << 26  # [bytes]
 _OF_REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
@@ -132,6 +135,8 @@ async def serve(
 def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
     """Return what is behind the guard, which has given each request its role."""
 
+    veils: dict[str, bytes] = {}  # of projectors, by name: each is made once
+
     async def index(request: Request) -> Response:
         role = request.scope["role"] if isinstance(access, CookieAccess) else None
         return TEMPLATES.TemplateResponse(request, "index.html", {"role": role})
@@ -145,12 +150,33 @@ def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
         address = access.invite(role)
         return JSONResponse({"role": role, "address": address, "code": await asyncio.to_thread(_code, address)})
 
+    async def once(_request: Request) -> Response:
+        return JSONResponse(access.another()) if isinstance(access, TokenAccess) else Response(status_code=404)
+
     async def report(_request: Request) -> Response:
         try:
             page = await asyncio.to_thread(read_plain, feed.folder / REPORT, _LARGEST_REPORT)
         except OSError:
             return Response("This run has no report yet.", 404, media_type="text/plain")
         return Response(page, media_type="text/html", headers={"Content-Security-Policy": _OF_REPORT})
+
+    async def projector(request: Request) -> Response:
+        return TEMPLATES.TemplateResponse(request, "projector.html")
+
+    async def background(_request: Request) -> Response:
+        try:
+            image, kind = await asyncio.to_thread(projectors.background, feed.config)
+        except RefusedError as error:
+            return Response(str(error), 404, media_type="text/plain")
+        return Response(image, media_type=kind)
+
+    async def veil(request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in feed.projectors:
+            return Response(status_code=404)
+        if name not in veils:
+            veils[name] = await asyncio.to_thread(projectors.veil, feed.config, name)
+        return Response(veils[name], media_type="image/png")
 
     async def stop(_request: Request) -> Response:
         return JSONResponse(await controls.do(ESTOP))
@@ -168,7 +194,11 @@ def application(feed: Feed, controls: Controls, access: Access) -> Starlette:
             Route("/", index),
             Route("/index.html", index),
             Route("/invite/{role}", invite, methods=["POST"]),
+            Route("/once", once, methods=["POST"]),
             Route("/report", report),
+            Route("/projector", projector),
+            Route("/projector/background", background),
+            Route("/projector/veil/{name}", veil),
             Route("/estop", stop, methods=["POST"]),
             WebSocketRoute("/live", live),
             Mount("/", StaticFiles(directory=_PAGE)),
@@ -189,7 +219,7 @@ async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) ->
         page.tell(own_hands(hands.epochs))
     feed.pages.add(page)
     sender = asyncio.create_task(page.follow(link.send_text))
-    obeying = asyncio.create_task(_obey(link, page, controls, role, hands))
+    obeying = asyncio.create_task(_obey(link, feed, page, controls, role, hands))
     try:
         await asyncio.wait({sender, obeying}, return_when=asyncio.FIRST_COMPLETED)
         if obeying.done() and not obeying.result():
@@ -201,6 +231,8 @@ async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) ->
         pass
     finally:
         feed.pages.discard(page)
+        if page.projects:
+            feed.now_shows()
         if hands is not None:
             hands.let_go()
         for task in (sender, obeying):
@@ -208,7 +240,7 @@ async def _follow(link: WebSocket, feed: Feed, controls: Controls, role: str) ->
         await asyncio.gather(sender, obeying, return_exceptions=True)
 
 
-async def _obey(link: WebSocket, page: Page, controls: Controls, role: str, hands: Hands | None) -> bool:
+async def _obey(link: WebSocket, feed: Feed, page: Page, controls: Controls, role: str, hands: Hands | None) -> bool:
     """Do what a page says, as it says it; returns whether it made sense until it was closed."""
     while (message := await link.receive())["type"] != "websocket.disconnect":
         try:
@@ -228,12 +260,12 @@ async def _obey(link: WebSocket, page: Page, controls: Controls, role: str, hand
                     group, Stick(forward, turn, held), tick, out
                 ):
                     return False
-            case {"ack": int(seq)}:
-                page.drawn(seq)
-            case {"picture": str() | False as wanted}:  # a camera's name
-                page.wants_picture = wanted or ""
-                page.wake()
-            case _:
+            case {"show": list(show)} if set(map(str, show)) <= _SHOWN:
+                if permits(role, "show"):
+                    feed.now_shows(show)
+                else:
+                    page.tell(answer("show", False, _NOT_FOR_VIEWERS))
+            case _ if not page.hear(request):
                 return False
     return True
 

@@ -42,6 +42,8 @@ def show_as(browser: Chrome, size: tuple[int, int]) -> None:
     metrics: dict[str, Any] = {
         "width": width,
         "height": height,
+        "screenWidth": width,
+        "screenHeight": height,
         "deviceScaleFactor": 2 if phone else 1,
         "mobile": phone,
     }

@@ -10,7 +10,7 @@ from selenium.webdriver.common.by import By
 
 from robofleet.bus.messages import RobotTick
 from robofleet.safety.latches import GateStatus, Latch
-from robofleet.safety.supervisor import Event, Phase
+from robofleet.safety.supervisor import NOBODY, Event, Phase
 from tests.operator.page.browser import DESKTOP, show_as
 from tests.operator.page.webstand import WebStand, placed
 from tests.runs.realrun import wait
@@ -24,6 +24,7 @@ class Fleet:
     def __init__(self, stand: WebStand) -> None:
         self._stand, self._end = stand, threading.Event()
         self.phase, self.cause = Phase.RUNNING, Event.PROVED
+        self.robot = NOBODY  # who caused it
         self.supervised = self.controlled = True
         self.latched: set[str] = set()
         self.ticks = 0
@@ -32,7 +33,7 @@ class Fleet:
 
     def step(self) -> None:
         if self.supervised:
-            self._stand.say_state(self.phase, self.cause)
+            self._stand.say_state(self.phase, self.cause, self.robot)
         for robot in self._stand.robots:
             held = (GateStatus.LATCHED, Latch.EMERGENCY_STOP) if robot in self.latched else ()
             self._stand.say_status(robot, *held)

@@ -3,14 +3,10 @@
 import { drawFloor } from "./floor.js";
 import { Labels } from "./labels.js";
 import { Look } from "./look.js";
+import { Trails, drawAims, drawPlaces, drawRings } from "./motion.js";
 import { FINE, HALTED, LATCHED, LOST, SLOWED } from "./robots.js";
 import { arrow, circle, line } from "./shapes.js";
 import { View, dark, robotColours } from "./view.js";
-
-const TRAIL_EVERY = 3; // ticks
-const TRAIL_MS = 4000;
-const TRAIL_BANDS = 4; // of one opacity each
-const FEW = 20; // robots whose trails have their own colours; more share one stroke a band
 
 export class Arena {
   #floor = document.getElementById("arena-floor");
@@ -18,8 +14,7 @@ export class Arena {
   #stage = document.getElementById("arena-stage");
   #hello = null;
   #tick = null;
-  #trails = [];
-  #taken = 0;
+  #trails = new Trails();
   #labels = new Labels();
   #view = null;
   #colours = [];
@@ -36,7 +31,7 @@ export class Arena {
   begin(hello) {
     this.#hello = hello;
     document.body.classList.remove("aims");
-    this.#trails = hello.robots.map(() => []);
+    this.#trails = new Trails();
     const [width, height] = hello.arena.size_m;
     this.#stage.style.aspectRatio = `${width} / ${height}`;
     this.#look.begin(hello.arena.size_m);
@@ -53,22 +48,13 @@ export class Arena {
     if (this.#tick && robots.every((robot) => robot.x_m === null)) return;
     this.#tick = robots;
     if (robots.some((robot) => robot.reference_x_m !== null)) document.body.classList.add("aims");
-    if (this.#taken++ % TRAIL_EVERY === 0) this.#remember(robots);
+    this.#trails.take(robots);
     this.#drawRobots();
   }
 
   /** Where a place [m] is on the stage [CSS px]. */
   place(x_m, y_m) {
     return [this.#view.x(x_m), this.#view.y(y_m)];
-  }
-
-  #remember(robots) {
-    const now = performance.now();
-    for (const { row, x_m, y_m } of robots) {
-      const trail = this.#trails[row];
-      if (x_m !== null) trail.push([x_m, y_m, now]);
-      while (trail.length > 0 && trail[0][2] < now - TRAIL_MS) trail.shift();
-    }
   }
 
   // However many events of a wheel or a finger come: one picture a refresh of the screen.
@@ -105,81 +91,12 @@ export class Arena {
     const [g, view] = [this.#top.getContext("2d"), this.#view];
     const seen = this.#tick.filter((robot) => robot.x_m !== null);
     g.clearRect(0, 0, view.width, view.height);
-    drawTrails(g, view, this.#trails, this.#colours);
+    this.#trails.draw(g, view, this.#colours);
     drawPlaces(g, view, seen, this.#colours);
     drawAims(g, view, seen);
     drawBodies(g, view, seen, this.#colours);
     this.#labels.draw(g, view, seen);
   }
-}
-
-function drawTrails(g, view, trails, colours) {
-  g.lineWidth = 2;
-  if (trails.length > FEW) drawBands(g, view, trails, view.colour.accent);
-  else trails.forEach((trail, row) => drawBands(g, view, [trail], colours[row]));
-  g.globalAlpha = 1;
-}
-
-function drawBands(g, view, trails, colour) {
-  g.strokeStyle = colour;
-  for (let band = 0; band < TRAIL_BANDS; band++) {
-    g.globalAlpha = 0.5 * (1 - band / TRAIL_BANDS);
-    g.beginPath();
-    for (const trail of trails) {
-      const points = Math.ceil(trail.length / TRAIL_BANDS);
-      const end = trail.length - 1 - band * points;
-      for (let k = end, first = true; k >= 0 && k >= end - points; k--, first = false) {
-        const [x, y] = trail[k];
-        if (first) g.moveTo(view.x(x), view.y(y));
-        else g.lineTo(view.x(x), view.y(y));
-      }
-    }
-    g.stroke();
-  }
-}
-
-// Where each robot goes by itself that is not there yet: a dashed ring with a heading, and a straight line to it.
-function drawPlaces(g, view, robots, colours) {
-  g.lineWidth = 1.5;
-  for (const robot of robots) {
-    if (robot.place === null || robot.to_go_m === 0) continue;
-    const [x, y, psi] = [view.x(robot.place[0]), view.y(robot.place[1]), robot.place[2]];
-    const [u, v, r] = [view.x(robot.x_m), view.y(robot.y_m), view.radius(robot)];
-    g.strokeStyle = g.fillStyle = colours[robot.row];
-    g.setLineDash([3, 3]);
-    g.beginPath();
-    circle(g, x, y, r);
-    g.stroke();
-    g.globalAlpha = 0.4;
-    g.beginPath();
-    line(g, u, v, x, y);
-    g.stroke();
-    g.globalAlpha = 1;
-    g.setLineDash([]);
-    g.beginPath();
-    arrow(g, x, y, psi, 0.5 * r);
-    g.fill();
-  }
-}
-
-// From point p (a dot) to its reference (a cross).
-function drawAims(g, view, robots) {
-  g.strokeStyle = g.fillStyle = view.colour.ink;
-  g.lineWidth = 1;
-  g.beginPath();
-  const dots = new Path2D();
-  for (const robot of robots) {
-    const { point_x_m, point_y_m, reference_x_m, reference_y_m } = robot;
-    if (point_x_m === null || reference_x_m === null) continue;
-    const [px, py, rx, ry] = [view.x(point_x_m), view.y(point_y_m), view.x(reference_x_m), view.y(reference_y_m)];
-    const size = Math.min(4, view.radius(robot) / 2);
-    line(g, px, py, rx, ry);
-    line(g, rx - size, ry - size, rx + size, ry + size);
-    line(g, rx - size, ry + size, rx + size, ry - size);
-    circle(dots, px, py, size * 0.6);
-  }
-  g.stroke();
-  g.fill(dots);
 }
 
 // Each kind of trouble has a shape of its own: colour alone tells nothing. A robot without trouble has its own colour.
@@ -212,17 +129,6 @@ function drawOwn(g, view, robots, own) {
     circle(g, view.x(robot.x_m), view.y(robot.y_m), view.radius(robot));
     g.fill();
   }
-}
-
-function drawRings(g, view, robots, trouble) {
-  g.globalAlpha = trouble === FINE ? 0.6 : 1;
-  g.lineWidth = trouble === FINE ? 1 : 2.5;
-  g.beginPath();
-  for (const robot of robots) {
-    circle(g, view.x(robot.x_m), view.y(robot.y_m), robot.safety_radius_m * view.scale);
-  }
-  g.stroke();
-  g.globalAlpha = 1;
 }
 
 // Heading, or what stopped it: a cross for a latch, two bars for a halt.

@@ -16,7 +16,7 @@ export function drawFloor(g, view, hello) {
   g.clearRect(0, 0, width, height);
   g.fillStyle = view.colour.floor;
   g.fillRect(view.x(-w / 2), view.y(h / 2), w * scale, h * scale);
-  const grid = drawGrid(g, view, w, h);
+  const grid = drawGrid(g, view, hello.arena.size_m);
   g.strokeStyle = view.colour.muted;
   g.lineWidth = 1.5;
   g.strokeRect(view.x(-w / 2), view.y(h / 2), w * scale, h * scale);
@@ -25,7 +25,8 @@ export function drawFloor(g, view, hello) {
   drawScale(g, view, w, h, grid);
 }
 
-function drawGrid(g, view, w, h) {
+/** Draw a grid; returns its step [m], and what draws at each of its lines. */
+export function drawGrid(g, view, [w, h]) {
   const step = GRID_STEPS_M.find((m) => m * view.scale >= GRID_PX) ?? GRID_STEPS_M.at(-1);
   g.strokeStyle = view.colour.grid;
   g.lineWidth = 1;
@@ -64,8 +65,8 @@ function drawScale(g, view, w, h, { step, lines }) {
   });
 }
 
-// What stands on the floor, and the floor's own edge where it is no rectangle.
-function drawObstacles(g, view, { floor_m, obstacles }) {
+/** Draw what stands on the floor, and the floor's own edge where it is no rectangle. */
+export function drawObstacles(g, view, { floor_m, obstacles }) {
   g.strokeStyle = view.colour.muted;
   g.lineWidth = 1.5;
   if (floor_m) {
@@ -92,8 +93,9 @@ function outline(g, view, points) {
   g.closePath();
 }
 
-function drawShapes(g, view, hello) {
-  const own = robotColours(hello);
+/** Draw what is drawn on the floor for each group. */
+export function drawShapes(g, view, hello) {
+  const own = robotColours(hello, view.dark);
   const colours = groupColours(hello, own, view.colour.path);
   hello.groups.forEach(({ robots, shapes }, k) => {
     for (const shape of shapes) {
@@ -116,13 +118,13 @@ function drawLine(g, view, { points, closed, directed }) {
   if (closed) g.closePath();
   g.stroke();
   if (!directed || points.length < 2) return;
-  const arrowheads = new Path2D();
+  g.beginPath();
   for (let n = 0; n < Math.min(ARROWS, points.length - 1); n++) {
     const k = Math.floor((n * (points.length - 1)) / ARROWS);
     const [[x0, y0], [x1, y1]] = [points[k], points[k + 1]];
-    arrow(arrowheads, view.x(x0), view.y(y0), Math.atan2(y1 - y0, x1 - x0), 6);
+    arrow(g, view.x(x0), view.y(y0), Math.atan2(y1 - y0, x1 - x0), 6);
   }
-  g.fill(arrowheads);
+  g.fill();
 }
 
 // One of each robot has its colour.

@@ -6,6 +6,12 @@ const WORDS = { [HALTED]: "halted", [LOST]: "lost", [LATCHED]: "latched" };
 
 export class Labels {
   #widths = new Map(); // half of each [px]; to measure is dear
+  #troubleWords;
+
+  /** `troubleWords` returns what is written of a robot in trouble. */
+  constructor(troubleWords = (robot) => `${robot.id} ${WORDS[robot.trouble]}`) {
+    this.#troubleWords = troubleWords;
+  }
 
   /** The worst first, each where nothing is yet; one without a place is left out, but for a robot in trouble. */
   draw(g, view, robots) {
@@ -18,7 +24,7 @@ export class Labels {
     });
     for (const robot of [...robots].sort((a, b) => b.trouble - a.trouble || a.row - b.row)) {
       const bad = robot.trouble >= HALTED;
-      const words = bad ? `${robot.id} ${WORDS[robot.trouble]}` : robot.id;
+      const words = bad ? this.#troubleWords(robot) : robot.id;
       g.font = `${bad ? 700 : 600} 12px system-ui, sans-serif`;
       const half = this.#halfWidth(g, words);
       const around = places(view, robot, half);

@@ -8,25 +8,15 @@ import { Drive } from "./drive.js";
 import { Invitations } from "./invite.js";
 import { Legend } from "./legend.js";
 import { Link } from "./link.js";
+import { PHASES } from "./phases.js";
 import { Plots } from "./plots.js";
+import { Projection } from "./projection.js";
 import { LATCHED, robotsOf } from "./robots.js";
 import { RobotTables } from "./table.js";
 
 const LOOK_MS = 100;
 const FIGURES_MS = 200; // between two writings of what is read, not watched
 const EVENTS = 200; // kept in the list
-const PHASES = {
-  starting: "Starting",
-  idle: "Idle",
-  armed: "Arming",
-  positioning: "Going to start",
-  running: "Running",
-  parking: "Parking",
-  ending: "Ending",
-  hold: "HOLD",
-  fault: "FAULT",
-  estop: "EMERGENCY STOP",
-};
 const ENDED = "Ended";
 const id = (name) => document.getElementById(name);
 
@@ -36,7 +26,7 @@ const link = new Link((frame) => frames[frame.type]?.(frame));
 const [arena, tables, charts] = [new Arena(), new RobotTables(), new Charts()];
 const [legend, plots] = [new Legend(), new Plots()];
 const [controls, camera] = [new Controls(link), new Camera(link)];
-const drive = new Drive(link);
+const [drive, projection] = [new Drive(link), new Projection(link)];
 new Invitations();
 window.robofleet = { state, place: (x_m, y_m) => arena.place(x_m, y_m) };
 
@@ -46,7 +36,7 @@ let writtenAt = -Infinity;
 const frames = {
   hello(hello) {
     state.hello = hello;
-    for (const part of [arena, tables, charts, legend, plots, camera, drive]) part.begin(hello);
+    for (const part of [arena, tables, charts, legend, plots, camera, drive, projection]) part.begin(hello);
     id("events-list").replaceChildren();
     write("arena-name", hello.arena.name);
     write("config-name", hello.config);
@@ -70,7 +60,8 @@ const frames = {
   },
   hands: (hands) => drive.own(hands),
   event: addEvent,
-  answer: (answer) => controls.answered(answer),
+  showing: (showing) => projection.showing(showing),
+  answer: (answer) => (answer.to === "show" ? projection : controls).answered(answer),
   picture: (picture) => camera.draw(picture),
   ended: look,
 };

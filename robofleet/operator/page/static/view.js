@@ -2,7 +2,7 @@
 
 const MARGIN_PX = { left: 32, right: 14, top: 12, bottom: 24 }; // for the scale
 const LEAST_RADIUS_PX = 4;
-const COLOURS = ["floor", "grid", "ink", "muted", "accent", "on-accent", "amber", "red", "path"];
+export const COLOURS = ["floor", "grid", "ink", "muted", "accent", "on-accent", "amber", "red", "path"];
 
 export class View {
   #x;
@@ -17,6 +17,7 @@ export class View {
     this.#y = (height + top - bottom) / 2 + look.y_m * this.scale;
     [this.width, this.height] = [width, height];
     this.colour = coloursOfTheDay(COLOURS);
+    this.dark = dark.matches;
   }
 
   x(x_m) {
@@ -49,9 +50,9 @@ export function coloursOfTheDay(names) {
 const LIGHTER = 0.35; // on a dark ground: of the way to white
 
 /** Each robot's own colour, as the report has it; lighter where the ground is dark. */
-export function robotColours(hello) {
+export function robotColours(hello, onDark = dark.matches) {
   return hello.robots.map(({ colour }) => {
-    if (!dark.matches) return colour;
+    if (!onDark) return colour;
     const parts = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
     return `rgb(${parts.map((part) => Math.round(part + LIGHTER * (255 - part))).join()})`;
   });
