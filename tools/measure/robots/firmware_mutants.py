@@ -1,7 +1,7 @@
 """Do the tests see what changes in the firmware's gate and protocol? Mutants of the C sources, and their coverage.
 
-    python -m tools.firmware_mutants             # changes one thing at a time; prints the mutants that no test kills
-    python -m tools.firmware_mutants --coverage  # lines and branches that the tests run, by gcov
+    python -m tools.measure.robots.firmware_mutants             # changes one thing at a time; prints what no test notices
+    python -m tools.measure.robots.firmware_mutants --coverage  # lines and branches that the tests run, by gcov
 
 A mutant is one operator, number or condition that is another one, or one statement that is missing. Some mutants do
 what the original does: ``EQUIVALENT`` names them with the reason.
@@ -94,7 +94,7 @@ def survives(mutant: Mutant) -> bool:
 
 
 def _tested(sources: Path, cache: str) -> int:
-    import pytest  # noqa: PLC0415
+    import pytest
 
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(_PATIENCE_S)
@@ -109,7 +109,7 @@ def _tested(sources: Path, cache: str) -> int:
 
 def mutate(workers: int, only: str) -> int:
     """Print the survivors; return how many there are that are not known to be equivalent."""
-    import pytest  # noqa: F401, PLC0415
+    import pytest  # noqa: F401 - each child has it then
 
     sources = {file: (firmware_library.SOURCES / file).read_text() for file in MUTATED}
     found = [mutant for file in MUTATED if only in file for mutant in mutants(file, sources[file])]
@@ -147,7 +147,8 @@ def coverage() -> dict[str, tuple[float, float]]:
         )  # fmt: skip
     shares = {}
     for file in COVERED:
-        (found,) = re.findall(rf"File '[^']*/{file}'\nLines executed:([\d.]+)%.*\n.*\nTaken at least once:([\d.]+)%", done.stdout)
+        figures = rf"File '[^']*/{file}'\nLines executed:([\d.]+)%.*\n.*\nTaken at least once:([\d.]+)%"
+        (found,) = re.findall(figures, done.stdout)
         shares[file] = float(found[0]), float(found[1])
     return shares
 
