@@ -1,6 +1,6 @@
 """Do the tests see what changes in the firmware's gate and protocol? Mutants of the C sources, and their coverage.
 
-    python -m tools.measure.robots.firmware_mutants             # changes one thing at a time; prints what no test notices
+    python -m tools.measure.robots.firmware_mutants             # changes one thing at a time: what no test notices
     python -m tools.measure.robots.firmware_mutants --coverage  # lines and branches that the tests run, by gcov
 
 A mutant is one operator, number or condition that is another one, or one statement that is missing. Some mutants do
