@@ -144,13 +144,15 @@ static void listen(struct robot *r)
         const uint8_t length = rfp_receive(&r->receiver, byte);
         if (length > 0u) {
             take(r, r->receiver.bytes, length);
+            return; /* one frame a loop */
         }
     }
 }
 
+/* Counts at the newest tick, or so many ticks before it. */
 static uint16_t counts_ago(const struct robot *r, const struct wheel *w, uint8_t ticks)
 {
-    return w->window[(r->place + ROBOT_WINDOW - ticks) % ROBOT_WINDOW];
+    return w->window[(r->place + ROBOT_WINDOW - 1u - ticks) % ROBOT_WINDOW];
 }
 
 static int32_t output(const struct robot *r, enum board_side side)
@@ -182,7 +184,7 @@ static bool look(struct robot *r, enum board_side side)
     return r->now - w->rolled >= ROBOT_BLOCKED_MS;
 }
 
-static void drive(struct robot *r, enum board_side side)
+static void drive(struct robot *r, enum board_side side, bool due)
 {
     struct wheel *w = &r->wheels[side];
     const int32_t speed = output(r, side);
@@ -195,7 +197,7 @@ static void drive(struct robot *r, enum board_side side)
                            + clamp(behind, INT16_MAX) * (int32_t)r->gains.ki / 256;
     const int32_t duty = clamp(wanted, BOARD_FULL_DUTY);
 
-    if (wanted != duty && (wanted > 0) == (w->error > 0)) { /* it gives all it has: it will not catch up with more */
+    if (due && wanted != duty && (wanted > 0) == (w->error > 0)) { /* it gives all it has: it will not catch up with more */
         w->error -= step_counts - (int32_t)(int16_t)((uint16_t)w->counts - counts_ago(r, w, 1u)) * ONE_COUNT;
     }
     board_pwm(side, (int16_t)duty);
@@ -219,24 +221,21 @@ static void judge(struct robot *r, bool blocked)
     }
 }
 
-static void tick(struct robot *r)
+static void tick(struct robot *r, bool due)
 {
     struct gate_inputs nothing = {0};
-    const bool due = r->now - r->tick >= ROBOT_TICK_MS;
 
     if (due) {
         const bool left = look(r, BOARD_LEFT);
         const bool right = look(r, BOARD_RIGHT);
+        r->place = (uint8_t)((r->place + 1u) % ROBOT_WINDOW);
+        r->tick = r->now;
         judge(r, left || right);
     }
     step(r, &nothing);
-    if (due) {
-        if (!gate_stands(&r->gate)) {
-            drive(r, BOARD_LEFT);
-            drive(r, BOARD_RIGHT);
-        }
-        r->place = (uint8_t)((r->place + 1u) % ROBOT_WINDOW);
-        r->tick = r->now;
+    if (!gate_stands(&r->gate)) { /* in every millisecond: a command is not to wait for the encoders */
+        drive(r, BOARD_LEFT, due);
+        drive(r, BOARD_RIGHT, due);
     }
     if (r->now - r->status >= ROBOT_STATUS_MS) {
         r->status = r->now;
@@ -366,6 +365,7 @@ void robot_loop(struct robot *r)
 {
     const uint32_t begin = board_now_us();
     const uint32_t passed = begin - r->us;
+    bool due = false; /* the speed loops: the line waits for the next loop then, which keeps the longest one short */
 
     board_watchdog_kick();
     if (passed >= 1000u) {
@@ -375,12 +375,17 @@ void robot_loop(struct robot *r)
         if (r->now < GATE_VALID_MS) {
             r->now += GATE_VALID_MS; /* after 49.7 days; the gate takes it for a clock that was set back */
         }
-        listen(r);
-        tick(r);
-    } else {
+        due = r->now - r->tick >= ROBOT_TICK_MS;
+    }
+    if (!due) {
         listen(r);
     }
-    send(r);
+    if (passed >= 1000u) {
+        tick(r, due);
+    }
+    if (!due) {
+        send(r);
+    }
     memory_step(&r->memory);
     const uint32_t took = board_now_us() - begin;
     if (took > r->loop_us) {

@@ -1,7 +1,7 @@
 /* A robot's firmware without its board: bytes to frames, frames to the gate, the gate's output to the wheels.
  *
- * Every loop takes what arrived. Every millisecond the gate is stepped. Every 5 ms the encoders are read and the speed
- * loop of each wheel sets its motor:
+ * Every loop takes what arrived. Every millisecond the gate is stepped, and the speed loop of each wheel sets its motor.
+ * Every 5 ms the encoders are read:
  *
  *     duty = kff speed / 2^12 + (kp error_of_20_ms + ki error) / 2^8
  *
@@ -48,7 +48,7 @@ struct robot {
     uint32_t health;
     uint32_t lease_session; /* of the newest answer */
     uint16_t loop_us;
-    uint8_t place;    /* in the windows */
+    uint8_t place;    /* in the windows: of the oldest counts */
     uint8_t latch;    /* the robot's own reason to stop */
     uint8_t faults;   /* enum board_fault: those that last */
     uint8_t felt;     /* and those since the gate was latched */

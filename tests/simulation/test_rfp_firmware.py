@@ -171,6 +171,18 @@ def test_the_speed_loop_reaches_the_speeds_without_an_error_that_stays(bench: Be
     assert bench.board.counts[0] - status.left_count == pytest.approx(8.0 * 0.003 * COUNTS / 6.28, abs=10)
 
 
+def test_the_voltage_is_even_while_the_speed_is(bench: Bench) -> None:
+    """The loop runs every millisecond, and counts come every 5 ms."""
+    bench.drive(8.0, 8.0, 1000)
+    duties = []
+    for _ in range(10):
+        bench.send(*bench.motion(8.0, 8.0))
+        for _ in range(20):
+            bench.let_pass(1)
+            duties.append(bench.board.duty[0])
+    assert max(duties) - min(duties) < 40
+
+
 def test_a_motor_that_cannot_go_so_fast_does_not_catch_up_later(bench: Bench) -> None:
     bench.drive(12.0, 12.0, 200)
     bench.lag_s = 0.5

@@ -34,7 +34,7 @@ _SWAPS = {
     "!": ("",), "~": ("",), "?": ("&& 0 ?",),
 }  # fmt: skip
 _TOKEN = re.compile(
-    r"(?P<skip>/\*.*?\*/|'(?:\\.|[^'])*'|\"[^\"]*\"|->|^#include.*?$|^#(?:ifndef|endif|define \w+$).*?$)"
+    r"(?P<skip>/\*.*?\*/|'(?:\\.|[^'])*'|\"[^\"]*\"|->|0x\w{8}u|^#include.*?$|^#(?:ifndef|endif|define \w+$).*?$)"
     r"|(?P<number>\b(?:0x[0-9A-Fa-f]+|\d+)u?\b)|(?P<word>\btrue\b|\bfalse\b)"
     r"|(?P<operator><<|>>|<=|>=|==|!=|&&|\|\||\+\+|\+=|\^=|-=|[-<>+*/&|^!~?])",
     re.DOTALL | re.MULTILINE,
