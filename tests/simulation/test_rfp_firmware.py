@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -403,3 +404,19 @@ def test_bytes_of_the_memory_are_where_the_header_says(bench: Bench) -> None:
         "<BIII", bytes(bench.ffi.buffer(bench.board.eeprom))[slot : slot + 13]
     )
     assert (latch, latch_id, boot_id, sequence) == (Latch.EMERGENCY_STOP, 1, 1, 2)
+
+
+# Where it cannot be built.
+
+
+def test_a_computer_without_a_compiler_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(firmware_library.shutil, "which", lambda _: None)
+    with pytest.raises(firmware_library.NoCompilerError, match="NO C COMPILER: .* apt install gcc"):
+        firmware_library.firmware_library({})
+
+
+def test_a_robot_that_the_firmware_cannot_drive_is_not_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with pytest.raises(firmware_library.NoCompilerError, match="RFP_MAX_WHEEL_RAD_S: at most 63"):
+        firmware_library.firmware_library({"MAX_WHEEL_RAD_S": 100.0})
+    assert [*tmp_path.rglob("firmware*")] == []
