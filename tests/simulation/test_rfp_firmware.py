@@ -411,7 +411,7 @@ def test_bytes_of_the_memory_are_where_the_header_says(bench: Bench) -> None:
 
 def test_a_computer_without_a_compiler_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(firmware_library.shutil, "which", lambda _: None)
-    with pytest.raises(firmware_library.NoCompilerError, match="NO C COMPILER: .* apt install gcc"):
+    with pytest.raises(firmware_library.NoCompilerError, match=r"NO C COMPILER: .* apt install gcc"):
         firmware_library.firmware_library({})
 
 

@@ -63,9 +63,9 @@ class RfpFirmware:
         self._look(now_us)
         for _ in range(2):  # while it runs its speed loops it does not listen
             self._c.robot_loop(self.robot)
-        sent = -1
-        while self.board.received < self.board.arrived or self.board.sent != sent:
-            sent = self.board.sent
+        before = -1
+        while self.board.received < self.board.arrived or self.board.sent != before:
+            before = self.board.sent
             self._c.robot_loop(self.robot)
         gate = self.robot.gate
         standing = gate.output_left == gate.output_right == 0
