@@ -1,0 +1,150 @@
+"""An emulated Arduino: simavr's microcontroller with an L298 and two encoders on its pins. The binary is the one flashed.
+
+It is compiled at its first use, by this computer's compilers; nothing of it is loaded where it is not used.
+"""
+
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from enum import IntFlag
+from functools import cache
+from pathlib import Path
+
+from robofleet.core.errors import RobofleetError
+from robofleet.core.folders import kernels_folder
+
+CLOCK_HZ = 16_000_000
+FULL_VOLTAGE = 255  # of what the L298 can put on a motor
+_SHIM = Path(__file__).with_name("board.c")
+_MOST_BYTES_AT_ONCE = 4096
+_DONE, _CRASHED = 6, 7  # simavr: the program ended, or did what no program may do
+
+
+class NoAvrError(RobofleetError):
+    """Raised where the tools that emulate an Arduino are missing, or its firmware cannot be built."""
+
+
+class Reset(IntFlag):
+    """Why a microcontroller was reset: bits of its MCUSR."""
+
+    POWER_ON = 1
+    EXTERNAL = 2
+    BROWN_OUT = 4
+    WATCHDOG = 8
+
+
+class Board:
+    """One board, just switched on. It counts cycles of its microcontroller; it knows no other time."""
+
+    def __init__(self, image: Path, mcu: str, baud: int) -> None:
+        """Flash ``image`` (ELF) and switch it on."""
+        self._c = _library()
+        self._board = self._c.board_new(os.fsencode(image), mcu.encode(), baud)
+        if not self._board:
+            raise NoAvrError(f"{image}: simavr cannot run it on an {mcu}")
+        self._bytes = (ctypes.c_uint8 * _MOST_BYTES_AT_ONCE)()
+
+    def __del__(self) -> None:
+        if getattr(self, "_board", None):
+            self._c.board_free(self._board)
+
+    @property
+    def cycle(self) -> int:
+        """Cycles since it was switched on."""
+        return int(self._c.board_cycle(self._board))
+
+    @property
+    def resets(self) -> int:
+        """How often it was reset since."""
+        return int(self._c.board_resets(self._board))
+
+    @property
+    def overruns(self) -> int:
+        """Received bytes that it lost because it did not fetch them in time."""
+        return int(self._c.board_overruns(self._board))
+
+    @property
+    def voltages(self) -> tuple[int, int]:
+        """What the L298 puts on the motors, left and right, mean over a period of the PWM: +-``FULL_VOLTAGE``."""
+        return self._c.board_voltage(self._board, 0), self._c.board_voltage(self._board, 1)
+
+    @property
+    def eeprom(self) -> memoryview:
+        """Its EEPROM (1 KiB), which outlives every reset."""
+        return memoryview((ctypes.c_uint8 * 1024).from_address(self._c.board_eeprom(self._board))).cast("B")
+
+    @property
+    def memory(self) -> memoryview:
+        """Registers and RAM (2 KiB), at their addresses."""
+        return memoryview((ctypes.c_uint8 * 0x900).from_address(self._c.board_memory(self._board))).cast("B")
+
+    def run(self, cycles: int, left_counts: int = 0, right_counts: int = 0) -> None:
+        """Let it run; its encoders count meanwhile, at even distances. Forward is +."""
+        if self._c.board_run(self._board, cycles, left_counts, right_counts) in (_DONE, _CRASHED):
+            raise NoAvrError("the firmware has crashed: it sleeps without interrupts, or left its program")
+
+    def receive(self, data: bytes) -> None:
+        """Put bytes on the line to it; they arrive as its baud rate lets them."""
+        self._c.board_receive(self._board, data, len(data))
+
+    def transmitted(self) -> bytes:
+        """Return what its UART has sent since the last call."""
+        count = self._c.board_transmitted(self._board, self._bytes, _MOST_BYTES_AT_ONCE)
+        return bytes(self._bytes[:count])
+
+    def reset(self, causes: Reset, seed: int = 0) -> None:
+        """Reset it. Power that went away takes its memory with it: ``seed`` says what stands there then."""
+        self._c.board_reset(self._board, int(causes), seed)
+
+
+@cache
+def image(board: str, firmware: Path) -> Path:
+    """Return the ELF image of a board's firmware, built by the Makefile in its folder.
+
+    Raises:
+        NoAvrError: A tool is missing, or it cannot be built.
+    """
+    missing = [tool for tool in ("make", "avr-gcc") if shutil.which(tool) is None]
+    if missing:
+        raise NoAvrError(f"NO AVR: {' and '.join(missing)} missing: install Debian's gcc-avr, avr-libc and make")
+    sources = sorted(file for file in firmware.rglob("*") if file.suffix in (".c", ".h") or file.name == "Makefile")
+    return _built(f"{board}.elf", sources, lambda to: ["make", "-sC", str(firmware), board, f"BUILD={to}"])
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    if shutil.which("cc") is None:
+        raise NoAvrError("NO AVR: cc is missing: install Debian's gcc")
+    flags = ["-O2", "-shared", "-fPIC", str(_SHIM), "-lsimavr", "-o"]
+    c = ctypes.CDLL(str(_built("board.so", [_SHIM], lambda to: ["cc", *flags, str(to / "board.so")])))
+    c.board_new.restype = c.board_eeprom.restype = c.board_memory.restype = ctypes.c_void_p
+    c.board_cycle.restype = ctypes.c_uint64
+    c.board_transmitted.restype = c.board_resets.restype = c.board_overruns.restype = ctypes.c_uint32
+    board = ctypes.c_void_p
+    c.board_new.argtypes = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32]
+    for name in ("free", "cycle", "resets", "overruns", "eeprom", "memory"):
+        getattr(c, f"board_{name}").argtypes = [board]
+    c.board_run.argtypes = [board, ctypes.c_uint64, ctypes.c_int32, ctypes.c_int32]
+    c.board_receive.argtypes = [board, ctypes.c_char_p, ctypes.c_uint32]
+    c.board_transmitted.argtypes = [board, ctypes.c_void_p, ctypes.c_uint32]
+    c.board_reset.argtypes = [board, ctypes.c_uint8, ctypes.c_uint32]
+    c.board_voltage.argtypes = [board, ctypes.c_int]
+    return c
+
+
+def _built(name: str, sources: Sequence[Path], command: Callable[[Path], list[str]]) -> Path:
+    """Return a file that a command makes of sources into a folder; made once, and shared by content."""
+    content = hashlib.sha256(b"".join(file.name.encode() + file.read_bytes() for file in sources)).hexdigest()[:16]
+    folder = kernels_folder().with_name("avr") / content
+    if not (folder / name).exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder) as making:
+            done = subprocess.run(command(Path(making)), capture_output=True, text=True, check=False)
+            if done.returncode:
+                raise NoAvrError(f"NO AVR: {name} cannot be built: {done.stderr.strip().splitlines()[-1]}")
+            (Path(making) / name).replace(folder / name)
+    return folder / name
