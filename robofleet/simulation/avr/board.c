@@ -98,7 +98,8 @@ static void on_transmit(struct avr_irq_t *irq, uint32_t value, void *param) {
 
 static void set_pin(struct board *b, const struct pin *pin, int level) {
     avr_irq_t *irq = avr_io_getirq(b->avr, AVR_IOCTL_IOPORT_GETIRQ(pin->port), pin->bit);
-    irq->value = !level;                               /* else simavr may take the level for the one it had */
+    if (b->pins_lost)
+        irq->value = !level;                           /* else simavr takes it for the level that there was */
     avr_raise_irq(irq, level);
 }
 
@@ -145,8 +146,7 @@ struct board *board_new(const char *elf, const char *mcu, uint32_t baud) {
     avr_ioctl(b->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &no_flags);
     avr_irq_register_notify(avr_io_getirq(b->avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_transmit, b);
     b->avr->data[MCUSR] |= PORF;
-    for (int side = 0; side < 2; side++)
-        set_encoder(b, side);
+    b->pins_lost = 1;
     return b;
 }
 
