@@ -3,6 +3,7 @@
  * board.py compiles it against libsimavr. Times are cycles of the microcontroller (16 MHz).
  */
 #include <simavr/avr_eeprom.h>
+#include <simavr/avr_extint.h>
 #include <simavr/avr_ioport.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
@@ -142,6 +143,8 @@ struct board *board_new(const char *elf, const char *mcu, uint32_t baud) {
     for (avr_io_t *io = b->avr->io_port; io; io = io->next)
         if (!strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == '0')
             b->uart = (avr_uart_t *)io;
+    for (uint8_t i = 0; i < EXTINT_COUNT; i++)         /* else simavr looks at a pin that is low in every cycle */
+        avr_extint_set_strict_lvl_trig(b->avr, i, 0);
     uint32_t no_flags = 0;                             /* neither a copy on the console nor sleep while it polls */
     avr_ioctl(b->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &no_flags);
     avr_irq_register_notify(avr_io_getirq(b->avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_transmit, b);
@@ -184,6 +187,7 @@ int board_run(struct board *b, uint64_t cycles, int32_t left, int32_t right) {
         for (int side = 0; b->pins_lost && side < 2; side++)
             set_encoder(b, side);
         b->pins_lost = 0;
+        b->uart->cycles_per_byte = b->byte_cycles;     /* simavr takes 11 bits for a byte */
         uint64_t next = end, at[2];
         for (int side = 0; side < 2; side++) {
             int32_t total = abs(counts[side]);
@@ -208,6 +212,11 @@ int board_run(struct board *b, uint64_t cycles, int32_t left, int32_t right) {
         if (b->to_robot.count && b->rx_free <= now(b))
             receive_byte(b);
     }
+    for (int side = 0; side < 2; side++)               /* what it turned while nothing ran */
+        if (made[side] < abs(counts[side])) {
+            b->phase[side] += counts[side] > 0 ? abs(counts[side]) - made[side] : made[side] - abs(counts[side]);
+            b->pins_lost = 1;
+        }
     return b->avr->state;
 }
 

@@ -20,6 +20,7 @@ from robofleet.core.folders import kernels_folder
 CLOCK_HZ = 16_000_000
 FULL_VOLTAGE = 255  # of what the L298 can put on a motor
 _SHIM = Path(__file__).with_name("board.c")
+_FIRMWARE = Path(__file__).parents[2] / "drivers" / "firmware"
 _MOST_BYTES_AT_ONCE = 4096
 _DONE, _CRASHED = 6, 7  # simavr: the program ended, or did what no program may do
 
@@ -102,25 +103,25 @@ class Board:
 
 
 @cache
-def image(board: str, firmware: Path) -> Path:
-    """Return the ELF image of a board's firmware, built by the Makefile in its folder.
+def image(board: str, *flags: str) -> Path:
+    """Return the ELF image of a board's firmware, as ``make BOARD RFP=FLAGS`` in drivers/firmware builds it.
 
     Raises:
         NoAvrError: A tool is missing, or it cannot be built.
     """
-    missing = [tool for tool in ("make", "avr-gcc") if shutil.which(tool) is None]
-    if missing:
-        raise NoAvrError(f"NO AVR: {' and '.join(missing)} missing: install Debian's gcc-avr, avr-libc and make")
-    sources = sorted(file for file in firmware.rglob("*") if file.suffix in (".c", ".h") or file.name == "Makefile")
-    return _built(f"{board}.elf", sources, lambda to: ["make", "-sC", str(firmware), board, f"BUILD={to}"])
+    if missing := [tool for tool in ("make", "avr-gcc") if shutil.which(tool) is None]:
+        raise NoAvrError(f"NO AVR: no {' and no '.join(missing)} here: install Debian's gcc-avr, avr-libc and make")
+    sources = sorted(file for file in _FIRMWARE.rglob("*") if file.suffix in (".c", ".h") or file.name == "Makefile")
+    make = ["make", "-sC", str(_FIRMWARE), board, f"RFP={' '.join(flags)}"]
+    return _built(f"{board}.elf", sources, flags, lambda folder: [*make, f"BUILD={folder}"])
 
 
 @cache
 def _library() -> ctypes.CDLL:
     if shutil.which("cc") is None:
-        raise NoAvrError("NO AVR: cc is missing: install Debian's gcc")
-    flags = ["-O2", "-shared", "-fPIC", str(_SHIM), "-lsimavr", "-o"]
-    c = ctypes.CDLL(str(_built("board.so", [_SHIM], lambda to: ["cc", *flags, str(to / "board.so")])))
+        raise NoAvrError("NO AVR: no cc here: install Debian's gcc")
+    command = ["cc", "-O2", "-shared", "-fPIC", str(_SHIM), "-lsimavr", "-o"]
+    c = ctypes.CDLL(str(_built("board.so", [_SHIM], (), lambda folder: [*command, str(folder / "board.so")])))
     c.board_new.restype = c.board_eeprom.restype = c.board_memory.restype = ctypes.c_void_p
     c.board_cycle.restype = ctypes.c_uint64
     c.board_transmitted.restype = c.board_resets.restype = c.board_overruns.restype = ctypes.c_uint32
@@ -136,15 +137,16 @@ def _library() -> ctypes.CDLL:
     return c
 
 
-def _built(name: str, sources: Sequence[Path], command: Callable[[Path], list[str]]) -> Path:
+def _built(name: str, sources: Sequence[Path], flags: Sequence[str], command: Callable[[Path], list[str]]) -> Path:
     """Return a file that a command makes of sources into a folder; made once, and shared by content."""
-    content = hashlib.sha256(b"".join(file.name.encode() + file.read_bytes() for file in sources)).hexdigest()[:16]
-    folder = kernels_folder().with_name("avr") / content
+    parts = [*(part.encode() for part in flags), *(file.read_bytes() for file in sources)]
+    folder = kernels_folder().with_name("avr") / hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
     if not (folder / name).exists():
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder) as making:
             done = subprocess.run(command(Path(making)), capture_output=True, text=True, check=False)
             if done.returncode:
-                raise NoAvrError(f"NO AVR: {name} cannot be built: {done.stderr.strip().splitlines()[-1]}")
+                why = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
+                raise NoAvrError(f"NO AVR: {name} cannot be built: {why}")
             (Path(making) / name).replace(folder / name)
     return folder / name
