@@ -26,6 +26,15 @@ static bool target_stands(const struct gate *g)
     return g->target_left == 0 && g->target_right == 0;
 }
 
+/* Return way * reach / furthest. The wheel that has furthest to go needs no division, which an AVR has to compute. */
+static int32_t part(int32_t way, uint32_t reach, uint32_t furthest)
+{
+    if ((uint32_t)magnitude(way) == furthest) {
+        return way < 0 ? -(int32_t)reach : (int32_t)reach;
+    }
+    return (int32_t)((int64_t)way * (int64_t)reach / (int64_t)furthest);
+}
+
 /* Move the output towards the target by at most `reach`, along the straight line, and time a stop. */
 static void follow(struct gate *g, int16_t target_left, int16_t target_right, uint32_t reach, uint32_t now)
 {
@@ -38,8 +47,8 @@ static void follow(struct gate *g, int16_t target_left, int16_t target_right, ui
     const bool rested = stood && gate_stands(g);
 
     if (furthest > reach) {
-        g->output_left += (int32_t)((int64_t)left * (int64_t)reach / (int64_t)furthest);
-        g->output_right += (int32_t)((int64_t)right * (int64_t)reach / (int64_t)furthest);
+        g->output_left += part(left, reach, furthest);
+        g->output_right += part(right, reach, furthest);
     } else {
         g->output_left = end_left;
         g->output_right = end_right;
