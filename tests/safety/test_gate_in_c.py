@@ -1,0 +1,226 @@
+"""The gate in C (``drivers/firmware/gate.c``) does what ``safety/gate.py`` does, step by step, whatever comes.
+
+Its clock counts milliseconds from 120 on, its speeds are integers; here both gates get the same values. Every field of
+both states is then equal, but for the output's last bit: on its ramp C rounds to 2^-16 rad/s. Therefore Python goes on
+from C's output after each step. Where one ramp arrives and the other one is that bit short, it arrives a step later.
+"""
+
+import random
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robofleet.safety import gate, runaway
+from robofleet.safety.gate import GateState, Inputs
+from robofleet.safety.latches import Latch
+from robofleet.simulation.firmware_library import firmware_library
+from robofleet.vehicles.differential_drive import DifferentialDrive
+from tests.robots import GTERNAL
+
+MS, VALID_MS, WRAP = 1_000_000, 120, 2**32
+SPEED, OUTPUT = 2.0**-9, 2.0**-16  # [rad/s]
+# Not multiples of 100: 1 % more than these is no whole number, so that no float decides what is within.
+MAX_WHEEL, MAX_SUM, RAMP = 6413, 10253, 9831
+DRIVE = DifferentialDrive(
+    wheel_radius=2.0**-5, wheel_base=GTERNAL.wheel_base, max_wheel_speed=MAX_WHEEL * SPEED,
+    max_speed=MAX_SUM * SPEED * 2.0**-6, motor_lag=GTERNAL.motor_lag, max_wheel_acceleration=RAMP * OUTPUT * 1000.0,
+)  # fmt: skip
+LIMITS = (*(6413,) * 6, 2051, 301, 0, -1)
+SPEEDS = (0, 0, 2560, -6413, 6413, 6477, 6478, -6478, 5177, 5178, 303, 304, 2071, 2072, 32767, -32768)
+SESSIONS = (*(21,) * 12, 22, 0)
+WAITS = (0, 0, 1, 1, 2, 5, 5, 7, 20, 21, 33, 119, 120, 121, 1000, 5000)
+ACTIONS = (1, 1, 2, 3)
+
+_SPEEDS = {"left", "right", "limit", "target_left", "target_right"}
+_INSTANTS = {
+    "heard": "heard_ns", "command_nonce": "command_nonce", "enabled_nonce": "enabled_nonce", "at": "at_ns",
+    "since": "since_ns", "moved_by": "moved_by",
+}  # fmt: skip
+_SAME = ("boot_id", "epoch", "latch", "latch_id", "session", "seq", "enabled_seq", "refused", "status")
+
+
+@pytest.fixture(scope="module")
+def library() -> Any:
+    return firmware_library({})
+
+
+def ns(ms: int) -> int:
+    return (ms - VALID_MS) * MS
+
+
+class Pair:
+    """Both gates, on one clock."""
+
+    def __init__(self, library: Any, boot_id: int = 7, now: int = 100_000, latch: int = 0, latch_id: int = 0) -> None:
+        self.ffi, self.c = library
+        self.now, self.met = now, Counter[str]()
+        self.limits = self.ffi.new("struct gate_limits *", {"max_wheel": MAX_WHEEL, "max_sum": MAX_SUM, "max_ramp": RAMP})
+        self.in_c = self.ffi.new("struct gate *")
+        self.c.gate_init(self.in_c, boot_id, latch, latch_id, now)
+        self.state = GateState(boot_id=boot_id, latch=latch, latch_id=latch_id, heard_ns=ns(0), at_ns=ns(now))
+
+    def step(self, **inputs: int) -> None:
+        """Step both gates with inputs as C has them; every field must then be equal."""
+        in_c = self.ffi.new("struct gate_inputs *", inputs)
+        granted = self.c.gate_step(self.in_c, self.limits, in_c, self.now)
+        asked = gate.step(self.state, DRIVE, _in_python(inputs), ns(self.now))
+        self.met["steps"] += 1
+        self.met[f"status {self.state.status}"] += 1
+        self.met[f"granted {granted}"] += 1
+        assert granted == asked
+        self.compare()
+
+    def compare(self) -> None:
+        c, python = self.in_c, self.state
+        for name in _SAME:
+            assert getattr(c, name) == getattr(python, name), name
+        for name in _SPEEDS:
+            assert getattr(c, name) * SPEED == getattr(python, name), name
+        for name, other in _INSTANTS.items():
+            assert ns(getattr(c, name)) == getattr(python, other), name
+        assert _figure(c.target_after) == python.target_after_ns
+        same_arrival = True
+        for name in ("output_left", "output_right"):
+            exact, rounded = getattr(python, name), getattr(c, name) * OUTPUT
+            assert abs(exact - rounded) <= OUTPUT, name
+            same_arrival &= (exact == 0.0) == (rounded == 0.0)
+            setattr(python, name, rounded)
+        if not same_arrival:
+            self.met["arrived a step apart"] += 1
+            python.output_after_ns = _figure(c.output_after)
+        assert _figure(c.output_after) == python.output_after_ns
+        assert self.c.gate_stands(c) == (python.output_left == python.output_right == 0.0)
+
+    def command(self, rng: "Draw") -> dict[str, int]:
+        g = self.state
+        return {
+            "command": 1, "command_epoch": (g.epoch + rng.slip()) % 2**16, "command_session": rng.one(SESSIONS),
+            "command_seq": (g.seq + 1 + rng.slip()) % WRAP, "command_boot_id": g.boot_id + rng.slip(),
+            "command_nonce": self.nonce(rng), "command_left": rng.speed(), "command_right": rng.speed(),
+        }  # fmt: skip
+
+    def permission(self, rng: "Draw") -> dict[str, int]:
+        g = self.state
+        return {
+            "permission": 1, "permission_epoch": (g.epoch + rng.slip()) % 2**16,
+            "permission_seq": (g.enabled_seq + 1 + rng.slip()) % WRAP, "permission_boot_id": g.boot_id + rng.slip(),
+            "permission_nonce": self.nonce(rng), "permission_latch": rng.rarely(1, 2, 3),
+            "permission_clear": rng.one((0, g.latch_id, g.latch_id, g.latch_id + 1)), "permission_limit": rng.one(LIMITS),
+        }  # fmt: skip
+
+    def nonce(self, rng: "Draw") -> int:
+        return min(WRAP - 1, max(0, self.now - rng.one((*(0,) * 6, 1, 40, 40, 119, 120, 121, -1, self.now))))
+
+    def random_step(self, rng: "Draw") -> None:
+        """Let time pass, or not, and step with whatever comes; a permission and a command that fit are frequent."""
+        kind = rng.one(range(20))
+        if kind == 0 and rng.one(range(8)) == 0:
+            self.now = max(VALID_MS, self.now - rng.one((1, 5, 119, 5000)))
+        else:
+            self.now += rng.one(WAITS if kind < 4 else (0, 1, 5, 5))
+            if self.now >= WRAP:
+                self.now -= WRAP - VALID_MS  # as robot.c does
+        inputs = {"latch": rng.rarely(3, 4, 6, 7), "turning": rng.rarely(1)}
+        if kind >= 9:
+            inputs |= self.command(rng)
+        if kind >= 12 or kind == 1:
+            inputs |= self.permission(rng)
+        if rng.one(range(12)) == 0:
+            inputs |= {"lease": 1, "lease_session": rng.one(SESSIONS), "lease_action": rng.one(ACTIONS)}
+        self.step(**inputs)
+
+
+class Draw:
+    """Draws by a source of random numbers: ``pick(n)`` is one of 0 to n - 1."""
+
+    def __init__(self, pick: Any) -> None:
+        self.pick = pick
+
+    def one(self, values: Any) -> int:
+        return int(values[self.pick(len(values))])
+
+    def slip(self) -> int:
+        """Mostly 0."""
+        kind = self.pick(80)
+        return (1, -1)[kind] if kind < 2 else 0
+
+    def rarely(self, *values: int) -> int:
+        kind = self.pick(250)
+        return values[kind] if kind < len(values) else 0
+
+    def speed(self) -> int:
+        return self.one(SPEEDS) if self.pick(12) == 0 else self.pick(256) * 16 - 2000
+
+
+def _figure(ms: int) -> int:
+    return gate.UNKNOWN if ms == -1 else ms * MS
+
+
+def _in_python(inputs: dict[str, int]) -> Inputs:
+    values: dict[str, Any] = dict(inputs)
+    for name in ("command_left", "command_right", "permission_limit"):
+        if name in values:
+            values[name] *= SPEED
+    for name in ("command_nonce", "permission_nonce"):
+        if name in values:
+            values[name] = ns(values[name])
+    for name in ("command", "permission", "lease", "turning"):
+        values[name] = bool(values.get(name))
+    return Inputs(**values)
+
+
+def walk(library: Any, steps: int, seed: int) -> Counter[str]:
+    """Drive both gates at random; a gate lives for 2,000 steps, one of ten of them near the end of its clock."""
+    source = random.Random(seed)
+    rng, met = Draw(lambda n: int(source.random() * n)), Counter[str]()
+    for life in range(steps // 2000):
+        now = WRAP - 3000 if life % 10 == 9 else VALID_MS + source.randrange(10**6)
+        pair = Pair(library, source.randrange(2**31), now, source.choice((0, 0, 2, 6)), source.randrange(9))
+        for _ in range(2000):
+            pair.random_step(rng)
+        met += pair.met
+    return met
+
+
+@settings(max_examples=100, derandomize=True, deadline=None)
+@given(data=st.binary(max_size=1000))
+def test_both_gates_agree_in_whatever_hypothesis_draws(library: Any, data: bytes) -> None:
+    drawn = iter(data)
+    pair, rng = Pair(library), Draw(lambda n: next(drawn, 0) * n // 256)
+    for _ in range(30):
+        pair.random_step(rng)
+
+
+def test_both_gates_agree_at_random(library: Any) -> None:
+    met = walk(library, 40_000, seed=1)
+    assert min(met[f"status {status}"] for status in range(5)) > 400
+    assert min(met[f"granted {granted}"] for granted in (0, 1)) > 100
+    assert met["arrived a step apart"] < 40
+
+
+@pytest.mark.long
+def test_both_gates_agree_in_ten_million_steps(library: Any) -> None:
+    assert walk(library, 10_000_000, seed=2)["steps"] == 10_000_000
+
+
+def test_a_runaway_wheel_is_judged_as_in_python(library: Any) -> None:
+    ffi, c = library
+    source = random.Random(3)
+    found = 0
+    for _ in range(200):
+        now = since = looked = 1000
+        in_c = ffi.new("struct runaway *", {"since": now, "looked": now})
+        for _ in range(60):
+            now = max(0, now + source.choice((5, 20, 20, 40, 100, 101, -3) if source.random() < 0.1 else (20, 40)))
+            fastest, commanded = source.choice((0, 256, 257, 257, 900, 900, 900, 900)), source.random() < 0.02
+            fastest = 900 if source.random() < 0.9 else fastest
+            since = runaway.turning_since_ns(since * MS, looked * MS, commanded, fastest * SPEED, now * MS) // MS
+            looked = now
+            runs = c.runaway_look(in_c, commanded, fastest, now)
+            assert (in_c.since, in_c.looked, runs) == (since, now, runaway.runs(since * MS, now * MS))
+            found += runs
+    assert found > 100
