@@ -4,12 +4,14 @@ The plant's wheel-speed loops are the motors here: their setpoint is the voltage
 without load. The binary's own loop closes around them.
 """
 
+import math
+
 from robofleet.core.clock import S
 from robofleet.simulation.avr.board import CLOCK_HZ, FULL_VOLTAGE, Board, Reset, image
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
-_BAUD = 57600
+_BAUD = 115200
 _BOOT_NS = 1_000_000_000  # the boot loader waits for a new program for so long
 _NO_LOAD = 1.4  # assumed: a motor's speed without load at full voltage, relative to the robot's top speed
 
@@ -22,7 +24,7 @@ class ArduinoUnoFirmware:
 
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
-        self.board = Board(image("uno"), "atmega328p", _BAUD)
+        self.board = Board(image("uno", *flags(hardware)), "atmega328p", _BAUD)
         self._counts = hardware.counts
         self._start_ns: int | None = None  # when its cycles began; None: with its first call
         self._ready_ns = 0
@@ -58,3 +60,16 @@ class ArduinoUnoFirmware:
         per_unit = _NO_LOAD * self._hardware.drive.max_wheel_speed / FULL_VOLTAGE
         left, right = self.board.voltages
         self._hardware.command = WheelSpeeds(left * per_unit, right * per_unit) if left or right else STOP
+
+
+def flags(hardware: Hardware) -> list[str]:
+    """Return what is built into the firmware of a robot, as drivers/firmware/config.h names it."""
+    drive = hardware.drive
+    built_in = {
+        "COUNTS_PER_TURN": math.tau / hardware.radians_per_count,
+        "WHEEL_RADIUS_M": drive.wheel_radius,
+        "MAX_WHEEL_RAD_S": drive.max_wheel_speed,
+        "MAX_SPEED_M_S": drive.max_speed,
+        "MAX_ACCELERATION_RAD_S2": drive.max_wheel_acceleration,
+    }
+    return [f"-DRFP_{name}={float(value):.9g}" for name, value in built_in.items()]
