@@ -8,12 +8,14 @@
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
+#include <simavr/sim_io.h>
 #include <stdlib.h>
 #include <string.h>
 
 DEFINE_FIFO(uint16_t, uart_fifo);
 
 enum { LINE_BYTES = 4096, UART_DEPTH = 2, MCUSR = 0x54, PORF = 1, BORF = 4, CLEAR_ON_MATCH = 2 };
+enum { EEPROM_BYTES = 1024, EECR = 0x3f, EEPE = 2, EEARL = 0x41, EEARH = 0x42, EEPROM_CYCLES = 54400 /* 3.4 ms */ };
 
 struct pin {
     char port;
@@ -60,6 +62,9 @@ struct board {
     uint32_t byte_cycles;
     uint8_t phase[2];                    /* of the encoders, in quarters of a period */
     uint32_t overruns, resets;
+    uint8_t *eeprom, cells[EEPROM_BYTES]; /* what the cells had before the write that goes on */
+    uint8_t worn[EEPROM_BYTES];          /* cells that take no write any more */
+    int writing;                         /* address of the cell; -1: none */
     int pins_lost;                       /* by a reset: the encoders have not been set again yet */
 };
 
@@ -97,6 +102,28 @@ static void on_transmit(struct avr_irq_t *irq, uint32_t value, void *param) {
     put(&b->to_host, (uint8_t)value, now(b) + b->byte_cycles);
 }
 
+static avr_cycle_count_t written(avr_t *avr, avr_cycle_count_t when, void *param) {
+    struct board *b = param;
+    (void)when;
+    b->writing = -1;
+    avr->data[EECR] &= ~EEPE;
+    return 0;
+}
+
+/* simavr writes a cell at once; a real one takes its time. */
+static void on_eeprom(struct avr_irq_t *irq, uint32_t value, void *param) {
+    struct board *b = param;
+    (void)irq;
+    if (!(value & EEPE) || b->writing >= 0)
+        return;
+    b->writing = (b->avr->data[EEARL] | b->avr->data[EEARH] << 8) % EEPROM_BYTES;
+    if (b->worn[b->writing])
+        b->eeprom[b->writing] = b->cells[b->writing];
+    b->cells[b->writing] = b->eeprom[b->writing];
+    b->avr->data[EECR] |= EEPE;
+    avr_cycle_timer_register(b->avr, EEPROM_CYCLES, written, b);
+}
+
 static void set_pin(struct board *b, const struct pin *pin, int level) {
     avr_irq_t *irq = avr_io_getirq(b->avr, AVR_IOCTL_IOPORT_GETIRQ(pin->port), pin->bit);
     if (b->pins_lost)
@@ -115,6 +142,7 @@ static void set_encoder(struct board *b, int side) {
 static void on_reset(avr_t *avr) {
     struct board *b = avr->custom.data;
     b->resets++;
+    b->writing = -1;
     b->pins_lost = 1;
     if (b->reset)
         b->reset(avr);
@@ -148,6 +176,12 @@ struct board *board_new(const char *elf, const char *mcu, uint32_t baud) {
     uint32_t no_flags = 0;                             /* neither a copy on the console nor sleep while it polls */
     avr_ioctl(b->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &no_flags);
     avr_irq_register_notify(avr_io_getirq(b->avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_transmit, b);
+    avr_irq_register_notify(avr_iomem_getirq(b->avr, EECR, NULL, AVR_IOMEM_IRQ_ALL), on_eeprom, b);
+    avr_eeprom_desc_t whole = {.ee = NULL, .offset = 0, .size = 0};
+    avr_ioctl(b->avr, AVR_IOCTL_EEPROM_GET, &whole);
+    b->eeprom = whole.ee;
+    memcpy(b->cells, b->eeprom, EEPROM_BYTES);
+    b->writing = -1;
     b->avr->data[MCUSR] |= PORF;
     b->pins_lost = 1;
     return b;
@@ -158,8 +192,11 @@ void board_free(struct board *b) {
     free(b);
 }
 
-/* Reset it for the causes, bits of MCUSR. Power that was too low (BORF) spoils its memory too, by `seed`. */
+/* Reset it for the causes, bits of MCUSR. Where its power was too low, `seed` says what then stands in its memory, and
+ * in the cell of the EEPROM that was being written. */
 void board_reset(struct board *b, uint8_t causes, uint32_t seed) {
+    if (causes & (PORF | BORF) && b->writing >= 0)
+        b->eeprom[b->writing] = b->cells[b->writing] = seed;
     avr_reset(b->avr);
     b->avr->data[MCUSR] = causes;
     if (causes & (PORF | BORF))
@@ -252,8 +289,6 @@ uint32_t board_resets(const struct board *b) { return b->resets; }
 uint32_t board_overruns(const struct board *b) { return b->overruns; }
 uint8_t *board_memory(struct board *b) { return b->avr->data; }
 
-uint8_t *board_eeprom(struct board *b) {
-    avr_eeprom_desc_t whole = {.ee = NULL, .offset = 0, .size = 0};
-    avr_ioctl(b->avr, AVR_IOCTL_EEPROM_GET, &whole);
-    return whole.ee;
-}
+uint8_t *board_flash(struct board *b) { return b->avr->flash; }
+uint8_t *board_eeprom(struct board *b) { return b->eeprom; }
+uint8_t *board_worn(struct board *b) { return b->worn; }

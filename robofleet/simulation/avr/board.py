@@ -48,6 +48,15 @@ class Board:
         if not self._board:
             raise NoAvrError(f"{image}: simavr cannot run it on an {mcu}")
         self._bytes = (ctypes.c_uint8 * _MOST_BYTES_AT_ONCE)()
+        self.eeprom = self._view("eeprom", 1024)
+        self.worn = self._view("worn", 1024)  # not 0: this cell of the EEPROM takes no write any more
+        self.memory = self._view("memory", 0x900)  # registers and RAM
+        self.flash = self._view("flash", 0x8000)
+
+    def _view(self, what: str, size: int) -> memoryview:
+        """Return bytes of the board itself, which whoever tests it may change."""
+        start = getattr(self._c, f"board_{what}")(self._board)
+        return memoryview((ctypes.c_uint8 * size).from_address(start)).cast("B")
 
     def __del__(self) -> None:
         if getattr(self, "_board", None):
@@ -72,16 +81,6 @@ class Board:
     def voltages(self) -> tuple[int, int]:
         """What the L298 puts on the motors, left and right, mean over a period of the PWM: +-``FULL_VOLTAGE``."""
         return self._c.board_voltage(self._board, 0), self._c.board_voltage(self._board, 1)
-
-    @property
-    def eeprom(self) -> memoryview:
-        """Its EEPROM (1 KiB), which outlives every reset."""
-        return memoryview((ctypes.c_uint8 * 1024).from_address(self._c.board_eeprom(self._board))).cast("B")
-
-    @property
-    def memory(self) -> memoryview:
-        """Registers and RAM (2 KiB), at their addresses."""
-        return memoryview((ctypes.c_uint8 * 0x900).from_address(self._c.board_memory(self._board))).cast("B")
 
     def run(self, cycles: int, left_counts: int = 0, right_counts: int = 0) -> None:
         """Let it run; its encoders count meanwhile, at even distances. Forward is +."""
@@ -122,12 +121,13 @@ def _library() -> ctypes.CDLL:
         raise NoAvrError("NO AVR: no cc here: install Debian's gcc")
     command = ["cc", "-O2", "-shared", "-fPIC", str(_SHIM), "-lsimavr", "-o"]
     c = ctypes.CDLL(str(_built("board.so", [_SHIM], (), lambda folder: [*command, str(folder / "board.so")])))
-    c.board_new.restype = c.board_eeprom.restype = c.board_memory.restype = ctypes.c_void_p
+    for name in ("new", "eeprom", "worn", "memory", "flash"):
+        getattr(c, f"board_{name}").restype = ctypes.c_void_p
     c.board_cycle.restype = ctypes.c_uint64
     c.board_transmitted.restype = c.board_resets.restype = c.board_overruns.restype = ctypes.c_uint32
     board = ctypes.c_void_p
     c.board_new.argtypes = [ctypes.c_char_p, ctypes.c_char_p, ctypes.c_uint32]
-    for name in ("free", "cycle", "resets", "overruns", "eeprom", "memory"):
+    for name in ("free", "cycle", "resets", "overruns", "eeprom", "worn", "memory", "flash"):
         getattr(c, f"board_{name}").argtypes = [board]
     c.board_run.argtypes = [board, ctypes.c_uint64, ctypes.c_int32, ctypes.c_int32]
     c.board_receive.argtypes = [board, ctypes.c_char_p, ctypes.c_uint32]
