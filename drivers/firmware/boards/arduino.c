@@ -145,6 +145,7 @@ ISR(WDT_vect)
     board_pwm(BOARD_RIGHT, 0);
     bitten = BITTEN;
     wdt_enable(WDTO_15MS);
+    wdt_reset();
     for (;;) { /* until it resets */
     }
 }

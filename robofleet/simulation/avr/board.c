@@ -39,11 +39,11 @@ static const struct wiring wirings[] = {
          {'D', 2}, {'D', 3}},
         {{'B', 1, 0x24, 0x25, 0x80, 0x88, 6}, {'D', 5, 0x2a, 0x2b, 0x44, 0x48, 4}, {'B', 4, 0x24, 0x25},
          {'C', 4}, {'C', 5}}}},
-    {"atmega2560", {                     /* Mega: pins 10, 6, 13, 2, 3; 9, 5, 12, 18, 19 */
+    {"atmega2560", {                     /* Mega: pins 10, 6, 13, 2, 3; 9, 5, 12, 19, 18 */
         {{'B', 4, 0x24, 0x25, 0xb0, 0xb3, 6}, {'H', 3, 0x101, 0x102, 0xa0, 0xa8, 6}, {'B', 7, 0x24, 0x25},
          {'E', 4}, {'E', 5}},
         {{'H', 6, 0x101, 0x102, 0xb0, 0xb4, 4}, {'E', 3, 0x2d, 0x2e, 0x90, 0x98, 6}, {'B', 6, 0x24, 0x25},
-         {'D', 3}, {'D', 2}}}},
+         {'D', 2}, {'D', 3}}}},
 };
 
 struct queue {
@@ -55,6 +55,7 @@ struct queue {
 struct board {
     avr_t *avr;
     avr_uart_t *uart;
+    avr_ioport_t *ports[2];              /* of the encoders, both pins of each */
     const struct wiring *wiring;
     struct queue to_robot, to_host;
     void (*reset)(struct avr_t *avr);    /* simavr's own */
@@ -124,8 +125,11 @@ static void on_eeprom(struct avr_irq_t *irq, uint32_t value, void *param) {
     avr_cycle_timer_register(b->avr, EEPROM_CYCLES, written, b);
 }
 
-static void set_pin(struct board *b, const struct pin *pin, int level) {
-    avr_irq_t *irq = avr_io_getirq(b->avr, AVR_IOCTL_IOPORT_GETIRQ(pin->port), pin->bit);
+static void set_pin(struct board *b, avr_ioport_t *port, const struct pin *pin, int level) {
+    avr_irq_t *irq = port->io.irq + pin->bit;
+    const uint8_t mask = 1 << pin->bit;
+    port->external.pull_mask |= mask;                  /* else simavr lets a pull-up win */
+    port->external.pull_value = (port->external.pull_value & ~mask) | level << pin->bit;
     if (b->pins_lost)
         irq->value = !level;                           /* else simavr takes it for the level that there was */
     avr_raise_irq(irq, level);
@@ -133,9 +137,9 @@ static void set_pin(struct board *b, const struct pin *pin, int level) {
 
 static void set_encoder(struct board *b, int side) {
     const struct wheel *w = &b->wiring->wheels[side];
-    unsigned phase = b->phase[side] & 3;               /* A leads B while the wheel turns forward */
-    set_pin(b, &w->a, phase == 1 || phase == 2);
-    set_pin(b, &w->b, phase >= 2);
+    const unsigned phase = b->phase[side] & 3;         /* A leads B while the wheel turns forward */
+    set_pin(b, b->ports[side], &w->a, phase == 1 || phase == 2);
+    set_pin(b, b->ports[side], &w->b, phase >= 2);
 }
 
 /* simavr calls it at each reset, whatever the cause, before it resets its ports. */
@@ -168,6 +172,10 @@ struct board *board_new(const char *elf, const char *mcu, uint32_t baud) {
     b->reset = b->avr->reset;
     b->avr->reset = on_reset;
     b->byte_cycles = 10 * 16000000 / baud;
+    for (avr_io_t *io = b->avr->io_port; io; io = io->next)
+        for (int side = 0; side < 2; side++)
+            if (!strcmp(io->kind, "port") && ((avr_ioport_t *)io)->name == b->wiring->wheels[side].a.port)
+                b->ports[side] = (avr_ioport_t *)io;
     for (avr_io_t *io = b->avr->io_port; io; io = io->next)
         if (!strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == '0')
             b->uart = (avr_uart_t *)io;

@@ -21,6 +21,7 @@ CLOCK_HZ = 16_000_000
 FULL_VOLTAGE = 255  # of what the L298 can put on a motor
 _SHIM = Path(__file__).with_name("board.c")
 _FIRMWARE = Path(__file__).parents[2] / "drivers" / "firmware"
+_MCUS = {"uno": b"atmega328p", "mega": b"atmega2560"}
 _MOST_BYTES_AT_ONCE = 4096
 _DONE, _CRASHED = 6, 7  # simavr: the program ended, or did what no program may do
 
@@ -41,12 +42,12 @@ class Reset(IntFlag):
 class Board:
     """One board, just switched on. It counts cycles of its microcontroller; it knows no other time."""
 
-    def __init__(self, image: Path, mcu: str, baud: int) -> None:
-        """Flash ``image`` (ELF) and switch it on."""
+    def __init__(self, name: str, image: Path, baud: int) -> None:
+        """Flash ``image`` (ELF) and switch it on. ``name``: ``uno`` or ``mega``."""
         self._c = _library()
-        self._board = self._c.board_new(os.fsencode(image), mcu.encode(), baud)
+        self._board: int | None = self._c.board_new(os.fsencode(image), _MCUS[name], baud)
         if not self._board:
-            raise NoAvrError(f"{image}: simavr cannot run it on an {mcu}")
+            raise NoAvrError(f"{image}: simavr cannot run it on the board {name!r}")
         self._bytes = (ctypes.c_uint8 * _MOST_BYTES_AT_ONCE)()
         self.eeprom = self._view("eeprom", 1024)
         self.worn = self._view("worn", 1024)  # not 0: this cell of the EEPROM takes no write any more
@@ -102,8 +103,8 @@ class Board:
 
 
 @cache
-def image(board: str, *flags: str) -> Path:
-    """Return the ELF image of a board's firmware, as ``make BOARD RFP=FLAGS`` in drivers/firmware builds it.
+def image(name: str, *flags: str) -> Path:
+    """Return the ELF image of a board's firmware, as ``make NAME RFP=FLAGS`` in drivers/firmware builds it.
 
     Raises:
         NoAvrError: A tool is missing, or it cannot be built.
@@ -111,8 +112,8 @@ def image(board: str, *flags: str) -> Path:
     if missing := [tool for tool in ("make", "avr-gcc") if shutil.which(tool) is None]:
         raise NoAvrError(f"NO AVR: no {' and no '.join(missing)} here: install Debian's gcc-avr, avr-libc and make")
     sources = sorted(file for file in _FIRMWARE.rglob("*") if file.suffix in (".c", ".h") or file.name == "Makefile")
-    make = ["make", "-sC", str(_FIRMWARE), board, f"RFP={' '.join(flags)}"]
-    return _built(f"{board}.elf", sources, flags, lambda folder: [*make, f"BUILD={folder}"])
+    make = ["make", "-sC", str(_FIRMWARE), name, f"RFP={' '.join(flags)}"]
+    return _built(f"{name}.elf", sources, flags, lambda folder: [*make, f"BUILD={folder}"])
 
 
 @cache

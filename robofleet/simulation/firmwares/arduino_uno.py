@@ -24,7 +24,7 @@ class ArduinoUnoFirmware:
 
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
-        self.board = Board(image("uno", *flags(hardware)), "atmega328p", _BAUD)
+        self.board = Board("uno", image("uno", *flags(hardware)), _BAUD)
         self._counts = hardware.counts
         self._start_ns: int | None = None  # when its cycles began; None: with its first call
         self._ready_ns = 0
@@ -72,4 +72,4 @@ def flags(hardware: Hardware) -> list[str]:
         "MAX_SPEED_M_S": drive.max_speed,
         "MAX_ACCELERATION_RAD_S2": drive.max_wheel_acceleration,
     }
-    return [f"-DRFP_{name}={float(value):.9g}" for name, value in built_in.items()]
+    return [f"-DRFP_BAUD={_BAUD}L", *(f"-DRFP_{name}={float(value):.9g}" for name, value in built_in.items())]
