@@ -1,0 +1,94 @@
+"""This project's own firmware (``drivers/firmware``), compiled for this computer: the same gate, protocol and loop.
+
+The plant's wheel-speed loops stand for the firmware's own, and aim at its gate's output; the binaries' loops turn
+emulated motors in ``arduino_uno.py``.
+"""
+
+import math
+
+from robofleet.simulation.firmware import Hardware
+from robofleet.simulation.firmware_library import firmware_library
+from robofleet.vehicles.interface import STOP, RobotFault, WheelSpeeds
+
+_BOOT_NS = 1_000_000_000  # a boot loader waits for a new program for so long
+_WATCHDOG_US = 120_000
+_EXTERNAL, _WATCHDOG = 2, 8  # resets
+_EMPTY_MV, _FULL_MV = 6000, 8400
+_OUTPUT = 2.0**-16  # [rad/s]
+
+
+class RfpFirmware:
+    """A board whose port resets it when it is opened, as an Arduino's does."""
+
+    baud = 57600
+    watchdog_s = 0.125  # since the newest nonce; the loop looks every 5 ms
+    reports = RobotFault.BUMPED | RobotFault.CLIFF | RobotFault.WHEEL_DROPPED
+
+    def __init__(self, hardware: Hardware) -> None:
+        drive = hardware.drive
+        self._hardware = hardware
+        self._ffi, self._c = firmware_library(
+            {
+                "COUNTS_PER_TURN": math.tau / hardware.radians_per_count, "WHEEL_RADIUS_M": drive.wheel_radius,
+                "MAX_WHEEL_RAD_S": drive.max_wheel_speed, "MAX_SPEED_M_S": drive.max_speed,
+                "MAX_ACCELERATION_RAD_S2": drive.max_wheel_acceleration, "BUILD": '"twin"',
+            }
+        )  # fmt: skip
+        self.board, self.robot = self._ffi.new("struct host *"), self._ffi.new("struct robot *")
+        self._ffi.memmove(self.board.eeprom, b"\xff" * len(self.board.eeprom), len(self.board.eeprom))
+        self.board.writes_left = 2**31 - 1
+        self._ready_ns = 0
+        self._start(0, 1)
+
+    def opened(self, now_ns: int) -> None:
+        """Reset, as a host does that opens the port."""
+        self._ready_ns = now_ns + _BOOT_NS
+        self._start(self._ready_ns, _EXTERNAL)
+
+    def receive(self, data: bytes, now_ns: int) -> bytes:
+        """Take bytes, which a boot loader would lose, and answer."""
+        if now_ns < self._ready_ns:
+            return b""
+        for byte in data:
+            self.board.to_robot[self.board.arrived % len(self.board.to_robot)] = byte
+            self.board.arrived += 1
+        return self.loop(now_ns)
+
+    def loop(self, now_ns: int) -> bytes:
+        """Let the board's loop run until it has taken and sent what there is."""
+        if now_ns < self._ready_ns:
+            return b""
+        now_us = _us(now_ns)
+        if (now_us - self.board.now_us) % 2**32 > _WATCHDOG_US:
+            self._start(now_ns, _WATCHDOG)
+        self._look(now_us)
+        while True:
+            before = self.board.received, self.board.sent, self.robot.memory.pending
+            self._c.robot_loop(self.robot)
+            if before == (self.board.received, self.board.sent, self.robot.memory.pending):
+                break
+        gate = self.robot.gate
+        standing = gate.output_left == gate.output_right == 0
+        self._hardware.command = (
+            STOP if standing else WheelSpeeds(gate.output_left * _OUTPUT, gate.output_right * _OUTPUT)
+        )
+        sent, self.board.sent = bytes(self._ffi.buffer(self.board.to_host, self.board.sent)), 0
+        return sent
+
+    def _look(self, now_us: int) -> None:
+        board = self.board
+        self._c.host_select(board)
+        board.now_us = now_us
+        board.counts[0], board.counts[1] = self._hardware.counts
+        board.faults = int(self._hardware.feels)
+        board.battery_mv = round(_EMPTY_MV + (_FULL_MV - _EMPTY_MV) * self._hardware.charge)
+
+    def _start(self, now_ns: int, reset: int) -> None:
+        self._look(_us(now_ns))
+        self.board.reset, self.board.received, self.board.sent = reset, self.board.arrived, 0
+        self._c.robot_start(self.robot)
+        self._hardware.command = STOP
+
+
+def _us(now_ns: int) -> int:
+    return now_ns // 1000 % 2**32
