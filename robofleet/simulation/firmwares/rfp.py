@@ -64,7 +64,8 @@ class RfpFirmware:
         self._look(now_us)
         while True:
             before = self.board.received, self.board.sent, self.robot.memory.pending
-            self._c.robot_loop(self.robot)
+            for _ in range(2):  # a loop that steps the wheels leaves the line to the next one
+                self._c.robot_loop(self.robot)
             if before == (self.board.received, self.board.sent, self.robot.memory.pending):
                 break
         gate = self.robot.gate
