@@ -33,7 +33,7 @@ from robofleet.drivers.rfp_frames import (
 )
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import STOP, DriverContext, DriverError, DriverReading, RobotFault, WheelSpeeds
+from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, RobotFault, WheelSpeeds
 
 _BOOT_NS = 6_000_000_000  # of patience: opening the port may reset the board; a lease of before lapses in a second
 _ASK_AGAIN_S = 0.2
@@ -44,7 +44,7 @@ _MEMORY_LOST = 5  # as a latch
 _ROBOT_FAULTS = (3, 6)  # latches that follow from a fault which the robot tells as such
 _FASTEST = 63.0  # [rad/s] that the line can say
 _RADIUS_OFF = 0.05  # that a calibrated radius may differ from the built-in one, relative
-_COUNTS_OFF = 1e-3
+_COUNTS_OFF = _ROUNDED = 1e-3
 _RESETS = {1: "was switched on", 2: "was reset", 4: "had too little voltage", 8: "hung, and its watchdog reset it"}
 _Gain = Annotated[int, Field(ge=0, le=MAX_GAIN)]
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -153,7 +153,9 @@ class Rfp:
 
     def _meet(self, drive: DifferentialDrive) -> None:
         """Find out who is there, get the lease, which is granted at rest, and give it its gains."""
-        self._until(lambda: self._identity is not None and self._built is not None and self._status is not None, Hello())
+        self._until(
+            lambda: self._identity is not None and self._built is not None and self._status is not None, Hello()
+        )
         if self._identity is None or self._built is None or self._status is None:
             if self._heard:
                 raise self._error("the device that answers does not speak rfp: flash drivers/firmware, or mend baud")
@@ -161,7 +163,9 @@ class Rfp:
         self._fit(self._identity, self._built, drive)
         self._until(lambda: self._epoch is not None, Lease(self._session, _ACQUIRE))
         if self._epoch is None:
-            raise self._error("it gave its lease to another program, or a wheel turns: end that one, or hold the wheels")
+            raise self._error(
+                "it gave its lease to another program, or a wheel turns: end that one, or hold the wheels"
+            )
         gains = None if self._settings.gains is None else Gains(*self._settings.gains)
         if gains is not None:
             self._until(lambda: self._built is not None and self._built[-3:] == gains, gains)
@@ -186,20 +190,20 @@ class Rfp:
         board = _text(identity.board)
         if self._settings.board not in (None, board):
             raise self._error(f"its board is {board!r}, not {self._settings.board!r}: mend settings.port or board")
-        counts, radius = built.counts_per_turn / 256.0, built.wheel_radius_um * 1e-6
-        wheel, accelerated = built.max_wheel / PER_RAD_S, built.max_ramp * 1000.0 / 65536.0
-        speed = built.max_sum / PER_RAD_S * drive.wheel_radius / 2.0
-        own = self._settings.counts_per_turn
         misfits = (
-            (abs(counts - own) > _COUNTS_OFF * own, f"{counts:.6g} counts a turn", f"{own:.6g}"),
-            (abs(radius - drive.wheel_radius) > _RADIUS_OFF * drive.wheel_radius, f"wheels of {radius:.4g} m", f"{drive.wheel_radius:.4g}"),
-            (_less(wheel, drive.max_wheel_speed), f"at most {wheel:.4g} rad/s of a wheel", f"{drive.max_wheel_speed:.4g}"),
-            (_less(speed, drive.max_speed), f"at most {speed:.4g} m/s", f"{drive.max_speed:.4g}"),
-            (_less(accelerated, drive.max_wheel_acceleration), f"at most {accelerated:.4g} rad/s^2", f"{drive.max_wheel_acceleration:.4g}"),
-        )  # fmt: skip
-        for wrong, has, configured in misfits:
-            if wrong:
-                raise self._error(f"its firmware {_text(identity.build)!r} is built for {has}, configured: {configured}: flash it anew, or mend the configuration")
+            ("counts a turn", built.counts_per_turn / 256.0, self._settings.counts_per_turn, _COUNTS_OFF),
+            ("m of a wheel's radius", built.wheel_radius_um * 1e-6, drive.wheel_radius, _RADIUS_OFF),
+            ("rad/s of a wheel at most", built.max_wheel / PER_RAD_S, drive.max_wheel_speed, None),
+            ("m/s at most", built.max_sum / PER_RAD_S * drive.wheel_radius / 2.0, drive.max_speed, None),
+            ("rad/s^2 of a wheel at most", built.max_ramp * 1000.0 / 65536.0, drive.max_wheel_acceleration, None),
+        )
+        for what, has, configured, off in misfits:
+            # of a limit the firmware may have more than is configured
+            if not has >= configured * (1.0 - (off or _ROUNDED)) or (off and has > configured * (1.0 + off)):
+                raise self._error(
+                    f"its firmware is built for {has:.4g} {what}, {configured:.4g} are configured: "
+                    "flash drivers/firmware with these, or mend the configuration"
+                )
 
     def _command(self, now_ns: int) -> None:
         """Send the target, if it waits and the line is free."""
@@ -245,7 +249,7 @@ class Rfp:
         self._heard = self._heard or bool(received)
         for body in self._receiver.receive(received):
             if body[0] >> 4 == rfp_frames.IDENTITY and body[1:2] != bytes([VERSION]):
-                raise self._error(f"its firmware speaks rfp/{body[1]}, this driver rfp/{VERSION}: flash drivers/firmware")
+                raise self._error(f"it speaks rfp/{body[1]}, this driver rfp/{VERSION}: flash drivers/firmware")
             self._take(rfp_frames.message(body), now_ns)
         return now_ns
 
@@ -291,10 +295,6 @@ class Rfp:
 
 def _speed(rad_s: float) -> int:
     return max(-32767, min(32767, round(rad_s * PER_RAD_S)))
-
-
-def _less(built_in: float, configured: float) -> bool:
-    return built_in < configured * (1.0 - 1e-3)
 
 
 def _text(characters: bytes) -> str:

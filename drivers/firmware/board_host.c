@@ -21,7 +21,7 @@ bool board_uart_read(uint8_t *byte)
     if (host->received == host->arrived) {
         return false;
     }
-    *byte = host->to_robot[host->received % HOST_LINE_BYTES];
+    *byte = host->to_robot[host->received];
     host->received++;
     return true;
 }

@@ -8,8 +8,8 @@
 
 struct host {
     uint32_t now_us;
-    uint8_t to_robot[HOST_LINE_BYTES]; /* a ring */
-    uint32_t arrived;  /* bytes, since the start */
+    uint8_t to_robot[HOST_LINE_BYTES];
+    uint32_t arrived;  /* bytes in it */
     uint32_t received; /* of them, by the robot */
     uint8_t to_host[HOST_LINE_BYTES];
     uint32_t sent;     /* bytes in it; the program takes them, and sets 0 */

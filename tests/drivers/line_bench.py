@@ -15,10 +15,12 @@ from robofleet.core.clock import MS, S, SimulatedClock
 from robofleet.drivers.arduino_bridge import ArduinoBridge
 from robofleet.drivers.create2 import Create2
 from robofleet.drivers.gternal import GTernal
+from robofleet.drivers.rfp import Rfp
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.arduino_bridge import ArduinoBridgeFirmware
 from robofleet.simulation.firmwares.create2 import Create2Firmware
 from robofleet.simulation.firmwares.gternal import GTernalFirmware
+from robofleet.simulation.firmwares.rfp import RfpFirmware
 from robofleet.simulation.serial_line import SerialLine
 from robofleet.testing.serial_world import shared
 from robofleet.vehicles.differential_drive import DifferentialDrive
@@ -160,3 +162,9 @@ def arduino() -> LineBench:
     """Return a bench whose wheels turn as they are told, at once; the speed loop looks every millisecond."""
     encoders = replace(IDEAL, speed_quantum=math.tau / COUNTS_PER_TURN / FRAME_S, loop_period=FRAME_S)
     return LineBench(ArduinoBridge, ArduinoBridgeFirmware, GTERNAL, IDEAL, MS, encoders)
+
+
+def rfp(firmware: Any = RfpFirmware) -> LineBench:
+    """Return a bench whose wheels turn as its gate lets them, at once."""
+    encoders = replace(IDEAL, speed_quantum=math.tau / COUNTS_PER_TURN / 0.005, loop_period=0.005)
+    return LineBench(Rfp, firmware, GTERNAL, IDEAL, 5 * MS, encoders)

@@ -32,6 +32,7 @@ class TestCreate2(DriverContract):
     subject = DriverSubject("create2", twin="create2", vehicle="create2")
 
 
+@pytest.mark.slow  # its twin's loop looks every 5 ms
 class TestRfp(DriverContract):
     subject = DriverSubject(
         "rfp", twin="rfp", vehicle="rfp", settings={"counts_per_turn": 2248, "battery_v": [6.0, 8.4]}

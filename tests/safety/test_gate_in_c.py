@@ -7,7 +7,6 @@ from C's output after each step. Where one ramp arrives and the other one is tha
 
 import random
 from collections import Counter
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -16,8 +15,7 @@ from hypothesis import strategies as st
 
 from robofleet.safety import gate, runaway
 from robofleet.safety.gate import GateState, Inputs
-from robofleet.safety.latches import Latch
-from robofleet.simulation.firmware_library import firmware_library
+from robofleet.simulation import firmware_library
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from tests.robots import GTERNAL
 
@@ -45,7 +43,7 @@ _SAME = ("boot_id", "epoch", "latch", "latch_id", "session", "seq", "enabled_seq
 
 @pytest.fixture(scope="module")
 def library() -> Any:
-    return firmware_library({})
+    return firmware_library.firmware_library({}, firmware_library.SOURCES)
 
 
 def ns(ms: int) -> int:
@@ -58,7 +56,9 @@ class Pair:
     def __init__(self, library: Any, boot_id: int = 7, now: int = 100_000, latch: int = 0, latch_id: int = 0) -> None:
         self.ffi, self.c = library
         self.now, self.met = now, Counter[str]()
-        self.limits = self.ffi.new("struct gate_limits *", {"max_wheel": MAX_WHEEL, "max_sum": MAX_SUM, "max_ramp": RAMP})
+        self.limits = self.ffi.new(
+            "struct gate_limits *", {"max_wheel": MAX_WHEEL, "max_sum": MAX_SUM, "max_ramp": RAMP}
+        )
         self.in_c = self.ffi.new("struct gate *")
         self.c.gate_init(self.in_c, boot_id, latch, latch_id, now)
         self.state = GateState(boot_id=boot_id, latch=latch, latch_id=latch_id, heard_ns=ns(0), at_ns=ns(now))
@@ -109,7 +109,8 @@ class Pair:
             "permission": 1, "permission_epoch": (g.epoch + rng.slip()) % 2**16,
             "permission_seq": (g.enabled_seq + 1 + rng.slip()) % WRAP, "permission_boot_id": g.boot_id + rng.slip(),
             "permission_nonce": self.nonce(rng), "permission_latch": rng.rarely(1, 2, 3),
-            "permission_clear": rng.one((0, g.latch_id, g.latch_id, g.latch_id + 1)), "permission_limit": rng.one(LIMITS),
+            "permission_clear": rng.one((0, g.latch_id, g.latch_id, g.latch_id + 1)),
+            "permission_limit": rng.one(LIMITS),
         }  # fmt: skip
 
     def nonce(self, rng: "Draw") -> int:
@@ -196,10 +197,10 @@ def test_both_gates_agree_in_whatever_hypothesis_draws(library: Any, data: bytes
 
 
 def test_both_gates_agree_at_random(library: Any) -> None:
-    met = walk(library, 40_000, seed=1)
-    assert min(met[f"status {status}"] for status in range(5)) > 400
+    met = walk(library, 20_000, seed=1)
+    assert min(met[f"status {status}"] for status in range(5)) > 200
     assert min(met[f"granted {granted}"] for granted in (0, 1)) > 100
-    assert met["arrived a step apart"] < 40
+    assert met["arrived a step apart"] < 20
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from robofleet.vehicles.interface import STOP, RobotFault, WheelSpeeds
 
 _BOOT_NS = 1_000_000_000  # a boot loader waits for a new program for so long
 _WATCHDOG_US = 120_000
-_EXTERNAL, _WATCHDOG = 2, 8  # resets
+_POWER_ON, _EXTERNAL, _WATCHDOG = 1, 2, 8  # resets
 _EMPTY_MV, _FULL_MV = 6000, 8400
 _OUTPUT = 2.0**-16  # [rad/s]
 
@@ -38,20 +38,19 @@ class RfpFirmware:
         self._ffi.memmove(self.board.eeprom, b"\xff" * len(self.board.eeprom), len(self.board.eeprom))
         self.board.writes_left = 2**31 - 1
         self._ready_ns = 0
-        self._start(0, 1)
+        self.start(0, _POWER_ON)
 
     def opened(self, now_ns: int) -> None:
         """Reset, as a host does that opens the port."""
         self._ready_ns = now_ns + _BOOT_NS
-        self._start(self._ready_ns, _EXTERNAL)
+        self.start(self._ready_ns, _EXTERNAL)
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
         """Take bytes, which a boot loader would lose, and answer."""
         if now_ns < self._ready_ns:
             return b""
-        for byte in data:
-            self.board.to_robot[self.board.arrived % len(self.board.to_robot)] = byte
-            self.board.arrived += 1
+        self._ffi.memmove(self.board.to_robot, data, len(data))
+        self.board.received, self.board.arrived = 0, len(data)
         return self.loop(now_ns)
 
     def loop(self, now_ns: int) -> bytes:
@@ -60,7 +59,7 @@ class RfpFirmware:
             return b""
         now_us = _us(now_ns)
         if (now_us - self.board.now_us) % 2**32 > _WATCHDOG_US:
-            self._start(now_ns, _WATCHDOG)
+            self.start(now_ns, _WATCHDOG)
         self._look(now_us)
         while True:
             before = self.board.received, self.board.sent, self.robot.memory.pending
@@ -84,9 +83,10 @@ class RfpFirmware:
         board.faults = int(self._hardware.feels)
         board.battery_mv = round(_EMPTY_MV + (_FULL_MV - _EMPTY_MV) * self._hardware.charge)
 
-    def _start(self, now_ns: int, reset: int) -> None:
+    def start(self, now_ns: int, reset: int) -> None:
+        """Switch on, or reset, for a reason; its memory keeps what it holds."""
         self._look(_us(now_ns))
-        self.board.reset, self.board.received, self.board.sent = reset, self.board.arrived, 0
+        self.board.reset, self.board.received, self.board.arrived, self.board.sent = reset, 0, 0, 0
         self._c.robot_start(self.robot)
         self._hardware.command = STOP
 
