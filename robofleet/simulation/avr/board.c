@@ -142,6 +142,15 @@ static void set_encoder(struct board *b, int side) {
     set_pin(b, b->ports[side], &w->b, phase >= 2);
 }
 
+/* After a reset, and at the beginning. */
+static void set_pins(struct board *b) {
+    for (int side = 0; side < 2; side++)
+        set_encoder(b, side);
+    for (uint8_t i = 0; i < EXTINT_COUNT; i++)         /* else simavr looks at a pin that is low in every cycle */
+        avr_extint_set_strict_lvl_trig(b->avr, i, 0);
+    b->pins_lost = 0;
+}
+
 /* simavr calls it at each reset, whatever the cause, before it resets its ports. */
 static void on_reset(avr_t *avr) {
     struct board *b = avr->custom.data;
@@ -179,8 +188,6 @@ struct board *board_new(const char *elf, const char *mcu, uint32_t baud) {
     for (avr_io_t *io = b->avr->io_port; io; io = io->next)
         if (!strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == '0')
             b->uart = (avr_uart_t *)io;
-    for (uint8_t i = 0; i < EXTINT_COUNT; i++)         /* else simavr looks at a pin that is low in every cycle */
-        avr_extint_set_strict_lvl_trig(b->avr, i, 0);
     uint32_t no_flags = 0;                             /* neither a copy on the console nor sleep while it polls */
     avr_ioctl(b->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &no_flags);
     avr_irq_register_notify(avr_io_getirq(b->avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_transmit, b);
@@ -229,9 +236,8 @@ int board_run(struct board *b, uint64_t cycles, int32_t left, int32_t right) {
     const int32_t counts[2] = {left, right};
     int32_t made[2] = {0, 0};
     while (now(b) < end && b->avr->state != cpu_Done && b->avr->state != cpu_Crashed) {
-        for (int side = 0; b->pins_lost && side < 2; side++)
-            set_encoder(b, side);
-        b->pins_lost = 0;
+        if (b->pins_lost)
+            set_pins(b);
         b->uart->cycles_per_byte = b->byte_cycles;     /* simavr takes 11 bits for a byte */
         uint64_t next = end, at[2];
         for (int side = 0; side < 2; side++) {
