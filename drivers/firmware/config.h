@@ -21,7 +21,7 @@
 #define RFP_MAX_ACCELERATION_RAD_S2 100.0 /* at most 999 */
 #endif
 #ifndef RFP_BAUD
-#define RFP_BAUD 115200L
+#define RFP_BAUD 57600L
 #endif
 /* Gains until a host gives others; units in robot.h. */
 #ifndef RFP_KP

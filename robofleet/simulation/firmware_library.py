@@ -15,7 +15,7 @@ from robofleet.core.folders import kernels_folder
 SOURCES = Path(__file__).parents[1] / "drivers" / "firmware"
 UNITS = ("gate.c", "rfp.c", "memory.c", "robot.c", "board_host.c")
 _HEADERS = ("robot.h", "board_host.h")  # they include the others
-_FLAGS = ("-std=c11", "-O2", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror")
+FLAGS = ("-std=c11", "-O2", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror")
 
 
 class NoCompilerError(RobofleetError):
@@ -47,7 +47,7 @@ def firmware_library(built_in: Mapping[str, object], sources: Path = SOURCES, *f
     compiler = shutil.which("cc")
     if compiler is None:
         raise NoCompilerError("NO C COMPILER: the firmware's twin needs cc: apt install gcc")
-    flags = (*_FLAGS, *flags, *(f"-DRFP_{name}={value}" for name, value in sorted(built_in.items())))
+    flags = (*FLAGS, *flags, *(f"-DRFP_{name}={value}" for name, value in sorted(built_in.items())))
     digest = hashlib.sha256(repr((compiler, flags)).encode())
     for file in sorted(sources.glob("*.[ch]")):
         digest.update(file.read_bytes())
