@@ -183,7 +183,7 @@ static bool look(struct robot *r, enum board_side side)
     return r->now - w->rolled >= ROBOT_BLOCKED_MS;
 }
 
-static void drive(struct robot *r, enum board_side side)
+static void drive(struct robot *r, enum board_side side, bool due)
 {
     struct wheel *w = &r->wheels[side];
     const int32_t speed = output(r, side);
@@ -196,7 +196,7 @@ static void drive(struct robot *r, enum board_side side)
                            + clamp(behind, INT16_MAX) * (int32_t)r->gains.ki / 256;
     const int32_t duty = clamp(wanted, BOARD_FULL_DUTY);
 
-    if (wanted != duty && (wanted > 0) == (w->error > 0)) { /* it gives all it has: it will not catch up with more */
+    if (due && wanted != duty && (wanted > 0) == (w->error > 0)) { /* it gives all it has: it will not catch up with more */
         w->error -= step_counts - (int32_t)(int16_t)((uint16_t)w->counts - counts_ago(r, w, 1u)) * ONE_COUNT;
     }
     board_pwm(side, (int16_t)duty);
@@ -230,11 +230,11 @@ static void tick(struct robot *r, bool due)
         judge(r, left || right);
     }
     step(r, &nothing);
+    if (!gate_stands(&r->gate)) { /* in every millisecond: a command is not to wait for the encoders */
+        drive(r, BOARD_LEFT, due);
+        drive(r, BOARD_RIGHT, due);
+    }
     if (due) {
-        if (!gate_stands(&r->gate)) {
-            drive(r, BOARD_LEFT);
-            drive(r, BOARD_RIGHT);
-        }
         r->place = (uint8_t)((r->place + 1u) % ROBOT_WINDOW);
         r->tick = r->now;
     }

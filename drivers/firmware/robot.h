@@ -1,7 +1,7 @@
 /* A robot's firmware without its board: bytes to frames, frames to the gate, the gate's output to the wheels.
  *
- * Every loop takes what arrived. Every millisecond the gate is stepped. Every 5 ms the encoders are read and the speed
- * loop of each wheel sets its motor:
+ * Every loop takes what arrived. Every millisecond the gate is stepped, and the speed loop of each wheel sets its motor.
+ * Every 5 ms the encoders are read:
  *
  *     duty = kff speed / 2^12 + (kp error_of_20_ms + ki error) / 2^8
  *

@@ -6,6 +6,7 @@ It is compiled at its first use, by this computer's compilers; nothing of it is 
 import ctypes
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -114,6 +115,16 @@ def image(name: str, *flags: str) -> Path:
     sources = sorted(file for file in _FIRMWARE.rglob("*") if file.suffix in (".c", ".h") or file.name == "Makefile")
     make = ["make", "-sC", str(_FIRMWARE), name, f"RFP={' '.join(flags)}"]
     return _built(f"{name}.elf", sources, flags, lambda folder: [*make, f"BUILD={folder}"])
+
+
+@cache
+def address(image: Path, variable: str) -> int:
+    """Return where a variable of an image stands in ``Board.memory``."""
+    symbols = subprocess.run(["avr-nm", str(image)], capture_output=True, text=True, check=True).stdout
+    found = re.search(rf"^00(80\w{{4}}) \w {variable}(?:\.\S+)?$", symbols, re.MULTILINE)
+    if found is None:
+        raise NoAvrError(f"{image}: it has no variable {variable!r}")
+    return int(found[1], 16) - 0x800000
 
 
 @cache

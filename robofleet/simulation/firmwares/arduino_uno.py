@@ -5,14 +5,17 @@ without load. The binary's own loop closes around them.
 """
 
 import math
+import struct
 
 from robofleet.core.clock import S
-from robofleet.simulation.avr.board import CLOCK_HZ, FULL_VOLTAGE, Board, Reset, image
+from robofleet.simulation.avr.board import CLOCK_HZ, FULL_VOLTAGE, Board, Reset, address, image
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
 _BAUD = 115200
 _BOOT_NS = 1_000_000_000  # the boot loader waits for a new program for so long
+_PER_RAD_S = 512.0  # drivers/firmware/gate.h: of a speed
+_TARGET, _TARGET_AT = struct.Struct("<hh"), 41  # of struct gate: target_left, target_right; an AVR aligns nothing
 _NO_LOAD = 1.4  # assumed: a motor's speed without load at full voltage, relative to the robot's top speed
 
 
@@ -24,10 +27,18 @@ class ArduinoUnoFirmware:
 
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
-        self.board = Board("uno", image("uno", *flags(hardware)), _BAUD)
+        binary = image("uno", *flags(hardware))
+        self.board = Board("uno", binary, _BAUD)
+        self._gate = address(binary, "robot")
         self._counts = hardware.counts
         self._start_ns: int | None = None  # when its cycles began; None: with its first call
         self._ready_ns = 0
+
+    @property
+    def target(self) -> WheelSpeeds:
+        """What its gate lets through [rad/s], as it stands in the binary's memory."""
+        left, right = _TARGET.unpack_from(self.board.memory, self._gate + _TARGET_AT)
+        return WheelSpeeds(left / _PER_RAD_S, right / _PER_RAD_S)
 
     def opened(self, now_ns: int) -> None:
         """Reset, as a host does that opens the port."""
