@@ -21,5 +21,5 @@ class TestUno(DriverContract):
         "rfp",
         twin="arduino_uno",
         vehicle="arduino_uno",
-        settings={"counts_per_turn": 2248, "baud": 115200, "gains": [400, 160, 488]},
+        settings={"counts_per_turn": 2248, "baud": 250000, "gains": [400, 160, 488]},
     )

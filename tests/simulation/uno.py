@@ -8,7 +8,7 @@ import pytest
 from robofleet.drivers.rfp_frames import Command, Health, Lease, Message, Permission, Receiver, Status, frame, message
 from robofleet.simulation.avr.board import CLOCK_HZ, Board, NoAvrError, image
 
-BAUD = 115200
+BAUD = 250000
 COUNTS_PER_TURN = 2248.0
 EMERGENCY_STOP = 2  # as a latch
 OPEN, NO_COMMAND, NO_ENABLE, LATCHED, NO_LEASE = range(5)  # the gate's states

@@ -6,17 +6,27 @@ without load. The binary's own loop closes around them.
 
 import math
 import struct
+from typing import NamedTuple
 
 from robofleet.core.clock import S
 from robofleet.simulation.avr.board import CLOCK_HZ, FULL_VOLTAGE, Board, Reset, address, image
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
-_BAUD = 115200
+_BAUD = 250000
 _BOOT_NS = 1_000_000_000  # the boot loader waits for a new program for so long
-_PER_RAD_S = 512.0  # drivers/firmware/gate.h: of a speed
-_TARGET, _TARGET_AT = struct.Struct("<hh"), 41  # of struct gate: target_left, target_right; an AVR aligns nothing
+_GATE = struct.Struct("<IHBIIIIIhhIIhhhiiIIIii")  # struct gate of drivers/firmware/gate.h; an AVR aligns nothing
+_PER_RAD_S = 512.0  # of its speeds
 _NO_LOAD = 1.4  # assumed: a motor's speed without load at full voltage, relative to the robot's top speed
+
+
+class Gate(NamedTuple):
+    """What matters of a gate to whoever tests it."""
+
+    latch: int
+    target: WheelSpeeds  # that it lets through [rad/s]
+    target_after_ms: int  # of the last stop, from the issue of the newest nonce to zero target; -1: none
+    output_after_ms: int  # and to zero output
 
 
 class ArduinoUnoFirmware:
@@ -35,10 +45,11 @@ class ArduinoUnoFirmware:
         self._ready_ns = 0
 
     @property
-    def target(self) -> WheelSpeeds:
-        """What its gate lets through [rad/s], as it stands in the binary's memory."""
-        left, right = _TARGET.unpack_from(self.board.memory, self._gate + _TARGET_AT)
-        return WheelSpeeds(left / _PER_RAD_S, right / _PER_RAD_S)
+    def gate(self) -> Gate:
+        """Its gate, as it stands in the binary's memory."""
+        values = _GATE.unpack_from(self.board.memory, self._gate)
+        left, right, target_after_ms, output_after_ms = values[13], values[14], values[20], values[21]
+        return Gate(values[2], WheelSpeeds(left / _PER_RAD_S, right / _PER_RAD_S), target_after_ms, output_after_ms)
 
     def opened(self, now_ns: int) -> None:
         """Reset, as a host does that opens the port."""
