@@ -9,7 +9,7 @@ A command that finds the line busy waits for the next call; the newest one count
 """
 
 import math
-import secrets
+import zlib
 from collections.abc import Callable
 from typing import Annotated, ClassVar
 
@@ -37,6 +37,7 @@ from robofleet.vehicles.interface import DriverContext, DriverError, DriverReadi
 
 _BOOT_NS = 6_000_000_000  # of patience: opening the port may reset the board; a lease of before lapses in a second
 _ASK_AGAIN_S = 0.2
+_BUSY_NS = 200_000_000  # what is sent at once takes less, at any baud rate
 _AGAIN_NS = 20_000_000  # the same command is not sent more often
 _SILENT_NS = 500_000_000
 _ACQUIRE, _RELEASE = 1, 3
@@ -77,7 +78,8 @@ class Rfp:
         settings: Rfp.Settings = context.settings
         self._settings, self._now_ns, self._name = settings, context.now_ns, settings.port
         self._limit = min(math.ceil(context.drive.max_wheel_speed * PER_RAD_S), 32767)
-        self._session = secrets.randbits(31) + 1
+        # another one for each opening, and the same where a run is repeated
+        self._session = zlib.crc32(f"{context.robot} {self._now_ns()}".encode()) or 1
         self._receiver = rfp_frames.Receiver()
         self._identity: Identity | None = None
         self._built: rfp_frames.Settings | None = None
@@ -207,7 +209,7 @@ class Rfp:
 
     def _command(self, now_ns: int) -> None:
         """Send the target, if it waits and the line is free."""
-        if self._waits and now_ns >= self._free_ns:
+        if self._waits and not 0 < self._free_ns - now_ns <= _BUSY_NS:  # more: the clock was set back
             self._waits = False
             self._sent_target, self._sent_ns = self._target, now_ns
             self._send(*self._motion())

@@ -13,7 +13,10 @@ void host_select(struct host *h)
 
 uint32_t board_now_us(void)
 {
-    return host->now_us;
+    const uint32_t now = host->now_us;
+
+    host->now_us += host->call_us;
+    return now;
 }
 
 bool board_uart_read(uint8_t *byte)
@@ -48,6 +51,10 @@ void board_pwm(enum board_side side, int16_t duty)
 
 bool board_eeprom_ready(void)
 {
+    if (host->writing > 0u) {
+        host->writing--;
+        return false;
+    }
     return true;
 }
 
@@ -58,6 +65,7 @@ uint8_t board_eeprom_read(uint8_t address)
 
 void board_eeprom_write(uint8_t address, uint8_t value)
 {
+    host->writing = HOST_WRITE_LOOPS;
     if (host->writes_left > 0) {
         host->writes_left--;
         host->eeprom[address] = value | host->worn[address];

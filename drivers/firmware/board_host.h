@@ -5,9 +5,11 @@
 #include "board.h"
 
 #define HOST_LINE_BYTES 4096u
+#define HOST_WRITE_LOOPS 2u /* that a byte of the memory takes */
 
 struct host {
     uint32_t now_us;
+    uint32_t call_us; /* that each look at the clock takes */
     uint8_t to_robot[HOST_LINE_BYTES];
     uint32_t arrived;  /* bytes in it */
     uint32_t received; /* of them, by the robot */
@@ -18,6 +20,7 @@ struct host {
     uint8_t eeprom[BOARD_MEMORY_BYTES];
     uint8_t worn[BOARD_MEMORY_BYTES]; /* bits that cannot become 0 any more */
     int32_t writes_left; /* of the memory, until the power is cut */
+    uint8_t writing;     /* loops until the memory is ready again */
     uint32_t kicks;      /* of the watchdog */
     uint8_t reset;
     uint8_t faults;

@@ -51,7 +51,7 @@ static void begin(struct memory *m)
 
 static bool same(const struct kept *a, const struct kept *b)
 {
-    return a->latch == b->latch && a->latch_id == b->latch_id && a->boot_id == b->boot_id;
+    return a->latch == b->latch && a->latch_id == b->latch_id; /* the boot id is that of this start */
 }
 
 static void verify(struct memory *m)

@@ -149,9 +149,10 @@ static void listen(struct robot *r)
     }
 }
 
+/* Counts at the newest tick, or so many ticks before it. */
 static uint16_t counts_ago(const struct robot *r, const struct wheel *w, uint8_t ticks)
 {
-    return w->window[(r->place + ROBOT_WINDOW - ticks) % ROBOT_WINDOW];
+    return w->window[(r->place + ROBOT_WINDOW - 1u - ticks) % ROBOT_WINDOW];
 }
 
 static int32_t output(const struct robot *r, enum board_side side)
@@ -227,16 +228,21 @@ static void tick(struct robot *r, bool due)
     if (due) {
         const bool left = look(r, BOARD_LEFT);
         const bool right = look(r, BOARD_RIGHT);
+        r->place = (uint8_t)((r->place + 1u) % ROBOT_WINDOW);
+        r->tick = r->now;
         judge(r, left || right);
     }
     step(r, &nothing);
     if (!gate_stands(&r->gate)) { /* in every millisecond: a command is not to wait for the encoders */
         drive(r, BOARD_LEFT, due);
         drive(r, BOARD_RIGHT, due);
+<<<<<<< HEAD
     }
     if (due) {
         r->place = (uint8_t)((r->place + 1u) % ROBOT_WINDOW);
         r->tick = r->now;
+=======
+>>>>>>> core
     }
     if (r->now - r->status >= ROBOT_STATUS_MS) {
         r->status = r->now;

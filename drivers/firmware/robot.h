@@ -48,7 +48,7 @@ struct robot {
     uint32_t health;
     uint32_t lease_session; /* of the newest answer */
     uint16_t loop_us;
-    uint8_t place;    /* in the windows */
+    uint8_t place;    /* in the windows: of the oldest counts */
     uint8_t latch;    /* the robot's own reason to stop */
     uint8_t faults;   /* enum board_fault: those that last */
     uint8_t felt;     /* and those since the gate was latched */

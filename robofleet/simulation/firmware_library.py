@@ -15,7 +15,7 @@ from robofleet.core.folders import kernels_folder
 SOURCES = Path(__file__).parents[1] / "drivers" / "firmware"
 UNITS = ("gate.c", "rfp.c", "memory.c", "robot.c", "board_host.c")
 _HEADERS = ("robot.h", "board_host.h")  # they include the others
-FLAGS = ("-std=c11", "-O2", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror")
+FLAGS: tuple[str, ...] = ("-std=c11", "-O2", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror")
 
 
 class NoCompilerError(RobofleetError):

@@ -3,6 +3,7 @@
 import random
 import re
 import struct
+import zlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -126,6 +127,11 @@ def test_any_body_comes_as_it_was_sent_in_both(library: Any, data: bytes) -> Non
     assert whole == line(data)
     if data:
         assert list(Receiver().receive(whole)) == list(InC(library).receive(whole)) == [data]
+
+
+def test_the_checksum_is_zlibs(library: Any) -> None:
+    for data in (*(bytes([byte]) for byte in range(256)), b"", b"123456789"):
+        assert library.c.rfp_crc(data, len(data)) == zlib.crc32(data)
 
 
 def test_a_frame_that_comes_in_pieces_behind_noise_is_taken(library: Any) -> None:

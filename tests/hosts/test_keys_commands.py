@@ -415,7 +415,7 @@ def test_a_users_own_robot_file_is_not_written_anew_for_nothing(bundle: Path, de
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--driver", "gternl"], "--driver gternl: known: arduino_bridge, create2, gternal, simulated"),
+        (["--driver", "gternl"], "--driver gternl: known: arduino_bridge, create2, gternal, rfp, simulated"),
         (["--port", " "], "--port: name a port"),
         (["--max-wheel-speed", "0"], "--max-wheel-speed 0: write a speed above 0"),
         (["--max-wheel-speed", "nan"], "--max-wheel-speed nan"),

@@ -46,7 +46,7 @@ def loaded(drivers: str) -> set[str]:
 
 
 @pytest.mark.slow_after_first
-@pytest.mark.parametrize("drivers", [("simulated",), ("gternal", "arduino_bridge", "create2")], ids=" ".join)
+@pytest.mark.parametrize("drivers", [("simulated",), ("gternal", "arduino_bridge", "create2", "rfp")], ids=" ".join)
 def test_a_driver_process_loads_the_base_install_alone(drivers: tuple[str, ...]) -> None:
     base, owners = base_install(), packages_distributions()
     modules = loaded(", ".join(f"robofleet.drivers.{driver}" for driver in drivers))

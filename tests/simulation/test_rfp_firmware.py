@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -137,6 +138,21 @@ def test_a_line_that_takes_nothing_stops_no_loop(bench: Bench) -> None:
     assert sum(isinstance(got, Status) for got in bench.got) >= 3
 
 
+def test_a_burst_of_frames_is_taken_in_more_than_one_loop(bench: Bench) -> None:
+    motions = [each for _ in range(9) for each in bench.motion(1.0, 1.0)]
+    bench.send(*motions)
+    assert (bench.robot.gate.seq, bench.robot.gate.enabled_seq, bench.robot.gate.refused) == (9, 9, 0)
+
+
+def test_the_longest_loop_is_told(bench: Bench) -> None:
+    for call_us in (300, 100, 70_000):
+        bench.board.call_us = call_us
+        bench.loop()
+    bench.board.call_us = 0
+    bench.let_pass(200)
+    assert bench.newest(Health).loop_us == 2**16 - 1
+
+
 def test_who_it_is_and_what_is_built_in_are_told_when_asked(bench: Bench) -> None:
     bench.send(Hello())
     bench.let_pass(10)
@@ -154,6 +170,18 @@ def test_the_speed_loop_reaches_the_speeds_without_an_error_that_stays(bench: Be
     assert (status.left_speed / 512, status.right_speed / 512) == pytest.approx((8.0, -3.0), abs=0.1)
     assert (status.left_output, status.right_output, status.gate) == (4096, -1536, GateStatus.OPEN)
     assert bench.board.counts[0] - status.left_count == pytest.approx(8.0 * 0.003 * COUNTS / 6.28, abs=10)
+
+
+def test_the_voltage_is_even_while_the_speed_is(bench: Bench) -> None:
+    """The loop runs every millisecond, and counts come every 5 ms."""
+    bench.drive(8.0, 8.0, 1000)
+    duties = []
+    for _ in range(10):
+        bench.send(*bench.motion(8.0, 8.0))
+        for _ in range(20):
+            bench.let_pass(1)
+            duties.append(bench.board.duty[0])
+    assert max(duties) - min(duties) < 40
 
 
 def test_a_motor_that_cannot_go_so_fast_does_not_catch_up_later(bench: Bench) -> None:
@@ -183,7 +211,7 @@ def test_a_loop_that_was_held_up_stands_at_once(bench: Bench) -> None:
 def test_a_wheel_that_does_not_turn_though_it_is_driven_is_a_fault(bench: Bench) -> None:
     bench.drive(4.0, 4.0, 200)
     bench.blocked = True
-    bench.drive(4.0, 4.0, 1000)
+    bench.drive(0.4, 4.0, 1000)
     status = bench.newest(Status)
     assert (status.gate, status.latch, status.felt) == (GateStatus.LATCHED, Latch.ROBOT_FAULT, RobotFault.OVERCURRENT)
     bench.blocked = False
@@ -264,7 +292,7 @@ def test_after_49_days_its_clock_begins_anew_and_nothing_of_before_counts(bench:
 
 def latched(bench: Bench, latch: Latch = Latch.EMERGENCY_STOP) -> None:
     bench.drive(0.0, 0.0, 20, latch=latch)
-    bench.let_pass(60)
+    bench.let_pass(120)
 
 
 def test_each_start_has_a_number_of_its_own(bench: Bench) -> None:
@@ -295,12 +323,12 @@ def test_a_drill_does_not(bench: Bench) -> None:
 def test_a_latch_that_was_cleared_stays_cleared(bench: Bench) -> None:
     latched(bench)
     bench.drive(4.0, 4.0, 20, clear=bench.robot.gate.latch_id)
-    bench.let_pass(60)
+    bench.let_pass(120)
     bench.start()
     assert bench.robot.gate.latch == Latch.NONE
 
 
-@pytest.mark.parametrize("writes", range(1, 14))
+@pytest.mark.parametrize("writes", [1, 2, 5, 8, 11, 13])
 def test_a_power_cut_while_a_latch_is_written_loses_no_latch(bench: Bench, writes: int) -> None:
     """From the first byte on: before it, nothing was written."""
     boot_id = bench.robot.gate.boot_id
@@ -313,19 +341,19 @@ def test_a_power_cut_while_a_latch_is_written_loses_no_latch(bench: Bench, write
     assert not bench.robot.memory.broken
 
 
-@pytest.mark.parametrize("writes", range(0, 12))
+@pytest.mark.parametrize("writes", [0, 1, 2, 4, 5, 11])
 def test_a_power_cut_while_a_latch_is_cleared_loses_no_latch(bench: Bench, writes: int) -> None:
     latched(bench)
     bench.board.writes_left = writes
     bench.drive(0.0, 0.0, 20, clear=bench.robot.gate.latch_id)
-    bench.let_pass(60)
+    bench.let_pass(120)
     whole = not bench.robot.memory.broken
     bench.board.writes_left = 10**6
     bench.start(BROWN_OUT)
     assert whole or bench.robot.gate.latch == Latch.EMERGENCY_STOP
 
 
-@pytest.mark.parametrize("writes", range(0, 17))
+@pytest.mark.parametrize("writes", [0, 1, 2, 5, 6, 16])
 def test_a_power_cut_at_a_start_gives_no_number_twice(bench: Bench, writes: int) -> None:
     given = {bench.robot.gate.boot_id}
     bench.board.writes_left = writes
@@ -350,6 +378,10 @@ def test_a_memory_of_which_nothing_is_whole_latches(bench: Bench) -> None:
     bench.start()
     first = bench.robot.gate.boot_id, bench.robot.gate.latch_id
     assert bench.robot.gate.latch == Latch.MEMORY_LOST and min(first) > 2**16
+    bench.board.eeprom = b"\xff" * 17 + bytes(17)
+    bench.start()
+    assert bench.robot.gate.latch == Latch.MEMORY_LOST
+    bench.board.eeprom = bytes(range(34))
     bench.start()
     assert bench.robot.gate.latch == Latch.MEMORY_LOST
 
@@ -372,3 +404,19 @@ def test_bytes_of_the_memory_are_where_the_header_says(bench: Bench) -> None:
         "<BIII", bytes(bench.ffi.buffer(bench.board.eeprom))[slot : slot + 13]
     )
     assert (latch, latch_id, boot_id, sequence) == (Latch.EMERGENCY_STOP, 1, 1, 2)
+
+
+# Where it cannot be built.
+
+
+def test_a_computer_without_a_compiler_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(firmware_library.shutil, "which", lambda _: None)
+    with pytest.raises(firmware_library.NoCompilerError, match=r"NO C COMPILER: .* apt install gcc"):
+        firmware_library.firmware_library({})
+
+
+def test_a_robot_that_the_firmware_cannot_drive_is_not_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with pytest.raises(firmware_library.NoCompilerError, match="RFP_MAX_WHEEL_RAD_S: at most 63"):
+        firmware_library.firmware_library({"MAX_WHEEL_RAD_S": 100.0})
+    assert [*tmp_path.rglob("firmware*")] == []

@@ -61,12 +61,12 @@ class RfpFirmware:
         if (now_us - self.board.now_us) % 2**32 > _WATCHDOG_US:
             self.start(now_ns, _WATCHDOG)
         self._look(now_us)
-        while True:
-            before = self.board.received, self.board.sent, self.robot.memory.pending
-            for _ in range(2):  # a loop that steps the wheels leaves the line to the next one
-                self._c.robot_loop(self.robot)
-            if before == (self.board.received, self.board.sent, self.robot.memory.pending):
-                break
+        for _ in range(2):  # while it runs its speed loops it does not listen
+            self._c.robot_loop(self.robot)
+        before = -1
+        while self.board.received < self.board.arrived or self.board.sent != before:
+            before = self.board.sent
+            self._c.robot_loop(self.robot)
         gate = self.robot.gate
         standing = gate.output_left == gate.output_right == 0
         self._hardware.command = (

@@ -1,7 +1,7 @@
 """Do the tests see what changes in the firmware's gate and protocol? Mutants of the C sources, and their coverage.
 
-    python -m tools.firmware_mutants             # changes one thing at a time; prints the mutants that no test kills
-    python -m tools.firmware_mutants --coverage  # lines and branches that the tests run, by gcov
+    python -m tools.measure.robots.firmware_mutants             # changes one thing at a time: what no test notices
+    python -m tools.measure.robots.firmware_mutants --coverage  # lines and branches that the tests run, by gcov
 
 A mutant is one operator, number or condition that is another one, or one statement that is missing. Some mutants do
 what the original does: ``EQUIVALENT`` names them with the reason.
@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ _SWAPS = {
     "!": ("",), "~": ("",), "?": ("&& 0 ?",),
 }  # fmt: skip
 _TOKEN = re.compile(
-    r"(?P<skip>/\*.*?\*/|'(?:\\.|[^'])*'|\"[^\"]*\"|->|^#include.*?$|^#(?:ifndef|endif|define \w+$).*?$)"
+    r"(?P<skip>/\*.*?\*/|'(?:\\.|[^'])*'|\"[^\"]*\"|->|0x\w{8}u|^#include.*?$|^#(?:ifndef|endif|define \w+$).*?$)"
     r"|(?P<number>\b(?:0x[0-9A-Fa-f]+|\d+)u?\b)|(?P<word>\btrue\b|\bfalse\b)"
     r"|(?P<operator><<|>>|<=|>=|==|!=|&&|\|\||\+\+|\+=|\^=|-=|[-<>+*/&|^!~?])",
     re.DOTALL | re.MULTILINE,
@@ -87,15 +87,14 @@ def survives(mutant: Mutant) -> bool:
         shutil.copytree(firmware_library.SOURCES, sources)
         changed = sources / mutant.file
         changed.write_text(mutant.of(changed.read_text()))
-        child = os.fork()
-        if not child:
-            os._exit(_tested(sources, folder))
+        return all(_in_a_child(check, sources, folder) for check in (_looked_at, _tested))
+
+
+def _in_a_child(check: Callable[[], int], sources: Path, cache: str) -> bool:
+    """Return whether a check of these sources finds nothing; a mutant may crash, or never end."""
+    child = os.fork()
+    if child:
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-
-
-def _tested(sources: Path, cache: str) -> int:
-    import pytest  # noqa: PLC0415
-
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(_PATIENCE_S)
     quiet = os.open(os.devnull, os.O_WRONLY)
@@ -104,12 +103,36 @@ def _tested(sources: Path, cache: str) -> int:
     os.environ["XDG_CACHE_HOME"] = cache
     firmware_library.SOURCES = sources
     firmware_library.FLAGS = (*firmware_library.FLAGS, "-Wno-error", "-O0")
-    return int(pytest.main([*TESTS, "-x", "-n0", "-p", "no:cacheprovider", "-m", "not slow and not long"]))
+    try:
+        os._exit(check())
+    finally:
+        os._exit(1)
+
+
+def _looked_at() -> int:
+    """Most mutants are noticed within the first steps: no need to collect tests."""
+    from tests.drivers import test_rfp_frames as frames
+    from tests.safety import test_gate_in_c as gates
+
+    library = firmware_library.firmware_library({}, firmware_library.SOURCES)
+    frames.test_every_length_is_the_headers(library)
+    frames.test_the_firmware_sends_the_same_frames(library)
+    frames.test_frames_that_are_missing_are_counted(library)
+    gates.walk(library, 2000, seed=1)
+    return 0
+
+
+def _tested() -> int:
+    import pytest
+
+    quiet = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
+    return int(pytest.main([*TESTS, "-x", "-n0", "-p", "no:cacheprovider", *quiet]))
 
 
 def mutate(workers: int, only: str) -> int:
     """Print the survivors; return how many there are that are not known to be equivalent."""
-    import pytest  # noqa: F401, PLC0415
+    import tests.drivers.test_rfp_frames
+    import tests.safety.test_gate_in_c  # noqa: F401 - each child has them then
 
     sources = {file: (firmware_library.SOURCES / file).read_text() for file in MUTATED}
     found = [mutant for file in MUTATED if only in file for mutant in mutants(file, sources[file])]
@@ -147,7 +170,8 @@ def coverage() -> dict[str, tuple[float, float]]:
         )  # fmt: skip
     shares = {}
     for file in COVERED:
-        (found,) = re.findall(rf"File '[^']*/{file}'\nLines executed:([\d.]+)%.*\n.*\nTaken at least once:([\d.]+)%", done.stdout)
+        figures = rf"File '[^']*/{file}'\nLines executed:([\d.]+)%.*\n.*\nTaken at least once:([\d.]+)%"
+        (found,) = re.findall(figures, done.stdout)
         shares[file] = float(found[0]), float(found[1])
     return shares
 
