@@ -236,13 +236,6 @@ static void tick(struct robot *r, bool due)
     if (!gate_stands(&r->gate)) { /* in every millisecond: a command is not to wait for the encoders */
         drive(r, BOARD_LEFT, due);
         drive(r, BOARD_RIGHT, due);
-<<<<<<< HEAD
-    }
-    if (due) {
-        r->place = (uint8_t)((r->place + 1u) % ROBOT_WINDOW);
-        r->tick = r->now;
-=======
->>>>>>> core
     }
     if (r->now - r->status >= ROBOT_STATUS_MS) {
         r->status = r->now;
