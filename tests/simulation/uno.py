@@ -1,4 +1,4 @@
-"""An emulated Uno (or Mega) with its binary, and a host at its line: wheels that turn as the gate lets them, and no driver."""
+"""An emulated Uno or Mega with its binary, a host at its line without a driver, and wheels that do as the gate says."""
 
 import math
 from collections.abc import Callable

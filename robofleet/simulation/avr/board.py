@@ -1,6 +1,6 @@
-"""An emulated Arduino: simavr's microcontroller with an L298 and two encoders on its pins. The binary is the one flashed.
+"""An emulated Arduino: simavr's microcontroller with an L298 and two encoders on its pins. It runs the flashed binary.
 
-It is compiled at its first use, by this computer's compilers; nothing of it is loaded where it is not used.
+Shim and binary are compiled at their first use, by this computer's compilers.
 """
 
 import ctypes

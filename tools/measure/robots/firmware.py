@@ -23,11 +23,11 @@ import random
 import signal
 import statistics
 import tempfile
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from robofleet.config import slices
 from robofleet.config.tree import Config
@@ -42,7 +42,8 @@ from tests.simulation.uno import NO_LEASE, Uno
 from tests.twins import TwinStand, config_of
 from tools.measure.program import program
 
-SETTINGS = {"counts_per_turn": 2248.0, "baud": 250000, "gains": (400, 160, 488)}
+WALL = WallClock()
+SETTINGS: dict[str, Any] = {"counts_per_turn": 2248.0, "baud": 250000, "gains": (400, 160, 488)}
 FASTEST = WheelSpeeds(9.0, 9.0)  # rad/s; by the body's top speed
 REMEMBERED_NS = 300 * MS
 _LATEST_S = 0.2  # of a line that is late
@@ -66,7 +67,7 @@ class SlowClock(WallClock):
 
     def sleep_until(self, instant_ns: int, *, precise: bool = False) -> None:
         while (left_ns := instant_ns - self.now_ns()) > 0:
-            time.sleep(left_ns / S * self._slower)
+            WALL.sleep_until(WALL.now_ns() + round(left_ns * self._slower))
 
 
 def deaths(tries: int, slower: float) -> None:
@@ -76,7 +77,7 @@ def deaths(tries: int, slower: float) -> None:
 
 def _report(name: str, gates: list[Gate]) -> None:
     assert all(gate.target == STOP and gate.target_after_ms >= 0 for gate in gates)
-    targets, outputs = ([gate[i] for gate in gates] for i in (2, 3))
+    targets, outputs = [gate.target_after_ms for gate in gates], [gate.output_after_ms for gate in gates]
     print(
         f"{name}: zero target after {statistics.median(targets):.0f} ms (median), {max(targets)} ms at most; "
         f"zero output after {max(outputs)} ms at most; of {len(gates)}",
@@ -107,7 +108,7 @@ def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) 
     """Let a driver drive at full speed in a process of its own, and die; returns the gate when its wheels stand."""
     with tempfile.TemporaryDirectory() as folder:
         stand = TwinStand(configured(), Path(folder), clock)
-        firmware = stand.twin._firmware  # noqa: SLF001 - what the binary knows of its stop
+        firmware = stand.twin._firmware  # what the binary knows of its stop
         assert isinstance(firmware, ArduinoUnoFirmware)
         with stand.running():
             driver = os.fork()
@@ -142,11 +143,10 @@ def _drive_for_ever(stand: TwinStand) -> None:
 
 
 def _wait(condition: Callable[[], bool], within_s: float = 60.0) -> None:
-    clock = WallClock()
-    until_ns = clock.now_ns() + round(within_s * S)
+    until_ns = WALL.now_ns() + round(within_s * S)
     while not condition():
-        assert clock.now_ns() < until_ns, f"waited {within_s} s"
-        clock.sleep_until(clock.now_ns() + 5 * MS)
+        assert WALL.now_ns() < until_ns, f"waited {within_s} s"
+        WALL.sleep_until(WALL.now_ns() + 5 * MS)
 
 
 # --- noise ---
@@ -228,9 +228,9 @@ def noise(minutes: float, share: float, seed: int) -> None:
             if late := to_driver.due():
                 bench.line.write(late)
     print(
-        f"{minutes:g} minutes, share {share:g}: {to_robot.struck} lines to the robot and {to_driver.struck} to the driver "
-        f"struck; {wrong} ms of wrong motion; moving {driven_ms / 1000:.0f} s, standing {stopped_ms / 1000:.0f} s; "
-        f"{failures} new drivers"
+        f"{minutes:g} minutes, share {share:g}: {to_robot.struck} lines to the robot and {to_driver.struck} to the "
+        f"driver struck; {wrong} ms of wrong motion; moving {driven_ms / 1000:.0f} s, standing "
+        f"{stopped_ms / 1000:.0f} s; {failures} new drivers"
     )
 
 
@@ -248,7 +248,7 @@ def _bench(period_ns: int) -> LineBench:
 
 
 def latency(tries: int) -> None:
-    rng, step_ns = random.Random(1), MS // 10
+    rng, step_ns, turn = random.Random(1), MS // 10, WheelSpeeds(5.0, 3.0)
     with _bench(step_ns) as bench:
         bench.open(**SETTINGS)
 
@@ -265,8 +265,7 @@ def latency(tries: int) -> None:
             bench.pass_time(0.2, STOP)
             pins.append(took_ms(WheelSpeeds(4.0, 4.0), lambda: bench.firmware.board.voltages != (0, 0)))
             bench.pass_time(0.05, WheelSpeeds(4.0, 4.0))
-            wheels = WheelSpeeds(5.0, 3.0)
-            targets.append(took_ms(wheels, lambda wheels=wheels: bench.firmware.gate.target == wheels))
+            targets.append(took_ms(turn, lambda: bench.firmware.gate.target == turn))
     for name, times in (("from rest, to the pins", pins), ("in motion, to the gate's target", targets)):
         cuts = statistics.quantiles(times, n=100)
         print(f"{name}: median {cuts[49]:.1f} ms, p99 {cuts[98]:.1f} ms, worst {max(times):.1f} ms")
