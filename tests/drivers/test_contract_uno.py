@@ -5,7 +5,7 @@ import pytest
 from robofleet.simulation.avr.board import NoAvrError, image
 from robofleet.testing import DriverContract, DriverSubject
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from robofleet.core.clock import MS
 from robofleet.drivers.rfp_frames import Command, Hello, Identity, frame
 from robofleet.simulation.avr.board import Reset
-from tests.simulation.uno import EMERGENCY_STOP, LATCHED, NO_LEASE, OPEN, Uno
+from robofleet.vehicles.interface import WheelSpeeds
+from tests.simulation.uno import EMERGENCY_STOP, LATCHED, NO_LEASE, OPEN, UNO_SETTINGS, Uno, uno_behind_its_driver
 
 SLEEP, LOOP = b"\x88\x95", b"\xff\xcf"  # instructions: sleep, once in each loop of the program; jump to yourself
 ROBOT_MEMORY, EEPROM_MS = 5, 4  # as a latch; more than a cell of the EEPROM takes
@@ -34,6 +36,7 @@ def sizes(image: Path) -> tuple[int, int]:
     return text + data, data + bss
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("board", ["uno", "mega"])
 def test_at_20000_counts_a_second_it_is_small_and_no_loop_takes_a_millisecond(board: str) -> None:
     uno = Uno(board=board, counts_per_turn=13962.634)  # at 9 rad/s
@@ -66,6 +69,7 @@ def test_it_says_who_it_is() -> None:
     assert identity.reset == Reset.POWER_ON
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("silent_after_ms", range(0, 20, 7))
 def test_a_host_that_falls_silent_stops_it_130_ms_after_its_newest_nonce(silent_after_ms: int) -> None:
     uno = Uno()
@@ -116,6 +120,7 @@ def test_a_reset_in_mid_drive_leaves_it_standing_and_it_says_why(cause: str) -> 
     uno.drive(2.0, 2.0)
 
 
+@pytest.mark.slow
 def test_a_program_that_hangs_lets_its_motors_run_no_longer_than_130_ms() -> None:
     uno = Uno()
     uno.drive(9.0, 9.0)
@@ -124,7 +129,8 @@ def test_a_program_that_hangs_lets_its_motors_run_no_longer_than_130_ms() -> Non
     assert uno.board.voltages == (0, 0)
 
 
-@pytest.mark.parametrize("after_ms", [10, 25, 40, 55, 70, 85, 200])
+@pytest.mark.slow_after_first
+@pytest.mark.parametrize("after_ms", [40, 10, 25, 55, 70, 85, 200])
 def test_a_latch_outlasts_a_loss_of_power_also_while_it_is_being_written(after_ms: int) -> None:
     uno = Uno()
     uno.drive(5.0, 5.0)
@@ -137,9 +143,24 @@ def test_a_latch_outlasts_a_loss_of_power_also_while_it_is_being_written(after_m
     assert uno.board.voltages == (0, 0)
 
 
+@pytest.mark.slow
 def test_a_worn_memory_latches_it() -> None:
     uno = Uno()
     uno.board.worn[:34] = bytes([1]) * 34
     uno.board.reset(Reset.POWER_ON)
     uno.pass_ms(400)
     assert (uno.status.gate, uno.status.latch, uno.health.memory_lost) == (LATCHED, ROBOT_MEMORY, 1)
+
+
+@pytest.mark.slow
+def test_behind_its_driver_its_wheels_turn_as_commanded_and_its_encoders_tell_so() -> None:
+    with uno_behind_its_driver(MS) as bench:
+        bench.open(**UNO_SETTINGS)
+        bench.pass_time(0.5, WheelSpeeds(4.0, 5.0))
+        before = bench.read()
+        bench.pass_time(1.0, WheelSpeeds(4.0, 5.0))
+        after = bench.read()
+        assert after.left_angle - before.left_angle == pytest.approx(4.0, rel=0.01)
+        assert after.right_angle - before.right_angle == pytest.approx(5.0, rel=0.01)
+        bench.let_pass(0.5)
+        assert bench.read().left_speed == 0.0

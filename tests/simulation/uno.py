@@ -2,14 +2,24 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from robofleet.config import slices
+from robofleet.config.tree import Config
+from robofleet.core.clock import S
+from robofleet.drivers.rfp import Rfp
 from robofleet.drivers.rfp_frames import Command, Health, Lease, Message, Permission, Receiver, Status, frame, message
 from robofleet.simulation.avr.board import CLOCK_HZ, Board, NoAvrError, image
+from robofleet.simulation.firmwares.arduino_uno import ArduinoUnoFirmware
+from tests.drivers.line_bench import LineBench
+from tests.twins import config_of
 
 BAUD = 250000
 COUNTS_PER_TURN = 2248.0
+UNO_SETTINGS: dict[str, Any] = {"counts_per_turn": COUNTS_PER_TURN, "baud": BAUD, "gains": (400, 160, 488)}
 EMERGENCY_STOP = 2  # as a latch
 OPEN, NO_COMMAND, NO_ENABLE, LATCHED, NO_LEASE = range(5)  # the gate's states
 _MS = CLOCK_HZ // 1000
@@ -98,3 +108,21 @@ class Uno:
             self._owed[side] -= whole[side]
             self.turned[side] += whole[side]
         return whole
+
+
+def uno_configured() -> Config:
+    """Return a configuration whose r1 has the binary as its twin; without the tools of AVR the test is skipped."""
+    try:
+        image("uno")
+    except NoAvrError as error:
+        pytest.skip(str(error))
+    return config_of(twin="arduino_uno", vehicle="arduino_uno")
+
+
+def uno_behind_its_driver(period_ns: int) -> LineBench:
+    """Return a bench with motors; they take the pins' voltage, and turn the encoders', once in a period."""
+    simulation = slices.simulation(uno_configured(), uno_configured().robots[0], None)
+    built = simulation.imperfections
+    count = built.speed_quantum * built.loop_period
+    imperfections = replace(built, loop_period=period_ns / S, speed_quantum=count * S / period_ns)
+    return LineBench(Rfp, ArduinoUnoFirmware, simulation.drive, imperfections, period_ns)

@@ -25,32 +25,22 @@ import statistics
 import tempfile
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from robofleet.config import slices
-from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.drivers.rfp import Rfp
 from robofleet.simulation.avr.board import Reset
 from robofleet.simulation.firmwares.arduino_uno import ArduinoUnoFirmware, Gate
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
-from tests.drivers.line_bench import LineBench
 from tests.simulation.test_arduino_uno import SLEEP, hang, latched_by_an_emergency_stop
-from tests.simulation.uno import NO_LEASE, Uno
-from tests.twins import TwinStand, config_of
+from tests.simulation.uno import NO_LEASE, UNO_SETTINGS, Uno, uno_behind_its_driver, uno_configured
+from tests.twins import TwinStand
 from tools.measure.program import program
 
 WALL = WallClock()
-SETTINGS: dict[str, Any] = {"counts_per_turn": 2248.0, "baud": 250000, "gains": (400, 160, 488)}
 FASTEST = WheelSpeeds(9.0, 9.0)  # rad/s; by the body's top speed
 REMEMBERED_NS = 300 * MS
 _LATEST_S = 0.2  # of a line that is late
-
-
-def configured() -> Config:
-    return config_of(twin="arduino_uno", vehicle="arduino_uno")
 
 
 # --- deaths ---
@@ -88,8 +78,8 @@ def _report(name: str, gates: list[Gate]) -> None:
 def silences(tries: int) -> None:
     for name in ("silent", "cut in a frame"):
         rng, gates = random.Random(1), []
-        with _bench(MS) as bench:
-            bench.open(**SETTINGS)
+        with uno_behind_its_driver(MS) as bench:
+            bench.open(**UNO_SETTINGS)
             for _ in range(tries):
                 bench.pass_time(rng.uniform(0.25, 0.35), FASTEST)
                 assert bench.firmware.gate.target == FASTEST
@@ -107,7 +97,7 @@ def silences(tries: int) -> None:
 def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) -> Gate:
     """Let a driver drive at full speed in a process of its own, and die; returns the gate when its wheels stand."""
     with tempfile.TemporaryDirectory() as folder:
-        stand = TwinStand(configured(), Path(folder), clock)
+        stand = TwinStand(uno_configured(), Path(folder), clock)
         firmware = stand.twin._firmware  # what the binary knows of its stop
         assert isinstance(firmware, ArduinoUnoFirmware)
         with stand.running():
@@ -131,7 +121,7 @@ def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) 
 def _drive_for_ever(stand: TwinStand) -> None:
     """Be a driver's process: read a hundred times a second, write every third time."""
     try:
-        driver = Rfp(stand.context(Rfp.Settings(port=str(stand.port), **SETTINGS)))
+        driver = Rfp(stand.context(Rfp.Settings(port=str(stand.port), **UNO_SETTINGS)))
         while True:
             for k in range(3):
                 driver.read()
@@ -187,7 +177,7 @@ def noise(minutes: float, share: float, seed: int) -> None:
     rng = random.Random(seed)
     commanded: deque[tuple[int, WheelSpeeds]] = deque()
     wrong = driven_ms = stopped_ms = failures = 0
-    with _bench(MS) as bench:
+    with uno_behind_its_driver(MS) as bench:
         firmware = bench.firmware
         loop = firmware.loop
 
@@ -204,14 +194,14 @@ def noise(minutes: float, share: float, seed: int) -> None:
 
         firmware.loop = watched_loop
         to_robot, to_driver = (Noise(share, rng, lambda: bench.now_ns) for _ in range(2))
-        driver = bench.open(**SETTINGS)
+        driver = bench.open(**UNO_SETTINGS)
         end_ns = bench.now_ns + round(minutes * 60 * S)
         bench.to_robot, bench.to_driver = to_robot, to_driver
         k = 0
         while bench.now_ns < end_ns:
             try:
                 if driver is None:
-                    driver = bench.open(**SETTINGS)
+                    driver = bench.open(**UNO_SETTINGS)
                 if k % 3 == 0:
                     wheels = WheelSpeeds(*(rng.randrange(-2000, 4600) / 512.0 for _ in range(2)))
                     commanded.append((bench.now_ns, wheels))
@@ -234,23 +224,13 @@ def noise(minutes: float, share: float, seed: int) -> None:
     )
 
 
-def _bench(period_ns: int) -> LineBench:
-    robot = configured().robots[0]
-    simulation = slices.simulation(configured(), robot, None)
-    imperfections = replace(
-        simulation.imperfections, loop_period=period_ns / S,
-        speed_quantum=simulation.imperfections.speed_quantum * simulation.imperfections.loop_period * S / period_ns,
-    )  # fmt: skip
-    return LineBench(Rfp, ArduinoUnoFirmware, simulation.drive, imperfections, period_ns)
-
-
 # --- latency ---
 
 
 def latency(tries: int) -> None:
     rng, step_ns, turn = random.Random(1), MS // 10, WheelSpeeds(5.0, 3.0)
-    with _bench(step_ns) as bench:
-        bench.open(**SETTINGS)
+    with uno_behind_its_driver(step_ns) as bench:
+        bench.open(**UNO_SETTINGS)
 
         def took_ms(wheels: WheelSpeeds, arrived: Callable[[], bool]) -> float:
             bench.let_pass(rng.randrange(100) * step_ns / S)
