@@ -2,18 +2,15 @@
 
 import pytest
 
-from robofleet.simulation.avr.board import NoAvrError, image
 from robofleet.testing import DriverContract, DriverSubject
+from tests.simulation.uno import UNO_SETTINGS, require_avr
 
 pytestmark = pytest.mark.long
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _avr() -> None:
-    try:
-        image("uno")
-    except NoAvrError as error:
-        pytest.skip(str(error))
+    require_avr()
 
 
 class TestUno(DriverContract):
@@ -21,5 +18,5 @@ class TestUno(DriverContract):
         "rfp",
         twin="arduino_uno",
         vehicle="arduino_uno",
-        settings={"counts_per_turn": 2248, "baud": 250000, "gains": [400, 160, 488]},
+        settings={**UNO_SETTINGS, "gains": [400, 160, 488]},
     )

@@ -32,10 +32,8 @@ class Uno:
 
     def __init__(self, *flags: str, board: str = "uno", counts_per_turn: float = COUNTS_PER_TURN) -> None:
         """Switch it on, and let it begin; ``counts_per_turn`` is built in."""
-        try:
-            built = image(board, f"-DRFP_COUNTS_PER_TURN={counts_per_turn}", f"-DRFP_BAUD={BAUD}L", *flags)
-        except NoAvrError as error:
-            pytest.skip(str(error))
+        require_avr()
+        built = image(board, f"-DRFP_COUNTS_PER_TURN={counts_per_turn}", f"-DRFP_BAUD={BAUD}L", *flags)
         self.board = Board(board, built, BAUD)
         self.newest: dict[type, Message] = {}
         self.commands: tuple[float, float] | None = None  # of both wheels [rad/s]; None: the host is silent
@@ -110,12 +108,17 @@ class Uno:
         return whole
 
 
-def uno_configured() -> Config:
-    """Return a configuration whose r1 has the binary as its twin; without the tools of AVR the test is skipped."""
+def require_avr() -> None:
+    """Skip the test where the tools are missing."""
     try:
-        image("uno")
+        Board("uno", image("uno"), BAUD)
     except NoAvrError as error:
         pytest.skip(str(error))
+
+
+def uno_configured() -> Config:
+    """Return a configuration whose r1 has the binary as its twin."""
+    require_avr()
     return config_of(twin="arduino_uno", vehicle="arduino_uno")
 
 

@@ -1,7 +1,7 @@
 /* Arduino Uno and Mega with an L298 and two quadrature encoders, wired as for ros_arduino_bridge (README.md).
  *
- * Two timers make the motors' PWM (490 Hz, phase correct, as Arduino's own on pins 9 and 10), a third one the clock. Every edge of an encoder is an
- * interrupt. The microcontroller sleeps between interrupts.
+ * Timers make the motors' PWM (490 Hz, phase correct, as Arduino's own on pins 9 and 10) and the clock. Every edge of an
+ * encoder is an interrupt. The microcontroller sleeps between interrupts.
  */
 #include <avr/interrupt.h>
 #include <avr/io.h>
@@ -12,9 +12,9 @@
 #include "../config.h"
 #include "../robot.h"
 
-enum { BUFFER = 128, BUFFER_MASK = BUFFER - 1 };              /* bytes of the line, each way */
-enum { BAUD_DIVISOR = (F_CPU / 4 / RFP_BAUD - 1) / 2 };       /* at double speed, rounded */
-enum { TICKS = 250, TICK_US = 4 };                            /* of the clock's timer in a millisecond: 16 MHz / 64 */
+enum { BUFFER = 128, BUFFER_MASK = BUFFER - 1 };        /* bytes of the line, each way */
+enum { BAUD_DIVISOR = (F_CPU / 4 / RFP_BAUD - 1) / 2 }; /* at double speed, rounded */
+enum { TICKS = 250, TICK_US = 4 };                      /* of the clock's timer in a millisecond: 16 MHz / 64 */
 
 /* Let a timer's output make a pin high for so much of 255; 0: the pin's own level, which is low. */
 #define PWM(mode, bit, compare, level) \

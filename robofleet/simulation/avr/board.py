@@ -28,7 +28,11 @@ _DONE, _CRASHED = 6, 7  # simavr: the program ended, or did what no program may 
 
 
 class NoAvrError(RobofleetError):
-    """Raised where the tools that emulate an Arduino are missing, or its firmware cannot be built."""
+    """Raised where the tools that build and emulate an Arduino's firmware are missing."""
+
+
+class AvrError(RobofleetError):
+    """Raised where an Arduino's firmware cannot be built or run."""
 
 
 class Reset(IntFlag):
@@ -48,7 +52,7 @@ class Board:
         self._c = _library()
         self._board: int | None = self._c.board_new(os.fsencode(image), _MCUS[name], baud)
         if not self._board:
-            raise NoAvrError(f"{image}: simavr cannot run it on the board {name!r}")
+            raise AvrError(f"{image}: simavr cannot run it on the board {name!r}")
         self._bytes = (ctypes.c_uint8 * _MOST_BYTES_AT_ONCE)()
         self.eeprom = self._view("eeprom", 1024)
         self.worn = self._view("worn", 1024)  # not 0: this cell of the EEPROM takes no write any more
@@ -87,7 +91,7 @@ class Board:
     def run(self, cycles: int, left_counts: int = 0, right_counts: int = 0) -> None:
         """Let it run; its encoders count meanwhile, at even distances. Forward is +."""
         if self._c.board_run(self._board, cycles, left_counts, right_counts) in (_DONE, _CRASHED):
-            raise NoAvrError("the firmware has crashed: it sleeps without interrupts, or left its program")
+            raise AvrError("the firmware has crashed: it sleeps without interrupts, or left its program")
 
     def receive(self, data: bytes) -> None:
         """Put bytes on the line to it; they arrive as its baud rate lets them."""
@@ -108,7 +112,8 @@ def image(name: str, *flags: str) -> Path:
     """Return the ELF image of a board's firmware, as ``make NAME RFP=FLAGS`` in drivers/firmware builds it.
 
     Raises:
-        NoAvrError: A tool is missing, or it cannot be built.
+        NoAvrError: A tool is missing.
+        AvrError: It cannot be built.
     """
     if missing := [tool for tool in ("make", "avr-gcc") if shutil.which(tool) is None]:
         raise NoAvrError(f"NO AVR: no {' and no '.join(missing)} here: install Debian's gcc-avr, avr-libc and make")
@@ -123,7 +128,7 @@ def address(image: Path, variable: str) -> int:
     symbols = subprocess.run(["avr-nm", str(image)], capture_output=True, text=True, check=True).stdout
     found = re.search(rf"^00(80\w{{4}}) \w {variable}(?:\.\S+)?$", symbols, re.MULTILINE)
     if found is None:
-        raise NoAvrError(f"{image}: it has no variable {variable!r}")
+        raise AvrError(f"{image}: it has no variable {variable!r}")
     return int(found[1], 16) - 0x800000
 
 
@@ -132,7 +137,11 @@ def _library() -> ctypes.CDLL:
     if shutil.which("cc") is None:
         raise NoAvrError("NO AVR: no cc here: install Debian's gcc")
     command = ["cc", "-O2", "-shared", "-fPIC", str(_SHIM), "-lsimavr", "-o"]
-    c = ctypes.CDLL(str(_built("board.so", [_SHIM], (), lambda folder: [*command, str(folder / "board.so")])))
+    try:
+        shim = _built("board.so", [_SHIM], (), lambda folder: [*command, str(folder / "board.so")])
+    except AvrError as error:
+        raise NoAvrError(f"NO AVR: {error}: install Debian's libsimavr-dev") from error
+    c = ctypes.CDLL(str(shim))
     for name in ("new", "eeprom", "worn", "memory", "flash"):
         getattr(c, f"board_{name}").restype = ctypes.c_void_p
     c.board_cycle.restype = ctypes.c_uint64
@@ -159,6 +168,6 @@ def _built(name: str, sources: Sequence[Path], flags: Sequence[str], command: Ca
             done = subprocess.run(command(Path(making)), capture_output=True, text=True, check=False)
             if done.returncode:
                 why = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
-                raise NoAvrError(f"NO AVR: {name} cannot be built: {why}")
+                raise AvrError(f"{name} cannot be built: {why}")
             (Path(making) / name).replace(folder / name)
     return folder / name
