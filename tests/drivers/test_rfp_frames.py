@@ -145,6 +145,20 @@ def test_a_frame_that_comes_in_pieces_behind_noise_is_taken(library: Any) -> Non
         assert [message(b) for b in got] == [MOTION] and receiver.struck == 1
 
 
+def test_a_frame_that_lost_its_end_is_not_completed_by_the_one_before(library: Any) -> None:
+    whole = frame(MOTION, 0)
+    for receiver in (Receiver(), InC(library)):
+        assert len([*receiver.receive(whole + whole[:-2] + b"\0" + whole)]) == 2
+        assert receiver.struck == 1
+
+
+def test_a_frame_without_a_head_and_one_that_is_too_long_are_none(library: Any) -> None:
+    for receiver in (Receiver(), InC(library)):
+        assert [*receiver.receive(line(b"") + line(bytes(range(1, 60))))] == []
+        assert receiver.struck == 2
+        assert len([*receiver.receive(line(bytes(range(1, 59))))]) == 1
+
+
 def test_frames_that_are_missing_are_counted(library: Any) -> None:
     for receiver in (Receiver(), InC(library)):
         for count in (14, 15, 16, 18, 25, 26):

@@ -187,6 +187,98 @@ def walk(library: Any, steps: int, seed: int) -> Counter[str]:
     return met
 
 
+class Driven(Pair):
+    """Both gates with a lease of 21, and messages that fit but for what a test changes."""
+
+    def __init__(self, library: Any) -> None:
+        super().__init__(library)
+        self.step(lease=1, lease_session=21, lease_action=1)
+
+    def permit(self, **changes: int) -> None:
+        g = self.state
+        fits = {"permission_epoch": g.epoch, "permission_seq": g.enabled_seq + 1, "permission_boot_id": g.boot_id}
+        self.step(permission=1, **fits | {"permission_nonce": self.now, "permission_limit": 6413} | changes)
+
+    def move(self, left: int, right: int, **changes: int) -> None:
+        g = self.state
+        fits = {"command_epoch": g.epoch, "command_seq": g.seq + 1, "command_boot_id": g.boot_id}
+        fits |= {"command_session": 21, "command_nonce": self.now, "command_left": left, "command_right": right}
+        self.step(command=1, **fits | changes)
+
+
+def test_a_lease_lapses_in_the_same_millisecond(library: Any) -> None:
+    for wait, granted in ((999, 0), (1000, 1)):
+        pair = Driven(library)
+        pair.now += wait
+        pair.step(lease=1, lease_session=22, lease_action=1)
+        assert pair.in_c.epoch == 1 + granted
+
+
+def test_a_command_and_a_permission_are_stale_in_the_same_millisecond(library: Any) -> None:
+    for command_ms, permission_ms in ((0, 50), (50, 0)):
+        pair = Driven(library)
+        start = pair.now
+        pair.now = start + min(command_ms, permission_ms)
+        for at_ms in (0, 50, 119, 120, 121, 169, 170):
+            pair.now = start + at_ms
+            if at_ms == permission_ms:
+                pair.permit()
+            if at_ms == command_ms:
+                pair.move(600, -300)
+            pair.step()
+        assert pair.met["status 0"] > 2
+
+
+def test_no_motion_is_permitted_by_a_limit_of_zero_and_one_is_a_limit(library: Any) -> None:
+    for limit, status in ((-1, 2), (0, 2), (1, 0)):
+        pair = Driven(library)
+        pair.permit(permission_limit=limit)
+        pair.move(0, 0)
+        assert pair.in_c.status == status
+
+
+def test_one_per_cent_more_than_a_limit_is_within_it(library: Any) -> None:
+    """In C alone: of limits where that is a whole number."""
+    pair = Driven(library)
+    limits = pair.ffi.new("struct gate_limits *", {"max_wheel": 6400, "max_sum": 9400, "max_ramp": RAMP})
+    for left, right, within in ((6464, 0, 1), (6465, 0, 0), (0, -6465, 0), (4747, 4747, 1), (4747, 4748, 0)):
+        inputs = {"command": 1, "command_epoch": 1, "command_session": 21, "command_seq": pair.in_c.seq + 1}
+        inputs |= {"command_boot_id": 7, "command_nonce": pair.now, "command_left": left, "command_right": right}
+        before = pair.in_c.refused
+        pair.c.gate_step(pair.in_c, limits, pair.ffi.new("struct gate_inputs *", inputs), pair.now)
+        assert pair.in_c.refused == before + 1 - within
+    for limit, status in ((4700, 0), (4699, 2)):
+        pair.in_c.limit, pair.in_c.enabled_nonce = limit, pair.now
+        pair.c.gate_step(pair.in_c, limits, pair.ffi.new("struct gate_inputs *"), pair.now)
+        assert pair.in_c.status == status
+
+
+def test_a_gate_that_was_held_up_takes_what_is_issued_from_then_on(library: Any) -> None:
+    for held_ms in (120, 121):
+        pair = Driven(library)
+        pair.permit()
+        pair.move(600, -300)
+        pair.now += 60
+        pair.permit()
+        pair.move(600, -300)
+        pair.now += held_ms
+        pair.step()
+        for age in (1, 0):
+            pair.permit(permission_nonce=pair.now - age)
+            pair.move(600, -300, command_nonce=pair.now - age)
+        assert pair.in_c.status == 0
+
+
+def test_of_two_permissions_the_one_with_the_higher_nonce_or_sequence_counts(library: Any) -> None:
+    pair = Driven(library)
+    pair.permit(permission_seq=5)
+    refused = pair.in_c.refused
+    for seq, age, taken in ((5, 0, 0), (4, 0, 0), (6, 1, 0), (6, 0, 1)):
+        pair.permit(permission_seq=seq, permission_nonce=pair.now - age)
+        refused += 1 - taken
+        assert pair.in_c.refused == refused
+
+
 @settings(max_examples=100, derandomize=True, deadline=None)
 @given(data=st.binary(max_size=1000))
 def test_both_gates_agree_in_whatever_hypothesis_draws(library: Any, data: bytes) -> None:
