@@ -8,9 +8,11 @@ import pytest
 
 from robofleet.core.clock import MS
 from robofleet.drivers.rfp_frames import Command, Hello, Identity, frame
-from robofleet.simulation.avr.board import Reset
+from robofleet.runs import check_drivers
+from robofleet.simulation.avr.board import Reset, image
 from robofleet.vehicles.interface import WheelSpeeds
 from tests.simulation.uno import EMERGENCY_STOP, LATCHED, NO_LEASE, OPEN, UNO_SETTINGS, Uno, uno_behind_its_driver
+from tests.twins import config_of
 
 SLEEP, LOOP = b"\x88\x95", b"\xff\xcf"  # instructions: sleep, once in each loop of the program; jump to yourself
 ROBOT_MEMORY, EEPROM_MS = 5, 4  # as a latch; more than a cell of the EEPROM takes
@@ -150,6 +152,14 @@ def test_a_worn_memory_latches_it() -> None:
     uno.board.reset(Reset.POWER_ON)
     uno.pass_ms(400)
     assert (uno.status.gate, uno.status.latch, uno.health.memory_lost) == (LATCHED, ROBOT_MEMORY, 1)
+
+
+def test_where_tools_are_missing_the_check_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robofleet.simulation.avr.board.shutil.which", lambda _: None)
+    image.cache_clear()
+    config = config_of(twin="arduino_uno", vehicle="arduino_uno")
+    why = "NO AVR: no make and no avr-gcc here: install Debian's gcc-avr, avr-libc and make"
+    assert ("robots.0.twin", why) in check_drivers.of_robot(config, 0)
 
 
 @pytest.mark.slow

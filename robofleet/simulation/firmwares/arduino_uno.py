@@ -9,7 +9,7 @@ import struct
 from typing import NamedTuple
 
 from robofleet.core.clock import S
-from robofleet.simulation.avr.board import CLOCK_HZ, FULL_VOLTAGE, Board, Reset, address, image
+from robofleet.simulation.avr.board import CLOCK_HZ, FULL_VOLTAGE, Board, NoAvrError, Reset, address, image
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.interface import STOP, WheelSpeeds
 
@@ -43,6 +43,15 @@ class ArduinoUnoFirmware:
         self._counts = hardware.counts
         self._start_ns: int | None = None  # when its cycles began; None: with its first call
         self._ready_ns = 0
+
+    @staticmethod
+    def refusal() -> str | None:
+        """Return which tools are missing here."""
+        try:
+            Board("uno", image("uno"), _BAUD)
+        except NoAvrError as error:
+            return str(error)
+        return None
 
     @property
     def gate(self) -> Gate:
