@@ -172,5 +172,8 @@ def test_behind_its_driver_its_wheels_turn_as_commanded_and_its_encoders_tell_so
         after = bench.read()
         assert after.left_angle - before.left_angle == pytest.approx(4.0, rel=0.01)
         assert after.right_angle - before.right_angle == pytest.approx(5.0, rel=0.01)
+        assert bench.firmware.gate.target == (4.0, 5.0)
         bench.let_pass(0.5)
         assert bench.read().left_speed == 0.0
+        assert bench.firmware.gate.target == (0.0, 0.0)
+        assert 110 <= bench.firmware.gate.target_after_ms <= 130
