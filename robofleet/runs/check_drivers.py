@@ -57,7 +57,9 @@ def of_robot(config: Config, i: int, *, lockstep: bool = False) -> Iterator[Comp
         yield no_errors(i)
     if robot.twin is not None:
         try:
-            load("robofleet.twins", robot.twin)
+            firmware = load("robofleet.twins", robot.twin)
+            if hasattr(firmware, "refusal") and (why := firmware.refusal()) is not None:
+                yield f"robots.{i}.twin", why
         except PluginError as error:
             yield f"robots.{i}.twin", str(error)
     if wrong := driver_settings.complaints(config, i):

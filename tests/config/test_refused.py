@@ -128,7 +128,7 @@ def test_what_stands_in_the_way_is_refused_where_it_is_written(
 @pytest.mark.parametrize(
     "change",
     [
-        *(f"{KIND}={kind}" for kind in ("gternal", "ideal", "arduino", "create2", "rfp")),
+        *(f"{KIND}={kind}" for kind in ("gternal", "ideal", "arduino", "arduino_uno", "create2", "rfp")),
         "robots.1.calibration={robot: r2, wheel_radius_m: 0.0125, wheel_base_m: 0.12}",  # a worn robot
         "robots.2.tag=586",
     ],
