@@ -10,7 +10,8 @@ from robofleet.runs.lockstep import Lockstep
 from robofleet.runs.replay import replay
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-OF_A_LABORATORY = {"firmware", "lab", "mixed", "platoon-serial"}  # robots, or twins of them on serial lines, that are there or not
+# Robots, or twins of them on serial lines, that are there or not.
+OF_A_LABORATORY = {"firmware", "lab", "mixed", "platoon-serial"}
 SHIPPED = sorted({file.stem for file in CONFIGS.glob("*.yaml")} - OF_A_LABORATORY)
 QUICK = {"go-to", "two-groups"}
 SLOW = pytest.mark.long  # of some: the same test

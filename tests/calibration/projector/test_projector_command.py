@@ -41,9 +41,7 @@ def test_a_projector_is_calibrated_and_verified_and_a_bad_one_replaces_nothing(f
     assert np.linalg.norm(off, axis=1).max() < 1e-3
     assert model.delay_s == pytest.approx(0.05, abs=0.02)
     assert "Where the light of main falls" in (file.parent / "report.html").read_text()
-    still = calibrate(
-        file, "--verify", "--set", "projectors.0.calibration=main", "--set", "projectors.0.disc_gray=0.9"
-    )
+    still = calibrate(file, "--verify", "--set", "projectors.0.calibration=main", "--set", "projectors.0.disc_gray=0.9")
     assert still.exit_code == 0, still.output
     assert "disc_gray 0.9 may be too bright for overhead: lower it to 0." in still.output
     before = written.read_bytes()
