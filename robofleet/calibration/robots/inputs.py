@@ -80,7 +80,7 @@ def as_told(drive: RobotDrive, at_s: Array, outputs: Array) -> tuple[Array, Arra
         return np.asarray(angles[k] + speeds[k] * (when_s - begins_s[k])[:, None])
 
     differ = np.abs(np.diff(turned(told_s), axis=0) - travel).max(axis=1) > _SAME_RAD
-    known = int(np.searchsorted(at_s, told_s[0]))
+    known = int(np.searchsorted(at_s, told_s[0] if len(told_s) else np.inf))
     instants, rows = [at_s[:known]], [outputs[:known]]
     for row, (start_s, end_s) in enumerate(pairwise([*told_s.tolist(), np.inf])):
         shift_s = 0.0
