@@ -95,6 +95,7 @@ def test_the_firmware_sends_the_same_frames(library: Any) -> None:
         length = put()
         on_line = ffi.new("uint8_t[64]")
         assert bytes(ffi.buffer(on_line, c.rfp_frame(on_line, to, length))) == frame(by_fields[kind], 21)
+    assert c.rfp_put_lease_answer(to, 21, 7, 3, False) == 8 and to[7] == 0
 
 
 def test_every_length_is_the_headers(library: Any) -> None:

@@ -32,7 +32,7 @@ EQUIVALENT = {  # what a line has become: why it does the same
     "return way <= 0 ? -(int32_t)reach : (int32_t)reach;": "the furthest way is not 0",
     "return way < 1 ? -(int32_t)reach : (int32_t)reach;": "the furthest way is not 0",
     "if (furthest >= reach) {": "a part of reach / furthest = 1 is the whole way",
-    "g->moved_by = g->command_nonce <= g->enabled_nonce ? g->command_nonce : g->enabled_nonce;": "of two that are equal",
+    "g->moved_by = g->command_nonce <= g->enabled_nonce ? g->command_nonce : g->enabled_nonce;": "as above",
     "const uint32_t passed = now >= g->at ? now - g->at : 0u;": "no time is 0",
     "return limits->max_ramp * (passed <= longest ? passed : longest);": "of two that are equal",
     "static ROM uint32_t crcs[257] = {": "the last one is not read",
