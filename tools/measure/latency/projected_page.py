@@ -90,24 +90,24 @@ def main() -> None:
         folder = Path(name)
         file, tool = folder / "fleet.yaml", Path(__file__).parents[3] / "tools" / "large_fleet.py"
         subprocess.run([sys.executable, str(tool), str(arguments.robots), "--out", str(file)], check=True)
-        projectors = [above(load_config(file).arena.size_m, size) for size in SIZES]
-        options = "--duration", "3600", "--web", "--no-browser", "--set", f"projectors={json.dumps(projectors)}"
-        run = RealRun(folder, *options, config=file)
-        try:
-            run.wait_until_running()
-            found = re.search(r"http://\S+", run.said)
-            assert found is not None, run.said
-            turn(run, arguments.seconds)  # what has just started takes less, or more
-            for _ in range(arguments.turns):
-                shares["without"].append(turn(run, arguments.seconds))
-                for size in SIZES:
+        for size in SIZES:  # two would light the same floor, each with half of the light
+            projectors = [above(load_config(file).arena.size_m, size)]
+            options = "--duration", "3600", "--web", "--no-browser", "--set", f"projectors={json.dumps(projectors)}"
+            run = RealRun(folder, *options, config=file, name=size)
+            try:
+                run.wait_until_running()
+                found = re.search(r"http://\S+", run.said)
+                assert found is not None, run.said
+                turn(run, arguments.seconds)  # what has just started takes less, or more
+                for _ in range(arguments.turns):
+                    shares["without"].append(turn(run, arguments.seconds))
                     share, rate, cost_ms = projected(browser, run, found[0], size, arguments.seconds)
                     shares[size].append(share)
                     rates[size].append(rate)
                     costs_ms[size].append(cost_ms)
-                assert run.launcher.poll() is None, run.said
-        finally:
-            run.clean_up()
+                    assert run.launcher.poll() is None, run.said
+            finally:
+                run.clean_up()
     base = float(np.median(shares["without"]))
     print(f"{arguments.robots} robots, {arguments.turns} turns of {arguments.seconds:g} s of each side; medians")
     print(f"without a page: the run takes {base:.1f} % of a processor ({_spread(shares['without'])})")

@@ -66,9 +66,7 @@ function begin() {
   const size = seen.map((side) => Math.round(side * devicePixelRatio));
   const own = state.hello.projectors.find((projector) => projector.name === name);
   [canvas.width, canvas.height] = size;
-  for (const image of document.querySelectorAll("#light, #veil")) {
-    [image.style.width, image.style.height] = seen.map((side) => `${side}px`);
-  }
+  [canvas.style.width, canvas.style.height] = seen.map((side) => `${side}px`);
   scene = null;
   state.fault = fault(own, size);
   if (own?.optics) link.send({ projector: name, size_px: size });

@@ -22,6 +22,7 @@ export class Scene {
   #hello;
   #colours;
   #background = null;
+  #veil = null; // black, the more opaque the more light other projectors give
   #show = new Set();
   #trails = new Trails();
   #labels = new Labels(({ id, words }) => `${id}: ${words}`);
@@ -36,8 +37,10 @@ export class Scene {
     this.delay_s = projector.optics.delay_s;
     this.#colours = robotColours(hello, true);
     canvas.style.opacity = projector.brightness;
-    if (hello.background) this.#load(link.address("projector/background"));
-    if (hello.projectors.filter(({ optics }) => optics !== null).length > 1) veil(link, projector.name);
+    if (hello.background) this.#load(link, "background", (image) => (this.#background = image));
+    if (hello.projectors.filter(({ optics }) => optics !== null).length > 1) {
+      this.#load(link, `veil/${encodeURIComponent(projector.name)}`, (image) => (this.#veil = image));
+    }
   }
 
   /** Show these things. */
@@ -75,7 +78,9 @@ export class Scene {
     }
     if (this.#show.has("paths")) drawShapes(g, view, hello);
     this.#warp = this.#on(this.#canvas);
-    this.#canvas.getContext("2d", { alpha: false }).drawImage(this.#still, 0, 0);
+    const all = this.#canvas.getContext("2d", { alpha: false });
+    all.drawImage(this.#still, 0, 0);
+    if (this.#veil !== null) all.drawImage(this.#veil, 0, 0);
   }
 
   /** Take a tick's robots. */
@@ -109,6 +114,7 @@ export class Scene {
     for (const robot of seen) {
       g.fillCylinder(view.x(robot.x_m), view.y(robot.y_m), robot.disc_m * view.scale, robot.tag_height_m);
     }
+    if (this.#veil !== null) g.cover(this.#veil);
     return seen;
   }
 
@@ -178,22 +184,15 @@ export class Scene {
     g.fillText(words, 12, 10);
   }
 
-  async #load(address) {
+  async #load(link, path, take) {
     const image = new Image();
-    image.src = address;
+    image.src = link.address(`projector/${path}`);
     try {
       await image.decode();
     } catch {
       return; // `robofleet project` has said that it is no image
     }
-    this.#background = image;
+    take(image);
     this.redraw();
   }
-}
-
-/** Darken what other projectors light, too. */
-function veil(link, projector) {
-  const image = document.getElementById("veil");
-  image.src = link.address(`projector/veil/${encodeURIComponent(projector)}`);
-  image.hidden = false;
 }

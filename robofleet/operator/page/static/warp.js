@@ -6,6 +6,7 @@
 const STEP_PX = 40; // of a line: its chords are 0.1 px off at most
 const ROUND = 48; // chords of a circle
 const TILE_PX = 64;
+const MOST_LETTERED = 300;
 const SAME = ["strokeStyle", "fillStyle", "globalAlpha", "font", "textAlign", "textBaseline"];
 
 export class Warp {
@@ -14,6 +15,8 @@ export class Warp {
   #px; // of a unit
   #columns;
   #touched; // tiles that have been drawn on
+  #cleared; // and those before them
+  #letters = new Map(); // pictures of words
   #points = []; // of the path
   #begin = null; // of the part of the path that is drawn now [units]
   #last = null;
@@ -24,6 +27,7 @@ export class Warp {
     const { width, height } = g.canvas;
     this.#columns = Math.ceil(width / TILE_PX);
     this.#touched = new Uint8Array(this.#columns * Math.ceil(height / TILE_PX));
+    this.#cleared = this.#touched.slice();
     g.lineJoin = g.lineCap = "round";
     for (const name of SAME) {
       Object.defineProperty(this, name, { get: () => g[name], set: (value) => (g[name] = value) });
@@ -110,16 +114,38 @@ export class Warp {
 
   // Words lie on the floor as it is at their place: they turn, shear and grow with it.
   #write(how, words, u, v) {
-    const [g, [x, y]] = [this.#g, this.#pixel(u, v)];
+    const [g, px, [x, y]] = [this.#g, this.#px, this.#pixel(u, v)];
     const [[xu, yu], [xv, yv]] = [this.#pixel(u + 1, v), this.#pixel(u, v + 1)];
-    const reach = (g.measureText(words).width + g.lineWidth + 2 * parseFloat(g.font.match(/[\d.]+px/)[0])) * this.#px;
-    const width = g.lineWidth;
-    g.lineWidth = width / this.#px;
-    g.setTransform(xu - x, yu - y, xv - x, yv - y, x, y);
-    g[how](words, 0, 0);
+    const { image, left, top } = this.#lettered(how, words);
+    g.setTransform((xu - x) / px, (yu - y) / px, (xv - x) / px, (yv - y) / px, x, y);
+    g.drawImage(image, -left, -top);
     g.resetTransform();
-    g.lineWidth = width;
-    this.#touch(x - reach, y - reach, x + reach, y + reach);
+    const at = ([du, dv]) => this.#pixel(u + du / px, v + dv / px);
+    const [right, bottom] = [image.width - left, image.height - top];
+    this.#touchAround([[-left, -top], [right, -top], [right, bottom], [-left, bottom]].map(at));
+  }
+
+  // Letters as large as these are dear to draw: each line of words is drawn once, and its picture kept.
+  #lettered(how, words) {
+    const g = this.#g;
+    const style = how === "fillText" ? g.fillStyle : g.strokeStyle;
+    const key = [how, words, g.font, style, g.lineWidth, g.textAlign, g.textBaseline].join();
+    if (!this.#letters.has(key)) {
+      if (this.#letters.size >= MOST_LETTERED) this.#letters.clear();
+      const box = g.measureText(words);
+      const margin = g.lineWidth / 2 + 1;
+      const sides = ["Left", "Ascent", "Right", "Descent"].map((side) => box[`actualBoundingBox${side}`] * this.#px + margin);
+      const [left, top, right, bottom] = sides.map(Math.ceil);
+      const canvas = new OffscreenCanvas(left + right, top + bottom);
+      const own = canvas.getContext("2d");
+      for (const name of SAME) own[name] = g[name];
+      own.lineJoin = "round";
+      own.lineWidth = g.lineWidth / this.#px;
+      own.setTransform(this.#px, 0, 0, this.#px, left, top);
+      own[how](words, 0, 0);
+      this.#letters.set(key, { image: canvas.transferToImageBitmap(), left, top });
+    }
+    return this.#letters.get(key);
   }
 
   /** Fill what an upright cylinder on the floor hides from the projector: no ray to it has another colour. */
@@ -153,14 +179,22 @@ export class Warp {
 
   /** Put another canvas's picture where this one was drawn on; all of it is clean then. */
   clear(still) {
-    const [columns, touched] = [this.#columns, this.#touched];
-    for (let k = touched.indexOf(1); k >= 0; k = touched.indexOf(1, k)) {
-      let end = k;
-      const row = Math.floor(k / columns);
-      while (end < (row + 1) * columns && touched[end]) touched[end++] = 0;
-      const [x, y, w] = [(k - row * columns) * TILE_PX, row * TILE_PX, (end - k) * TILE_PX];
-      this.#g.drawImage(still, x, y, w, TILE_PX, x, y, w, TILE_PX);
-      k = end;
+    this.#tile(still, this.#touched);
+    [this.#cleared, this.#touched] = [this.#touched, this.#cleared.fill(0)];
+  }
+
+  /** Lay an image over what was cleared, and over what was drawn since then. */
+  cover(image) {
+    this.#tile(image, this.#touched.map((touched, k) => touched | this.#cleared[k]));
+  }
+
+  #tile(image, tiles) {
+    const columns = this.#columns;
+    for (let k = tiles.indexOf(1); k >= 0; k = tiles.indexOf(1, k)) {
+      const [row, first] = [Math.floor(k / columns), k];
+      while (k < (row + 1) * columns && tiles[k]) k++;
+      const [x, y, w] = [(first - row * columns) * TILE_PX, row * TILE_PX, (k - first) * TILE_PX];
+      this.#g.drawImage(image, x, y, w, TILE_PX, x, y, w, TILE_PX);
     }
   }
 
