@@ -14,12 +14,10 @@ from robofleet.config.tree import Config
 from robofleet.core.files import read_named
 from robofleet.core.refusal import RefusedError
 from robofleet.projection.disc import disc_radii
-from robofleet.projection.model import Projector, blending
+from robofleet.projection.model import Projector, gray_shares
 
 _LARGEST_IMAGE = 1 << 26  # [bytes]
 _IMAGES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}  # by their first bytes
-_RAMP_M = 0.3  # over which one projector's light gives way to another's
-_GAMMA = 2.2  # of projectors: light grows with this power of a grey level
 
 
 def calibrated(config: Config, name: str = "") -> tuple[ProjectorSettings, ...]:
@@ -64,8 +62,7 @@ def veil(config: Config, name: str) -> bytes:
         for projector in config.projectors
         if projector.calibration is not None
     }
-    share = blending([*known.values()], _RAMP_M)[[*known].index(name)]
-    opacity = 1.0 - share ** (1.0 / _GAMMA)
+    opacity = 1.0 - gray_shares(known, name)
     picture = np.zeros((*opacity.shape, 4), np.uint8)
     picture[..., 3] = np.round(255.0 * opacity)
     return bytes(cv2.imencode(".png", picture)[1])
