@@ -193,13 +193,25 @@ def noise(minutes: float, share: float, seed: int) -> None:
             wrong += target != STOP and all(target != wheels for _, wheels in commanded)
             return answer
 
+        def report() -> None:
+            print(
+                f"share {share:g}: {to_robot.struck} lines to the robot and {to_driver.struck} to the driver struck; "
+                f"{wrong} ms of wrong motion; moving {driven_ms / 1000:.0f} s, standing {stopped_ms / 1000:.0f} s; "
+                f"{failures} new drivers",
+                flush=True,
+            )
+
         firmware.loop = watched_loop
         to_robot, to_driver = (Noise(share, rng, lambda: bench.now_ns) for _ in range(2))
         driver = bench.open(**UNO_SETTINGS)
         end_ns = bench.now_ns + round(minutes * 60 * S)
         bench.to_robot, bench.to_driver = to_robot, to_driver
         k = 0
+        said_ns = bench.now_ns
         while bench.now_ns < end_ns:
+            if bench.now_ns >= said_ns + 60 * S:
+                said_ns = bench.now_ns
+                report()
             try:
                 if driver is None:
                     driver = bench.open(**UNO_SETTINGS)
@@ -218,11 +230,7 @@ def noise(minutes: float, share: float, seed: int) -> None:
                 bench.say(firmware.receive(late, bench.now_ns))
             if late := to_driver.due():
                 bench.line.write(late)
-    print(
-        f"{minutes:g} minutes, share {share:g}: {to_robot.struck} lines to the robot and {to_driver.struck} to the "
-        f"driver struck; {wrong} ms of wrong motion; moving {driven_ms / 1000:.0f} s, standing "
-        f"{stopped_ms / 1000:.0f} s; {failures} new drivers"
-    )
+    report()
 
 
 # --- latency ---
