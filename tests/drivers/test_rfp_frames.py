@@ -95,6 +95,7 @@ def test_the_firmware_sends_the_same_frames(library: Any) -> None:
         length = put()
         on_line = ffi.new("uint8_t[64]")
         assert bytes(ffi.buffer(on_line, c.rfp_frame(on_line, to, length))) == frame(by_fields[kind], 21)
+    assert c.rfp_put_lease_answer(to, 21, 7, 3, False) == 8 and to[7] == 0
 
 
 def test_every_length_is_the_headers(library: Any) -> None:
@@ -155,8 +156,10 @@ def test_a_frame_that_lost_its_end_is_not_completed_by_the_one_before(library: A
 def test_a_frame_without_a_head_and_one_that_is_too_long_are_none(library: Any) -> None:
     for receiver in (Receiver(), InC(library)):
         assert [*receiver.receive(line(b"") + line(bytes(range(1, 60))))] == []
-        assert receiver.struck == 2
-        assert len([*receiver.receive(line(bytes(range(1, 59))))]) == 1
+        longest = line(bytes(range(1, 59)))
+        assert [*receiver.receive(longest[:-1] + b"\1\0")] == []
+        assert receiver.struck == 3
+        assert len([*receiver.receive(longest)]) == 1
 
 
 def test_frames_that_are_missing_are_counted(library: Any) -> None:

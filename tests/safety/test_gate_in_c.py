@@ -308,7 +308,7 @@ def test_a_runaway_wheel_is_judged_as_in_python(library: Any) -> None:
         now = since = looked = 1000
         in_c = ffi.new("struct runaway *", {"since": now, "looked": now})
         for _ in range(60):
-            now = max(0, now + source.choice((5, 20, 20, 40, 100, 101, -3) if source.random() < 0.1 else (20, 40)))
+            now = max(0, now + source.choice((0, 5, 20, 20, 40, 100, 101, -3) if source.random() < 0.1 else (20, 40)))
             fastest, commanded = source.choice((0, 256, 257, 257, 900, 900, 900, 900)), source.random() < 0.02
             fastest = 900 if source.random() < 0.9 else fastest
             since = runaway.turning_since_ns(since * MS, looked * MS, commanded, fastest * SPEED, now * MS) // MS

@@ -420,3 +420,11 @@ def test_a_robot_that_the_firmware_cannot_drive_is_not_built(tmp_path: Path, mon
     with pytest.raises(firmware_library.NoCompilerError, match="RFP_MAX_WHEEL_RAD_S: at most 63"):
         firmware_library.firmware_library({"MAX_WHEEL_RAD_S": 100.0})
     assert [*tmp_path.rglob("firmware*")] == []
+
+
+@pytest.mark.slow
+def test_every_line_and_branch_of_gate_and_protocol_is_run() -> None:
+    from tools.measure.robots.firmware_mutants import coverage
+
+    shares = coverage()
+    assert (shares["gate.c"], shares["rfp.c"]) == ((100.0, 100.0), (100.0, 100.0))
