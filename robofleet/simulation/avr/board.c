@@ -144,10 +144,10 @@ static void set_encoder(struct board *b, int side) {
 
 /* After a reset, and at the beginning. */
 static void set_pins(struct board *b) {
-    for (int side = 0; side < 2; side++)
-        set_encoder(b, side);
     for (uint8_t i = 0; i < EXTINT_COUNT; i++)         /* else simavr looks at a pin that is low in every cycle */
         avr_extint_set_strict_lvl_trig(b->avr, i, 0);
+    for (int side = 0; side < 2; side++)
+        set_encoder(b, side);
     b->pins_lost = 0;
 }
 
