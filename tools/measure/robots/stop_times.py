@@ -38,6 +38,7 @@ SUBJECTS = {
     "arduino_bridge": DriverSubject(
         "arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248}
     ),
+    "rfp": DriverSubject("rfp", twin="rfp", vehicle="rfp", settings={"counts_per_turn": 2248}),
     "create2": DriverSubject("create2", twin="create2", vehicle="create2"),
 }
 EVENTS = {
