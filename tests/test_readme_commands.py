@@ -44,13 +44,14 @@ WRITTEN = {  # by a measurement, or by the reader whom the text tells what to wr
 }  # fmt: skip
 SHELL = {  # what a system has; a path of the project that it is given must be there
     "cd", "cp", "export", "git", "grep", "install", "ls", "mkdir", "mutmut", "rm", "sed", "source", "sudo", "systemctl",
-    "tar", "udevadm", "usermod", "apt", "jupyter",
+    "tar", "udevadm", "usermod", "apt", "jupyter", "make", "arduino-cli",
 }  # fmt: skip
 PROGRAMS = {*SHELL, "robofleet", "python", "python3", "pip", "pytest", "ruff", "mypy", "lint-imports", "calibrate.py"}
 MISTAKEN = "lab/lesson/exercise1.yaml"  # its reader finds the mistakes
 SCRIPTS = {"calibrate.py": "calibrate", "tag_sheet.py": "sheet"}  # of tools/: the command that each is
 SHOWN = (  # blocks that show what something looks like, by their beginning
     "running ", "robot ", "bound not met", "core <", "camera ->", "script ->", "# yaml-language-server", "ros2 launch ",
+    "COBS(",
 )  # fmt: skip
 
 

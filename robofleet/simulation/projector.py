@@ -26,7 +26,7 @@ _TILE = 32  # side of what is lit anew as a whole [px]
 _BLUR_REACH = 4.0  # of a Gaussian [standard deviations]
 
 Map = tuple[Array32, Array32]  # pixels of a projector, u and v (H, W)
-Part = tuple[slice, slice]  # rows, columns
+Rectangle = tuple[slice, slice]  # rows, columns
 
 
 class SimulatedProjector:
@@ -71,7 +71,7 @@ class SimulatedProjector:
             self._blur(self._picture, part)
         return changed
 
-    def _blur(self, picture: Image, part: Part) -> None:
+    def _blur(self, picture: Image, part: Rectangle) -> None:
         reach = math.ceil(_BLUR_REACH * self._sigma_px) + 1
         wide = tuple(slice(max(0, side.start - reach), side.stop + reach) for side in part)
         blurred = cv2.GaussianBlur(
@@ -153,7 +153,7 @@ class _TiledMap:
         (top, bottom, left, right), sums = self._ends, cv2.integral(tiles.astype(np.uint8))
         return np.asarray(sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] > 0)
 
-    def light(self, light: Array32, part: Part) -> Array32:
+    def light(self, light: Array32, part: Rectangle) -> Array32:
         u, v = self._pixels
         return np.asarray(cv2.remap(light, u[part], v[part], cv2.INTER_LINEAR), np.float32)
 
@@ -167,7 +167,7 @@ def _by_tile(reduce: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(reduce.reduceat(reduce.reduceat(values, rows, axis=0), columns, axis=1))
 
 
-def _parts(tiles: Flags, shape: tuple[int, ...]) -> list[Part]:
+def _parts(tiles: Flags, shape: tuple[int, ...]) -> list[Rectangle]:
     """Return rectangles that hold tiles of an image."""
     _, _, boxes, _ = cv2.connectedComponentsWithStats(tiles.astype(np.uint8), connectivity=4)
     ends = (_TILE * np.column_stack([boxes[1:, :2], boxes[1:, :2] + boxes[1:, 2:4]])).tolist()

@@ -12,8 +12,8 @@ def test_robots_go_on_along_their_arcs() -> None:
     poses = np.array([[0.1, -0.2, 0.3], [0.0, 0.0, 3.1], [1.0, 1.0, -2.0], [0.5, 0.5, 1.0]])
     speeds = np.array([[0.2, 0.0], [0.1, 2.0], [0.2, 1e-7], [-0.1, -30.0]])
     for seconds in (0.0, 0.05, 1.0, -0.5):
-        there = [arc(x, y, psi, v, omega, seconds) for x, y, psi, v, omega in np.hstack([poses, speeds]).tolist()]
-        assert ahead(poses, speeds, seconds) == pytest.approx(np.array(there), abs=1e-9)
+        exact = [arc(x, y, psi, v, omega, seconds) for x, y, psi, v, omega in np.hstack([poses, speeds]).tolist()]
+        assert ahead(poses, speeds, seconds) == pytest.approx(np.array(exact), abs=1e-9)
 
 
 def test_each_robot_may_have_an_age_of_its_own() -> None:

@@ -67,11 +67,11 @@ class Pair:
         """Step both gates with inputs as C has them; every field must then be equal."""
         in_c = self.ffi.new("struct gate_inputs *", inputs)
         granted = self.c.gate_step(self.in_c, self.limits, in_c, self.now)
-        asked = gate.step(self.state, DRIVE, _in_python(inputs), ns(self.now))
+        expected = gate.step(self.state, DRIVE, _in_python(inputs), ns(self.now))
         self.met["steps"] += 1
         self.met[f"status {self.state.status}"] += 1
         self.met[f"granted {granted}"] += 1
-        assert granted == asked
+        assert granted == expected
         self.compare()
 
     def compare(self) -> None:

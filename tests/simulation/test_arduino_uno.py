@@ -33,8 +33,8 @@ def latched_by_an_emergency_stop(uno: Uno) -> None:
 
 def sizes(image: Path) -> tuple[int, int]:
     """Return bytes of flash and of RAM, without a stack."""
-    said = subprocess.run(["avr-size", image], capture_output=True, text=True, check=True).stdout.split()
-    text, data, bss = map(int, said[6:9])
+    words = subprocess.run(["avr-size", image], capture_output=True, text=True, check=True).stdout.split()
+    text, data, bss = map(int, words[6:9])
     return text + data, data + bss
 
 

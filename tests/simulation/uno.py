@@ -71,8 +71,8 @@ class Uno:
             self.ms += 1
             self.board.run(_MS * self.ms - self.board.cycle, *self._turned())
             for body in self._receiver.receive(self.board.transmitted()):
-                if (said := message(body)) is not None:
-                    self.newest[type(said)] = said
+                if (received := message(body)) is not None:
+                    self.newest[type(received)] = received
             each()
 
     def command(self, left: float, right: float, **permission: int) -> None:

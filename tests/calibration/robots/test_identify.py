@@ -89,8 +89,8 @@ def test_inputs_of_late_commands_are_late(worn: RobotDrive) -> None:
     commands = np.repeat(((0.0, 0.0), (4.0, -6.0), (0.0, 0.0)), 20, axis=0)
     commands_s, told_s = 0.033 * np.arange(60), 0.02 * np.arange(90)
     late_s = commands_s + 0.011 * (np.arange(60) == 40)  # the stop is
-    told = inputs.wheel_travel(late_s, commands, 0.0, 0.0, told_s)
-    drive = replace(worn, commands_s=commands_s, commands_rad_s=commands, told_s=told_s, told_rad=told)
+    turned = inputs.wheel_travel(late_s, commands, 0.0, 0.0, told_s)
+    drive = replace(worn, commands_s=commands_s, commands_rad_s=commands, told_s=told_s, told_rad=turned)
     at_s, outputs = inputs.as_told(drive, *inputs.through_gate(drive))
     grid_s = np.arange(0.0, 1.7, 0.0005)
     speeds = outputs[np.searchsorted(at_s, grid_s, side="right") - 1]

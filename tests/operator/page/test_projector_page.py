@@ -82,13 +82,13 @@ def test_light_falls_where_the_calibration_says(browser: Chrome, stand: WebStand
         page.becomes("window.robofleet?.state.pictures > 1")
         for height_m in 0.0, 0.08:
             points = np.column_stack([arena(), np.full(len(arena()), height_m)])
-            told = page.run("return arguments[0].map((point) => robofleet.pixel(...point))", points.tolist())
+            predicted = page.run("return arguments[0].map((point) => robofleet.pixel(...point))", points.tolist())
             pixels = tilted().pixels(points)
             lit_ones = np.isfinite(pixels[:, 0])
             assert lit_ones.mean() > 0.5
-            off = np.array(told)[lit_ones] - 0.5 - pixels[lit_ones]
+            off = np.array(predicted)[lit_ones] - 0.5 - pixels[lit_ones]
             assert np.abs(off).max() < 1e-6
-            outside = np.array(told)[~lit_ones]
+            outside = np.array(predicted)[~lit_ones]
             assert ((outside < 0.0) | (outside > SIZE)).any(axis=1).all()
         page.shows("paths")
         picture = page.picture().max(axis=2).astype(float)
@@ -152,8 +152,8 @@ def test_what_moves_is_drawn_where_it_will_be_when_its_light_falls(browser: Chro
         "import('/prediction.js').then(({ ahead }) => done(poses.map((pose, k) => ahead(pose, speeds[k], 0.3))))"
     )
     with lit(browser, stand, TURNING) as page:
-        told = browser.execute_async_script(script, poses.tolist(), speeds.tolist())
-        assert np.array(told) == pytest.approx(ahead(poses, speeds, 0.3), abs=1e-12)
+        computed = browser.execute_async_script(script, poses.tolist(), speeds.tolist())
+        assert np.array(computed) == pytest.approx(ahead(poses, speeds, 0.3), abs=1e-12)
         page.becomes("window.robofleet?.state.pictures > 1")
         page.becomes("robofleet.state.light_in_s > 0.05")  # the projector's own delay, and the page's
         page.run("robofleet.state.seen = null")
@@ -211,10 +211,10 @@ def test_an_operator_sees_who_shows_the_run_and_switches_it(browser: Chrome, sta
         projector.say(projector="main", size_px=list(SIZE))
         page.becomes(f"{items}.startsWith('main: is shown')")
         browser.find_element(By.CSS_SELECTOR, "[data-only]").click()
-        teacher = projector.next("showing", lambda told: "large" in told["show"])["show"]
+        teacher = projector.next("showing", lambda frame: "large" in frame["show"])["show"]
         assert teacher == ["paths", "halos", "names", "countdown", "large"]
         page.becomes("document.querySelector('[data-only]').getAttribute('aria-pressed') === 'true'")
         browser.find_element(By.CSS_SELECTOR, "[data-show=names]").click()
-        assert projector.next("showing", lambda told: "names" not in told["show"])["show"] == [
+        assert projector.next("showing", lambda frame: "names" not in frame["show"])["show"] == [
             "paths", "halos", "countdown", "large",
         ]  # fmt: skip

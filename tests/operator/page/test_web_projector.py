@@ -52,17 +52,17 @@ def test_an_operator_switches_what_every_page_is_told_is_shown(stand: WebStand) 
         assert before["show"] == list(stand.config.projection.show)
         assert before["pages"] == []
         projector.say(projector="main", size_px=[960, 540])
-        assert operator.next("showing", lambda told: told["pages"])["pages"] == [
+        assert operator.next("showing", lambda frame: frame["pages"])["pages"] == [
             {"name": "main", "size_px": [960, 540]}
         ]
         operator.say(show=["halos", "large"])
         for page in operator, projector:
-            assert page.next("showing", lambda told: told["show"] != before["show"])["show"] == ["halos", "large"]
+            assert page.next("showing", lambda frame: frame["show"] != before["show"])["show"] == ["halos", "large"]
     with stand.page() as late:
-        told = late.next("showing", lambda told: not told["pages"])  # a browser that is gone is told, too
-        assert told["show"] == ["halos", "large"]
+        showing = late.next("showing", lambda frame: not frame["pages"])  # a browser that is gone is told, too
+        assert showing["show"] == ["halos", "large"]
         late.say(show=before["show"])
-        late.next("showing", lambda told: told["show"] == before["show"])
+        late.next("showing", lambda frame: frame["show"] == before["show"])
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_what_cannot_be_projected_is_refused_in_a_line(tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match="has no projector: write"):
         projectors.calibrated(config())
     two = config(hanging("left", "right"))
-    assert [one.name for one in projectors.calibrated(two)] == ["left", "right"]
+    assert [projector.name for projector in projectors.calibrated(two)] == ["left", "right"]
     with pytest.raises(RefusedError, match="there is no projector 'lef': did you mean 'left'"):
         projectors.calibrated(two, "lef")
     with pytest.raises(RefusedError, match="projector main is not calibrated: run robofleet calibrate projector"):

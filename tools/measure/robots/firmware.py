@@ -287,8 +287,8 @@ def resets(tries: int) -> None:
         moved += _moves(uno) or uno.status.gate != NO_LEASE
         causes[Reset.WATCHDOG] += uno.health.reset == Reset.WATCHDOG
     print(f"power failed {tries} times in the 100 ms after an emergency stop: {len(lost)} latches lost {lost}")
-    told = ", ".join(f"{cause.name}: {count} of {tries}" for cause, count in causes.items())
-    print(f"moved after a reset: {moved}; said why: {told}")
+    reasons = ", ".join(f"{cause.name}: {count} of {tries}" for cause, count in causes.items())
+    print(f"moved after a reset: {moved}; said why: {reasons}")
 
 
 def _moves(uno: Uno) -> bool:
