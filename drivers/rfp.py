@@ -86,8 +86,8 @@ class Rfp:
         self._status: Status | None = None
         self._health: Health | None = None
         self._epoch: int | None = None  # of the lease that it holds
-        self._heard_ns = 0  # the newest status
-        self._heard = False  # anything at all
+        self._status_ns = 0  # the newest status
+        self._answered = False  # anything at all
         self._sent = self._seq = 0
         self._target, self._sent_target, self._sent_ns, self._free_ns = (0, 0), (0, 0), 0, 0
         self._waits = False  # the target has not been sent yet
@@ -127,7 +127,7 @@ class Rfp:
         status, health = self._status, self._health
         assert status is not None
         assert health is not None
-        if now_ns - self._heard_ns > _SILENT_NS:
+        if now_ns - self._status_ns > _SILENT_NS:
             raise self._error(f"it said nothing for {_SILENT_NS * 1e-9:.1f} s: is the robot on, and its cable good?")
         if 0 < (health.epoch - (self._epoch or 0)) % 65536 < 32768:  # an older one comes late
             raise self._error("another program has taken its lease: end that one")
@@ -159,7 +159,7 @@ class Rfp:
             lambda: self._identity is not None and self._built is not None and self._status is not None, Hello()
         )
         if self._identity is None or self._built is None or self._status is None:
-            if self._heard:
+            if self._answered:
                 raise self._error("the device that answers does not speak rfp: flash drivers/firmware, or mend baud")
             raise self._error("nothing answers there: switch the robot on, and look at its cable")
         self._fit(self._identity, self._built, drive)
@@ -248,7 +248,7 @@ class Rfp:
             raise self._error("it is closed")
         received = self._line.read()
         now_ns = self._now_ns()
-        self._heard = self._heard or bool(received)
+        self._answered = self._answered or bool(received)
         for body in self._receiver.receive(received):
             if body[0] >> 4 == rfp_frames.IDENTITY and body[1:2] != bytes([VERSION]):
                 raise self._error(f"it speaks rfp/{body[1]}, this driver rfp/{VERSION}: flash drivers/firmware")
@@ -283,7 +283,7 @@ class Rfp:
                 self._turned[side] += (counts[side] - self._counts[side] + 2**31) % 2**32 - 2**31
         if new.latch and (old is None or new.latch != old.latch):
             self._latched |= new.felt | (0 if new.latch in _ROBOT_FAULTS and new.felt else _own(new.latch))
-        self._counts, self._status, self._heard_ns = counts, new, now_ns
+        self._counts, self._status, self._status_ns = counts, new, now_ns
 
     def _charge(self, battery_mv: int) -> float:
         if self._settings.battery_v is None or not battery_mv:
