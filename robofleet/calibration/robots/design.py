@@ -43,6 +43,7 @@ _TRUTHS = -1.5, -0.75, 0.0, 0.75, 1.5  # where a threshold may be, in its standa
 _LEAST_TRUTH = 0.1  # [rad/s]
 _FINEST = 0.0075  # step of the fit's own grid [rad/s]
 _OFFSETS = _FINEST * np.array([0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 28, 40, 60, 90, 140])
+_LEAST_VARIANCE = 1e-12
 _FALLS_SHORT = 0.995  # of the commanded top speed: a wheel that reaches it does not tell its own
 NOISE = {  # of poses and wheels, where nobody identified the robot: of the simulated camera through the tracker
     "noise_position_mm": 0.01, "noise_heading_deg": 0.03, "wander_slip": 4e-4, "wander_way": 3e-4,
@@ -165,7 +166,7 @@ class Designer:
         self._noise = Noise(slip=figures["wander_slip"], way=figures["wander_way"])
         top = min(self._prior.values.top_speed_rad_s, _FALLS_SHORT * self._drive.max_wheel_speed)
         self._wheels = replace(self._prior.values, top_speed_rad_s=top)
-        self._stated = np.sqrt(np.diag(stated))
+        self._stated = np.sqrt(np.maximum(np.diag(stated) - SYSTEMATIC_VARIANCE, _LEAST_VARIANCE))
         self._truths = {name: self._truths_of(name) for name in THRESHOLDS}
         self.known = Knowledge(_information(stated, self._prior), {name: self._believed(name) for name in THRESHOLDS})
 

@@ -29,7 +29,7 @@ _STEPS = {  # of numerical derivatives
     "delay_s": 2e-4, "top_speed_rad_s": 0.01, "top_speed_sag": 1e-2,
     "slip_s_per_rad": 1e-4, "tag_forward_m": 1e-5, "tag_left_m": 1e-5, "tag_heading_rad": 1e-4,
 }  # fmt: skip
-_HIGHER_RAD_S = 0.375  # 0.3 of a top speed's standard deviation a priori: one that is told is told within that
+_HIGHER_RAD_S = 0.01, 0.02, 0.05, 0.1, 0.2, 0.4
 # What the residuals do not show. Commands act, and images are exposed, at instants that are known to a millisecond: of
 # a firmware's loop, an exposure, the simulated truth between two samples. Poses bend over the arena by some hundredths
 # of a millimetre and of a degree: measured on simulated platoons through the tracker. A threshold is passed on a ramp
@@ -75,10 +75,17 @@ def derivative(residuals: Residuals, wheels: Wheels, prior: Prior, names: tuple[
 
 
 def unsaturated(residuals: Residuals, wheels: Wheels, prior: Prior) -> Array:
-    """Return the derivative (R,) by a higher top speed: a wheel that reaches its command does not tell its own."""
-    name, value = "top_speed_rad_s", wheels.top_speed_rad_s
-    change = residuals(replace(wheels, **{name: value + _HIGHER_RAD_S})) - residuals(wheels)
-    return np.asarray(change.ravel() / _HIGHER_RAD_S * prior.sigma[name])
+    """Return the derivative (R,) by a higher top speed: a wheel that reaches its command does not tell its own.
+
+    The step is the first of ``_HIGHER_RAD_S`` by which the sum of squares rises by one, which is a standard deviation:
+    a wheel that falls short of its command by less than that tells its top speed to neither side.
+    """
+    name, value, fitted = "top_speed_rad_s", wheels.top_speed_rad_s, residuals(wheels)
+    for step in _HIGHER_RAD_S:
+        change = (residuals(replace(wheels, **{name: value + step})) - fitted).ravel()
+        if change @ change >= 1.0:
+            break
+    return np.asarray(change / step * prior.sigma[name])
 
 
 def squares(residuals: Residuals, wheels: Wheels, name: str, grid: Array) -> Array:
