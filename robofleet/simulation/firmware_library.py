@@ -1,16 +1,14 @@
 """The robots' firmware (``drivers/firmware``), compiled for this computer: tests and a twin call it through cffi."""
 
-import hashlib
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Mapping
-from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from robofleet.core.errors import RobofleetError
-from robofleet.core.folders import kernels_folder
+from robofleet.simulation.compiled_c import compiled
 
 SOURCES = Path(__file__).parents[1] / "drivers" / "firmware"
 UNITS = ("gate.c", "rfp.c", "memory.c", "robot.c", "board_host.c")
@@ -48,19 +46,8 @@ def firmware_library(built_in: Mapping[str, object], sources: Path = SOURCES, *f
     if compiler is None:
         raise NoCompilerError("NO C COMPILER: the firmware's twin needs cc: apt install gcc")
     flags = (*FLAGS, *flags, *(f"-DRFP_{name}={value}" for name, value in sorted(built_in.items())))
-    digest = hashlib.sha256(repr((compiler, flags)).encode())
-    for file in sorted(sources.glob("*.[ch]")):
-        digest.update(file.read_bytes())
-    target = kernels_folder() / f"firmware-{digest.hexdigest()[:16]}"
-    if not target.is_dir():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(dir=target.parent))
-        try:
-            _compile(compiler, flags, sources, folder)
-            with suppress(OSError):  # another process was faster
-                folder.rename(target)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+    content = [repr((compiler, flags)).encode(), *(file.read_bytes() for file in sorted(sources.glob("*.[ch]")))]
+    target = compiled("firmware", content, partial(_compile, compiler, flags, sources))
     ffi = FFI()
     ffi.cdef((target / "declarations.h").read_text())
     return Library(ffi, ffi.dlopen(str(target / "firmware.so")))

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from robofleet.bus.private_folder import PlaceError
 from robofleet.drivers import rfp_frames
 from robofleet.drivers.rfp_frames import (
     Command,
@@ -23,9 +24,11 @@ from robofleet.drivers.rfp_frames import (
     frame,
     message,
 )
+from robofleet.runs.check_drivers import of_robot
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.simulation import firmware_library
 from robofleet.vehicles.interface import RobotFault
+from tests.twins import config_of
 
 SESSION, COUNTS, NO_LOAD = 21, 2248, 15.0  # rad/s of a wheel at full duty
 POWER_ON, BROWN_OUT = 1, 4
@@ -412,6 +415,22 @@ def test_bytes_of_the_memory_are_where_the_header_says(bench: Bench) -> None:
 def test_a_computer_without_a_compiler_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(firmware_library.shutil, "which", lambda _: None)
     with pytest.raises(firmware_library.NoCompilerError, match=r"NO C COMPILER: .* apt install gcc"):
+        firmware_library.firmware_library({})
+
+
+def test_a_run_whose_twins_cannot_be_compiled_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(firmware_library.shutil, "which", lambda _: None)
+    refused = ("robots.0.twin", "NO C COMPILER: the firmware's twin needs cc: apt install gcc")
+    assert refused in list(of_robot(config_of(twin="rfp", vehicle="rfp"), 0))
+
+
+def test_what_others_may_have_written_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    firmware_library.firmware_library({})
+    (folder,) = (tmp_path / "robofleet").iterdir()  # and none of kernels, which have rules of their own
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o770)
+    with pytest.raises(PlaceError, match=f"chmod 700 {folder}"):
         firmware_library.firmware_library({})
 
 

@@ -4,19 +4,17 @@ Shim and binary are compiled at their first use, by this computer's compilers.
 """
 
 import ctypes
-import hashlib
 import os
 import re
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Callable, Sequence
 from enum import IntFlag
 from functools import cache
 from pathlib import Path
 
 from robofleet.core.errors import RobofleetError
-from robofleet.core.folders import kernels_folder
+from robofleet.simulation.compiled_c import compiled
 
 CLOCK_HZ = 16_000_000
 FULL_VOLTAGE = 255  # of what the L298 can put on a motor
@@ -159,15 +157,13 @@ def _library() -> ctypes.CDLL:
 
 
 def _built(name: str, sources: Sequence[Path], flags: Sequence[str], command: Callable[[Path], list[str]]) -> Path:
-    """Return a file that a command makes of sources into a folder; made once, and shared by content."""
-    parts = [*(part.encode() for part in flags), *(file.read_bytes() for file in sources)]
-    folder = kernels_folder().with_name("avr") / hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
-    if not (folder / name).exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder) as making:
-            done = subprocess.run(command(Path(making)), capture_output=True, text=True, check=False)
-            if done.returncode:
-                why = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
-                raise AvrError(f"{name} cannot be built: {why}")
-            (Path(making) / name).replace(folder / name)
-    return folder / name
+    """Return a file that a command makes of sources into a folder."""
+
+    def make(folder: Path) -> None:
+        done = subprocess.run(command(folder), capture_output=True, text=True, check=False)
+        if done.returncode:
+            why = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
+            raise AvrError(f"{name} cannot be built: {why}")
+
+    content = [*(part.encode() for part in flags), *(file.read_bytes() for file in sources)]
+    return compiled(Path(name).stem, content, make) / name

@@ -7,7 +7,7 @@ emulated motors in ``arduino_uno.py``.
 import math
 
 from robofleet.simulation.firmware import Hardware
-from robofleet.simulation.firmware_library import firmware_library
+from robofleet.simulation.firmware_library import NoCompilerError, firmware_library
 from robofleet.vehicles.interface import STOP, RobotFault, WheelSpeeds
 
 _BOOT_NS = 1_000_000_000  # a boot loader waits for a new program for so long
@@ -39,6 +39,15 @@ class RfpFirmware:
         self.board.writes_left = 2**31 - 1
         self._ready_ns = 0
         self.start(0, _POWER_ON)
+
+    @staticmethod
+    def refusal() -> str | None:
+        """Return what is missing here."""
+        try:
+            firmware_library({})
+        except NoCompilerError as error:
+            return str(error)
+        return None
 
     def opened(self, now_ns: int) -> None:
         """Reset, as a host does that opens the port."""
