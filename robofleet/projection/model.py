@@ -127,49 +127,40 @@ class Projector:
 
 RAMP_M = 0.3  # over which one projector's light gives way to another's
 GAMMA = 2.2  # of projectors: their light grows with this power of a grey level
-
-
-def gray_shares(projectors: Mapping[str, Projector], name: str) -> Array:
-    """Return the share (H, W) of its grey that each pixel of a projector shows, so that where several light the floor
-    it is as bright as where one does."""
-    return np.asarray(_shares([*projectors.values()], [*projectors].index(name), RAMP_M) ** (1.0 / GAMMA), np.float64)
-
-
-def blending(projectors: list[Projector], ramp_m: float) -> list[Array]:
-    """Return the share (H, W) of the light that each projector gives to each of its pixels, in linear light.
-
-    Shares of the projectors that light a place sum to one. Towards its picture's edge a projector's falls to nothing,
-    smoothly over ``ramp_m`` of floor, where another takes over.
-    """
-    return [_shares(projectors, own, ramp_m) for own in range(len(projectors))]
-
-
 _COARSE = 8  # pixels between those whose weights are computed; the others' are interpolated
 _LEAST = 1e-3  # weight at a picture's very edge: also there light comes from somewhere
 
 
-def _shares(projectors: list[Projector], own: int, ramp_m: float) -> Array:
-    width, height = projectors[own].size
+def gray_shares(projectors: Mapping[str, Projector], name: str) -> Array:
+    """Return the share (H, W) of its grey that each pixel of a projector shows, so that where several light the floor
+    it is as bright as where one does.
+
+    Their shares of the light (to the power GAMMA) sum to one. Towards its picture's edge a projector's falls to
+    nothing, smoothly over ``RAMP_M`` of floor, where another takes over.
+    """
+    own = projectors[name]
+    width, height = own.size
     across, down = -(-width // _COARSE) + 1, -(-height // _COARSE) + 1
     u, v = np.meshgrid(np.linspace(0.0, width - 1.0, across), np.linspace(0.0, height - 1.0, down))
-    floor = projectors[own].floor(np.column_stack([u.ravel(), v.ravel()]))
+    floor = own.floor(np.column_stack([u.ravel(), v.ravel()]))
     columns = np.linspace(0.0, across - 1.0, width, dtype=np.float32)
     rows = np.linspace(0.0, down - 1.0, height, dtype=np.float32)
     x, y = np.meshgrid(columns, rows)
-    weights = [
-        cv2.remap(_weight(projector, floor, ramp_m).reshape(down, across), x, y, cv2.INTER_LINEAR)
-        for projector in projectors
-    ]
-    return np.asarray(weights[own] / np.maximum(np.sum(weights, axis=0), _LEAST), np.float64)
+    weights = {
+        each: cv2.remap(_weight(projector, floor).reshape(down, across), x, y, cv2.INTER_LINEAR)
+        for each, projector in projectors.items()
+    }
+    light = weights[name] / np.maximum(np.sum([*weights.values()], axis=0), _LEAST)
+    return np.asarray(light ** (1.0 / GAMMA), np.float64)
 
 
-def _weight(projector: Projector, floor: Array, ramp_m: float) -> Array:
-    """Return how far places (N, 2) lie inside a picture, in [0, 1]: 1 from ``ramp_m`` on, 0 where it lights none."""
+def _weight(projector: Projector, floor: Array) -> Array:
+    """Return how far places (N, 2) lie inside a picture, in [0, 1]: 1 from ``RAMP_M`` on, 0 where it lights none."""
     pixels = projector.pixels(np.column_stack([floor, np.zeros(len(floor))]))
     last = np.array(projector.size) - 1.0
     left, top, right, bottom = np.linalg.norm(projector.corners - np.roll(projector.corners, 1, axis=0), axis=1)
     px_per_m = last / [(top + bottom) / 2.0, (left + right) / 2.0]
     inside = (np.minimum(pixels, last - pixels) / px_per_m).min(axis=1)
-    t = np.clip(inside / ramp_m, 0.0, 1.0)
+    t = np.clip(inside / RAMP_M, 0.0, 1.0)
     weight = _LEAST + (1.0 - _LEAST) * t * t * (3.0 - 2.0 * t)
     return np.asarray(np.nan_to_num(weight, nan=0.0), np.float64)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from robofleet.projection.model import VALUES, Projector, blending
+from robofleet.projection.model import GAMMA, VALUES, Projector, gray_shares
 from tests.projection.projectors import SIZE, on_floor, pixels, tilted
 
 
@@ -40,13 +40,12 @@ def test_the_spread_is_that_of_draws_of_the_covariance() -> None:
 
 
 def test_two_projectors_share_the_light_where_both_reach() -> None:
-    pair = [tilted(-0.8), tilted(0.9, degrees=-4.0)]
-    shares = blending(pair, ramp_m=0.2)
+    pair = {"left": tilted(-0.8), "right": tilted(0.9, degrees=-4.0)}
     X, Y = np.meshgrid(np.linspace(-2.5, 2.5, 80), np.linspace(-0.8, 0.8, 30))
     points = on_floor(np.column_stack([X.ravel(), Y.ravel()]))
     total, lit = np.zeros(len(points)), np.zeros((2, len(points)), bool)
-    for k, (projector, share) in enumerate(zip(pair, shares, strict=True)):
-        at = projector.pixels(points)
+    for k, (name, projector) in enumerate(pair.items()):
+        at, share = projector.pixels(points), gray_shares(pair, name) ** GAMMA
         lit[k] = np.isfinite(at[:, 0])
         u, v = np.rint(at[lit[k]]).astype(int).T
         total[lit[k]] += share[v, u]
@@ -56,6 +55,6 @@ def test_two_projectors_share_the_light_where_both_reach() -> None:
 
 
 def test_a_projector_alone_keeps_all_of_its_light() -> None:
-    (share,) = blending([tilted()], ramp_m=0.2)
+    share = gray_shares({"main": tilted()}, "main")
     assert share.shape == SIZE[::-1]
     assert share[1:-1, 1:-1].min() > 0.99
