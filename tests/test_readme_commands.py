@@ -41,6 +41,7 @@ PLACEHOLDERS = {
 }  # fmt: skip
 WRITTEN = {  # by a measurement, or by the reader whom the text tells what to write
     "survey.yaml", "photos", "configs/cameras/ceiling.yaml", "robots.mp4",
+    "drivers/firmware/build/uno.hex",
 }  # fmt: skip
 SHELL = {  # what a system has; a path of the project that it is given must be there
     "cd", "cp", "export", "git", "grep", "install", "ls", "mkdir", "mutmut", "rm", "sed", "source", "sudo", "systemctl",
