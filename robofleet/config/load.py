@@ -98,7 +98,7 @@ def resolved_yaml(config: Config) -> str:
 
 def spelled(value: object) -> str:
     """Return a value as it is written behind ``--set KEY=``: one line of YAML that is read back to an equal one."""
-    line = yaml.dump(value, Dumper=_Dumper, default_flow_style=True, width=float("inf"), allow_unicode=True)
+    line = yaml.dump(value, Dumper=_Dumper, default_flow_style=True, width=10**9, allow_unicode=True)
     return line.removesuffix("\n").removesuffix("\n...")
 
 
@@ -459,7 +459,7 @@ def _by_id(items: list[Node], parts: list[str], where: str) -> str:
     return ""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # a source build may lack libyaml
     """Writes what ``yamlfile`` reads: no aliases, and quotes around text that looks like a number."""
 
     def ignore_aliases(self, data: object) -> bool:
@@ -467,7 +467,8 @@ class _Dumper(yaml.SafeDumper):
 
     def represent_text(self, data: str) -> yaml.ScalarNode:
         style = "'" if NUMBER_LIKE.fullmatch(data) else None
-        return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
+        node: yaml.ScalarNode = self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
+        return node
 
 
 _Dumper.add_representer(str, _Dumper.represent_text)

@@ -73,6 +73,7 @@ def folder(kept: Path, tmp_path: Path) -> Path:
     return shutil.copytree(kept, tmp_path / "kernels")
 
 
+@pytest.mark.slow
 def test_another_process_loads_what_was_compiled_and_never_another_model(folder: Path) -> None:
     """Models of one factory, compiled as the second in their processes: numba gives them one name."""
     assert said(started(MODELS, folder, 4.0, 3.0, 2.0)) == [(5.0, True), (4.0, True), (3.0, True)]

@@ -225,6 +225,7 @@ def test_the_sensors_of_version_2_have_its_units_and_signs(runs: Runs) -> None:
     assert turns == pytest.approx(wished, rel=0.12)  # left, right; wheels are off by some per cent, and begin late
 
 
+@pytest.mark.slow
 def test_errors_are_counted_as_the_original_counts_them(runs: Runs) -> None:
     values = told(
         runs("""

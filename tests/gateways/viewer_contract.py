@@ -36,6 +36,7 @@ class ViewerContract:
         """Return a server that shows no run."""
         raise NotImplementedError
 
+    @pytest.mark.slow
     def test_a_viewer_gets_what_the_recording_gets(self, seen: Seen) -> None:
         assert self.drawn <= set(seen.recorded)
         for topic, messages in seen.recorded.items():

@@ -51,6 +51,7 @@ def test_a_run_goes_to_its_start_drives_and_parks(there_and_back: Lockstep) -> N
     assert phases(there_and_back) == order
 
 
+@pytest.mark.slow
 def test_the_robots_stand_at_their_places_when_the_run_begins_and_in_the_park_at_its_end(
     there_and_back: Lockstep,
 ) -> None:

@@ -27,12 +27,14 @@ def chi_square(found: Projector) -> float:
     return float(np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.spread(points)), error).mean()) / 2.0
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("stated", [1.0, 0.3])
 def test_the_predicted_error_is_true_whatever_was_stated_of_the_noise(stated: float) -> None:
     ratios = [chi_square(fit([seen(np.random.default_rng(k), stated=stated)], SIZE).projector) for k in range(6)]
     assert 0.5 < np.mean(ratios) < 1.6
 
 
+@pytest.mark.slow
 def test_the_errors_that_a_camera_has_everywhere_count() -> None:
     """A shift, a turn about the middle: of the whole floor, so that no residual shows them."""
     left = np.column_stack([-FLOOR[:, 1], FLOOR[:, 0]])

@@ -27,6 +27,7 @@ def photographed(curve: Callable[[np.ndarray], np.ndarray], blur_px: float = 1.5
     return seen
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("curve", [lambda light: light, lambda light: light ** (1 / 2.2)], ids=["linear", "gamma"])
 def test_tags_are_read_where_they_are(curve: Callable[[np.ndarray], np.ndarray]) -> None:
     reading = read(GRID, photographed(curve))
@@ -36,11 +37,13 @@ def test_tags_are_read_where_they_are(curve: Callable[[np.ndarray], np.ndarray])
     assert reading.saturated == 0.0
 
 
+@pytest.mark.slow
 def test_a_blur_is_told() -> None:
     sharp, soft = (read(GRID, photographed(lambda light: light, blur_px)).blur_px for blur_px in (1.2, 2.4))
     assert soft / sharp == pytest.approx(2.0, rel=0.25)
 
 
+@pytest.mark.slow
 def test_the_light_is_compared_with_the_rooms() -> None:
     reading = read(GRID, photographed(lambda light: light, light=0.2))
     assert reading.over_room == pytest.approx(0.2 / 0.5, rel=0.1)

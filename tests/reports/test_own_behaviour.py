@@ -85,6 +85,7 @@ def folder(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_its_figures_are_in_the_summary_beside_the_platoons(folder: Path) -> None:
     summary = json.loads((folder / "summary.json").read_text())
     swirl, snake = summary["groups"]["swirl"], summary["groups"]["snake"]

@@ -125,7 +125,7 @@ def test_without_the_truth_it_says_what_is_not_known(story: Make, page: Make) ->
     assert "nan" not in words(text)
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("ticks", [1, 2])
 def test_a_run_of_a_few_ticks_has_a_page(story: Make, page: Make, ticks: int) -> None:
     assert "Control error" in plots(page(story(ticks=ticks).recording()))

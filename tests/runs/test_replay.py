@@ -162,6 +162,7 @@ def test_a_command_that_is_not_the_ticks_is_named_also_where_a_foreigner_said_it
     assert (difference.recorded, difference.now) == (37.5, tick.robots[0].left_rad_s)
 
 
+@pytest.mark.slow
 def test_from_a_missing_record_on_nothing_is_compared_until_a_controller_begins(wild: Recording) -> None:
     records = ticks(wild)
     verdict = replay(altered(wild, TICK, lambda k, payload: None if k == 30 else payload), 0.0)

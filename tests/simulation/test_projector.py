@@ -104,6 +104,7 @@ def test_light_adds_up_and_grows_with_the_greys_power() -> None:
     assert (black - dark) / (white - dark) == pytest.approx(0.05, abs=0.01)
 
 
+@pytest.mark.slow
 def test_what_changes_in_a_picture_is_all_that_changes_in_the_image() -> None:
     """An image of the last of several pictures is one of that picture alone; also on a floor tag that was lit."""
     floor_tags = (FloorTag(tag=40, side_m=0.2, x_m=0.0, y_m=-0.1, heading_deg=20.0),)
@@ -116,6 +117,7 @@ def test_what_changes_in_a_picture_is_all_that_changes_in_the_image() -> None:
     assert np.array_equal(last, alone)
 
 
+@pytest.mark.slow
 def test_where_two_projectors_light_the_floor_it_is_as_bright_as_where_one_does(tmp_path: Path) -> None:
     """Within 5 %, in the pixels of a camera, while both show a white image of a run."""
     cv2.imwrite(str(tmp_path / "white.png"), np.full((2, 3), 255, np.uint8))

@@ -136,6 +136,7 @@ def test_robots_in_no_group_have_discs_where_they_were_seen() -> None:
     assert len(middles) == 4
 
 
+@pytest.mark.slow
 def test_an_image_fills_the_arena(tmp_path: Path) -> None:
     """Its upper left corner is the arena's: the least x, and the greatest y."""
     quarters = np.repeat(np.repeat(np.array([[200, 0], [0, 90]], np.uint8), 50, axis=0), 80, axis=1)

@@ -102,6 +102,7 @@ def test_a_calibrated_camera_gives_poses_in_the_laboratorys_frame(video: Path, g
         track(video, ids=IDS, side_m=0.05, camera=model, height_m=HEIGHT)
 
 
+@pytest.mark.slow
 def test_a_live_camera_is_tracked_from_its_images_on(images: list[NDArray[np.uint8]]) -> None:
     class Live:
         identity = "live"

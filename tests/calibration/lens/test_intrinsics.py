@@ -155,6 +155,7 @@ def test_views_that_share_an_error_widen_the_uncertainty(true_camera: TrueCamera
     assert ratios[True] > 2.0
 
 
+@pytest.mark.slow
 def test_held_out_error_is_the_corners_noise(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(8)
     views = seen(true_camera, true_camera.good_poses(20, rng), 0.2, rng)

@@ -128,6 +128,7 @@ def test_views_that_contradict_one_another_are_told_with_a_refusal(
     assert result.stderr.splitlines()[-1] == "nothing was written; report: page.html"
 
 
+@pytest.mark.slow
 def test_mirrored_images_are_named_as_such(calibrate: Calibrate, photos: Path, tmp_path: Path) -> None:
     folder = tmp_path / "mirrored"
     folder.mkdir()

@@ -64,6 +64,7 @@ def test_one_that_cannot_be_used_is_refused_in_a_line(own: Reading, fault: str) 
     assert len(refused.value.faults) == 1
 
 
+@pytest.mark.slow
 def test_projectors_cover_an_arena_together() -> None:
     wide = 4.0, 1.4
     left, right = tilted(-0.9), tilted(0.9)

@@ -115,6 +115,7 @@ def stamp_ns(message: Any) -> int:
     return int(message.header.stamp.sec * S + message.header.stamp.nanosec)
 
 
+@pytest.mark.slow
 def test_a_bag_has_wheels_commands_and_poses_of_the_run(run: RecordedRun, topics: Topics) -> None:
     file = run.file
     statuses = [(at, status.robots[0]) for at, status in decoded(file, STATUS, UNIT_STATUS)][:: len(run.config.units)]

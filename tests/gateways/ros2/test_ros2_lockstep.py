@@ -84,7 +84,7 @@ def test_what_ros_does_not_start_with_is_said_in_a_line(
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @needs_ros
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of ROS's own packages
 @pytest.mark.parametrize("end", ["accomplished", "parked"])

@@ -154,6 +154,7 @@ def drive() -> Drive:
     return Drive(config, graph, at_ns, known)
 
 
+@pytest.mark.slow
 def test_frames_compose_to_where_the_robot_is(drive: Drive) -> None:
     """map -> odom -> base_link is the true pose, although the wheels slip: the tracker corrects odom's place."""
     checked = 0

@@ -43,6 +43,7 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch, *words: object) -> tuple[
     return done.exit_code, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_a_video_becomes_poses_a_picture_and_a_film(
     video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

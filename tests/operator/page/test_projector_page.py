@@ -196,6 +196,7 @@ def test_a_window_of_another_size_and_a_run_that_is_silent_are_told(browser: Chr
         page.becomes("robofleet.state.words === ''")
 
 
+@pytest.mark.slow
 def test_an_operator_sees_who_shows_the_run_and_switches_it(browser: Chrome, stand: WebStand) -> None:
     with Fleet(stand).alive() as fleet, stand.page() as projector:
         show_as(browser, (1440, 1300))

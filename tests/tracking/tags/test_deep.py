@@ -37,7 +37,7 @@ def test_faint_tags_are_acquired_within_ten_images(title: str, least: float) -> 
     assert row["acquired"] >= least
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("title", ["a side covered, 25 %", "a corner covered, 25 %"])
 def test_covered_tags_are_acquired_and_placed_by_what_is_seen(title: str) -> None:
     row = evaluate(SCENES[title], [OURS], 1)[OURS]

@@ -86,7 +86,7 @@ def test_tags_with_bits_around_are_placed_as_well_as_their_covariances_say() -> 
     assert 0.75 < row["chi2_xy"] < 1.35
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_tags_of_a_family_are_followed_and_those_of_others_are_not_there(family: str) -> None:
     renderer = SceneRenderer(GEOMETRY, SIZE, targets(family), 3.0, np.random.default_rng(2))
