@@ -65,6 +65,7 @@ def test_the_robots_stand_at_their_places_when_the_run_begins_and_in_the_park_at
     assert np.hypot(*(whole.poses()[-1][:, :2] - parked[:, :2]).T).max() < 0.005
 
 
+@pytest.mark.slow
 def test_only_the_run_itself_is_counted(there_and_back: Lockstep) -> None:
     run = Run(there_and_back.recording)
     assert run.t[-1] == pytest.approx(3.0, abs=0.05)

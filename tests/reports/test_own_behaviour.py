@@ -57,6 +57,8 @@ GROUPS = """groups:
   - {name: swirl, behaviour: "mylab:Swirl", robots: [r3, r4]}
 """
 
+pytestmark = pytest.mark.slow  # of a fixture: a run of their own behaviour, and its report
+
 
 @pytest.fixture(scope="module")
 def mylab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
@@ -85,7 +87,6 @@ def folder(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
 def test_its_figures_are_in_the_summary_beside_the_platoons(folder: Path) -> None:
     summary = json.loads((folder / "summary.json").read_text())
     swirl, snake = summary["groups"]["swirl"], summary["groups"]["snake"]
@@ -140,7 +141,6 @@ def test_viewers_have_them_as_fields_of_the_groups_own_message(folder: Path) -> 
         assert b"radius_mm" in viewer.make(recording, folder / FILE) or viewer.file == "rerun.rbl"
 
 
-@pytest.mark.slow
 def test_where_it_is_missing_the_file_says_what_it_told(folder: Path, mylab: Path, tmp_path: Path) -> None:
     (run_folder := tmp_path / "run").mkdir()
     (run_folder / FILE).write_bytes((folder / FILE).read_bytes())
@@ -182,7 +182,6 @@ def looked_at(run: Path) -> list[list[str]]:
     return [["report", str(run)], ["report", str(run), str(run)], *(["layout", viewer, str(run)] for viewer in VIEWERS)]
 
 
-@pytest.mark.slow
 def test_what_only_a_recording_names_is_not_imported(elsewhere: Path) -> None:
     for arguments in looked_at(elsewhere):
         ran = CliRunner().invoke(app, arguments)
@@ -212,7 +211,6 @@ def test_where_the_file_does_not_describe_its_groups_it_is_refused(elsewhere: Pa
     assert not list(elsewhere.parent.rglob("*.ran"))
 
 
-@pytest.mark.slow
 def test_a_later_report_imports_it_from_the_folder_that_the_user_names(
     folder: Path, mylab: Path, tmp_path: Path
 ) -> None:

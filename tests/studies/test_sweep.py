@@ -214,8 +214,11 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text(text)
     code, _, err = sweep("s.yaml", "--out", "out")
-    assert (code, err.count("\n")) == (2, 1), err
-    assert err.startswith(message)
+    errors = [
+        line for line in err.splitlines() if not line.startswith("checks: ")
+    ]  # what a slow machine has done so far
+    assert (code, len(errors)) == (2, 1), err
+    assert errors[0].startswith(message)
     assert not Path("out").exists()
 
 

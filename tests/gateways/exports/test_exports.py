@@ -141,6 +141,7 @@ def test_a_bag_has_wheels_commands_and_poses_of_the_run(run: RecordedRun, topics
     assert len(measured) > 50
 
 
+@pytest.mark.slow
 def test_frames_of_a_bag_are_one_tree_and_its_log_says_what_happened(topics: Topics) -> None:
     frames = {(f.header.frame_id, f.child_frame_id) for _, message in topics["/tf"] for f in message.transforms}
     assert {("map", "r1/odom"), ("r1/odom", "r1/base_link"), ("r1/base_link", "r1/left_wheel_link")} <= frames
