@@ -57,7 +57,7 @@ class UdpPort:
         """Why nothing comes, as far as the network knows, and the cure."""
         return _LOST.get(self._trouble or 0, "is the robot on, and in reach of its Wi-Fi?")
 
-    def duration_ns(self, data: bytes) -> int:  # noqa: ARG002 - as a serial port's
+    def duration_ns(self, data: bytes) -> int:
         """Return how long the line is busy with a write [ns]."""
         return _PAUSE_NS
 
