@@ -25,6 +25,9 @@ class UdpPort:
     """One robot's end of a network. Datagrams of others are not seen.
 
     What the network does not take is lost, as on its way: silence alone tells the driver.
+
+    Attributes:
+        descriptor: The socket's file descriptor. -1: closed.
     """
 
     def __init__(self, url: str) -> None:
@@ -51,6 +54,7 @@ class UdpPort:
             self._socket.close()
             why = _WHOLE_NETWORK if error.errno == errno.EACCES else _LOST.get(error.errno or 0, str(error))
             raise DriverError(f"{url}: {why}") from error
+        self.descriptor = self._socket.fileno()
 
     @property
     def silence(self) -> str:
@@ -84,10 +88,11 @@ class UdpPort:
 
     def wait(self, seconds: float) -> bool:
         """Wait until something has come; only while a driver is being made. Returns whether it has."""
-        return bool(select.select([self._socket.fileno()], [], [], max(0.0, seconds))[0])
+        return bool(select.select([self.descriptor], [], [], max(0.0, seconds))[0])
 
     def close(self) -> None:
         """Close; idempotent."""
+        self.descriptor = -1
         self._socket.close()
 
 
