@@ -1,9 +1,9 @@
 """A robot with the binary of an Uno in simavr behind its real driver, in lockstep: a driver for measurements.
 
-    robofleet run configs/firmware.yaml --lockstep $(python -m tools.measure.robots.lockstep_uno)
+    robofleet run configs/firmware.yaml --lockstep $(python -m tools.measure.robots.lockstep_uno [--udp])
 
 Driver, pseudo-terminal and binary live on a clock of their own, which the run's clock moves: the second that the boot
-loader takes passes before the run begins.
+loader takes passes before the run begins. ``--udp``: the firmware compiled for this computer, by UDP.
 """
 
 import socket
