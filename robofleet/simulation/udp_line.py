@@ -8,6 +8,7 @@ from robofleet.drivers.udp_port import host_and_port
 from robofleet.simulation.firmware_library import firmware_library
 
 _MOST_BYTES = 128  # UDP_BYTES
+_OWN = "a twin needs a free port of this computer: write udp://127.0.0.1:PORT"
 
 
 class UdpLineError(RobofleetError):
@@ -20,7 +21,10 @@ class UdpLine:
     def __init__(self, url: str, now_us: Callable[[], int]) -> None:
         self._url, self._now_us = url, now_us
         host, self._port = host_and_port(url)
-        self._address = int.from_bytes(socket.inet_aton(socket.gethostbyname(host)))
+        try:
+            self._address = int.from_bytes(socket.inet_aton(socket.gethostbyname(host)))
+        except OSError as error:
+            raise UdpLineError(f"{url}: {_OWN}") from error
         self._ffi, self._c = firmware_library({})
         self._udp = self._ffi.new("struct udp *", {"descriptor": -1})
         self._bytes = self._ffi.new("uint8_t[]", _MOST_BYTES)
@@ -34,12 +38,12 @@ class UdpLine:
     @property
     def open(self) -> bool:
         """Whether there is a host that the robot answers."""
-        return bool(self._udp.port)
+        return self._udp.descriptor >= 0 and self._udp.port != 0
 
     def plug(self) -> None:
         """Let the robot be on the network."""
         if self._udp.descriptor < 0 and not self._c.udp_open(self._udp, self._address, self._port):
-            raise UdpLineError(f"{self._url}: another program has this port, or another computer this address: mend it")
+            raise UdpLineError(f"{self._url}: {_OWN}")
 
     def unplug(self) -> None:
         """Let the robot be gone. Idempotent."""

@@ -83,9 +83,11 @@ class NetworkBench(LineBench):
     def _deliver(self) -> None:
         while self._on_the_way and self._on_the_way[0][0] <= self.now_ns:
             *_, to_robot, data = heapq.heappop(self._on_the_way)
-            if to_robot:
+            if to_robot and self.line.descriptor is not None:
                 self._back.send(data)
                 self.arrived()
+            elif to_robot:
+                continue  # it is not on the network
             else:
                 self._front.sendto(data, self._driver)
 

@@ -176,6 +176,18 @@ def test_lost_doubled_late_and_struck_datagrams_move_nothing_wrongly(seed: int) 
         assert gate.target_left == gate.target_right == 0
 
 
+def test_a_robot_that_leaves_the_network_is_missed_and_drives_when_it_is_back() -> None:
+    with NetworkBench() as bench:
+        driven(bench)
+        bench.line.unplug()
+        with pytest.raises(DriverError, match=r"it said nothing for 0.5 s: is the robot on, and in reach of its Wi-Fi"):
+            bench.pass_time(0.7, WHEELS)
+        assert bench.hardware.command == STOP
+        bench.driver.close()
+        bench.line.plug()
+        driven(bench)
+
+
 def test_a_second_host_gets_answers_but_no_lease_and_the_first_one_drives_on() -> None:
     with NetworkBench() as bench, datagrams() as stranger:
         driven(bench)
@@ -290,5 +302,5 @@ def test_a_robot_on_a_network_needs_no_serial_port() -> None:
 def test_a_twin_whose_port_somebody_has_says_so() -> None:
     with datagrams() as other:
         url = f"udp://127.0.0.1:{other.getsockname()[1]}"
-        with pytest.raises(UdpLineError, match=f"{url}: another program has this port"):
+        with pytest.raises(UdpLineError, match=f"{url}: a twin needs a free port of this computer"):
             UdpLine(url, lambda: 0)

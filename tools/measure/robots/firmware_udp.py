@@ -125,7 +125,7 @@ def noise(minutes: float, share: float, seed: int) -> None:
                     given.popleft()
         struck = bench.firmware.robot.receiver.struck
     print(
-        f"{steps} steps, {struck} struck frames at the robot, {wrong} wrong motions; it stood for {1 - moved / steps:.1%}"
+        f"{steps} steps, {struck} struck frames at the robot, {wrong} wrong motions; stood for {1 - moved / steps:.1%}"
     )
 
 
