@@ -38,7 +38,7 @@ class UdpLine:
     @property
     def open(self) -> bool:
         """Whether there is a host that the robot answers."""
-        return self._udp.descriptor >= 0 and self._udp.port != 0
+        return self.descriptor is not None and bool(self._udp.port)
 
     def plug(self) -> None:
         """Let the robot be on the network."""

@@ -90,6 +90,7 @@ def deaths(tries: int) -> None:
                 os.waitpid(child, 0)
                 until(lambda: list(robot.pins.duty) == [0, 0])
                 driver = robot.driver()
+                assert driver._health is not None
                 after.append((driver._health.target_after_ms, driver._health.output_after_ms))
                 driver.close()
         finally:
