@@ -1,4 +1,4 @@
-"""Robots with this project's firmware (``drivers/firmware``): rfp/1 on a serial line.
+"""Robots with this project's firmware (``drivers/firmware``): rfp/1 on a serial line or a network.
 
 The firmware has a gate of its own, the same as the one before this driver. The driver holds its lease. With each
 ``write`` it sends a command and a permission, which echo the newest nonce that the robot has sent: the permission is
@@ -32,6 +32,7 @@ from robofleet.drivers.rfp_frames import (
     Status,
 )
 from robofleet.drivers.serial_port import SerialPort
+from robofleet.drivers.udp_port import SCHEME, UdpPort, host_and_port
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, RobotFault, WheelSpeeds
 
@@ -62,9 +63,9 @@ class Rfp:
         model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
 
         port: Annotated[str, Field(min_length=1)]
-        """The serial port of its board."""
+        """The serial port of its board; or ``udp://HOST:PORT``, of a board on a network."""
         baud: Annotated[int, Field(ge=9600, le=2_000_000)] = 57600
-        """As built into its firmware (``RFP_BAUD``)."""
+        """Of a serial port: as built into its firmware (``RFP_BAUD``)."""
         counts_per_turn: _Positive
         """Encoder counts in one turn of a wheel, gear included, as built in (``RFP_COUNTS_PER_TURN``)."""
         board: Annotated[str, Field(min_length=1, max_length=12)] | None = None
@@ -96,7 +97,9 @@ class Rfp:
         self._restarted = False
         self._latched = 0  # faults by which the firmware latched itself, not told yet
         self._closed = False
-        self._line = SerialPort(settings.port, settings.baud)
+        self._line = (
+            UdpPort(settings.port) if settings.port.startswith(SCHEME) else SerialPort(settings.port, settings.baud)
+        )
         try:
             self._meet(context.drive)
         except BaseException:
@@ -109,6 +112,11 @@ class Rfp:
         found = []
         if drive.max_wheel_speed > _FASTEST:
             found.append(("vehicle.max_wheel_speed_rad_s", f"rfp/{VERSION} can say {_FASTEST:g} at most: lower it"))
+        if settings.port.startswith(SCHEME):
+            try:
+                host_and_port(settings.port)
+            except DriverError as error:
+                found.append(("settings.port", str(error)))
         if settings.battery_v is not None and settings.battery_v[0] >= settings.battery_v[1]:
             found.append(("settings.battery_v", "an empty battery must have less than a full one: exchange them"))
         return found
@@ -128,7 +136,7 @@ class Rfp:
         assert status is not None
         assert health is not None
         if now_ns - self._status_ns > _SILENT_NS:
-            raise self._error(f"it said nothing for {_SILENT_NS * 1e-9:.1f} s: is the robot on, and its cable good?")
+            raise self._error(f"it said nothing for {_SILENT_NS * 1e-9:.1f} s: {self._line.silence}")
         if 0 < (health.epoch - (self._epoch or 0)) % 65536 < 32768:  # an older one comes late
             raise self._error("another program has taken its lease: end that one")
         self._command(now_ns)
@@ -160,8 +168,8 @@ class Rfp:
         )
         if self._identity is None or self._built is None or self._status is None:
             if self._answered:
-                raise self._error("the device that answers does not speak rfp: flash drivers/firmware, or mend baud")
-            raise self._error("nothing answers there: switch the robot on, and look at its cable")
+                raise self._error("what answers there does not speak rfp: flash drivers/firmware, or mend port or baud")
+            raise self._error(f"nothing answers there: {self._line.silence}")
         self._fit(self._identity, self._built, drive)
         self._until(lambda: self._epoch is not None, Lease(self._session, _ACQUIRE))
         if self._epoch is None:
@@ -176,7 +184,7 @@ class Rfp:
         self._health = None  # it may be of before
         self._until(lambda: self._health is not None, Hello())
         if self._health is None:
-            raise self._error("it answers no more: look at its cable")
+            raise self._error(f"it answers no more: {self._line.silence}")
 
     def _until(self, done: Callable[[], bool], request: Message) -> None:
         """Send a request again and again until that is done, or patience ends."""
@@ -239,7 +247,7 @@ class Rfp:
             self._sent += 1
         # what noise has left at the robot's end is ended by a zero of its own
         data = b"\0" + b"".join(frames)
-        self._free_ns = self._now_ns() + len(data) * 10 * 1_000_000_000 // self._settings.baud
+        self._free_ns = self._now_ns() + self._line.duration_ns(data)
         self._line.write(data)
 
     def _listen(self) -> int:

@@ -9,6 +9,7 @@ import serial
 from robofleet.vehicles.interface import DriverError
 
 _MOST_BYTES_AT_ONCE = 65536
+_BITS_A_BYTE = 10  # with start and stop bit
 _WHY = {
     errno.ENOENT: "there is no such port: plug the robot in, switch it on, or mend settings.port",
     errno.EACCES: "this user may not open it: join the group dialout, or install the udev rules of tools/deploy",
@@ -24,7 +25,10 @@ class SerialPort:
 
     Attributes:
         descriptor: The line's file descriptor. -1: closed.
+        silence: Why nothing may come, and the cure.
     """
+
+    silence = "is the robot on, and its cable good?"
 
     def __init__(self, path: str, baud: int) -> None:
         """Open the line, for this process alone.
@@ -36,7 +40,7 @@ class SerialPort:
         Raises:
             DriverError: It cannot be opened. The message says why, and the cure.
         """
-        self._path = path
+        self._path, self._baud = path, baud
         try:
             self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
@@ -44,6 +48,10 @@ class SerialPort:
             number = getattr(first, "errno", None) or getattr(first, "args", (0,))[0]
             raise DriverError(f"{path}: {_WHY.get(number, str(error))}") from error
         self.descriptor = self._serial.fileno()
+
+    def duration_ns(self, data: bytes) -> int:
+        """Return how long the line is busy with a write [ns]."""
+        return len(data) * _BITS_A_BYTE * 1_000_000_000 // self._baud
 
     def read(self) -> bytes:
         """Take what has come since the last call, without waiting.

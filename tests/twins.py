@@ -30,7 +30,7 @@ class TwinStand:
         self.config, self.clock, self.port = config, clock, folder / "r1.tty"
         self.faults = Schedule(config, clock) if config.faults else None
         plant = slices.shared_plant(config, ["r1"], clock.now_ns())
-        self.twin = Twin(config, "r1", self.port, clock.now_ns(), self.faults, plant=plant)
+        self.twin = Twin(config, "r1", str(self.port), clock.now_ns(), self.faults, plant=plant)
 
     def step(self) -> int:
         """Let the twin do what is due; returns when it is due again [ns]."""

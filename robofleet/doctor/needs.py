@@ -8,6 +8,7 @@ from robofleet.config.camera import CameraSettings
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.plugins import PluginError
+from robofleet.drivers.udp_port import SCHEME
 from robofleet.nodes.unit import driver_settings
 
 _NO_CONFIG_S = 88.0  # of the first run that the README shows
@@ -57,5 +58,5 @@ class Needs:
                 path = driver_settings.port(self.config, robot)
             except PluginError:
                 continue
-            if path is not None:
+            if path is not None and not path.startswith(SCHEME):
                 yield Port(robot.id, path)

@@ -31,7 +31,7 @@ def complaints(config: Config, *, lockstep: bool = False) -> Iterator[Complaint]
     for i, robot in enumerate(config.robots):
         wrong = list(of_robot(config, i, lockstep=lockstep))
         yield from wrong
-        if not wrong and robot.twin is None and (port := driver_settings.port(config, robot)) is not None:
+        if not wrong and (port := driver_settings.port(config, robot)) is not None:
             other = ports.setdefault(os.path.realpath(port), robot.id)
             if other != robot.id:
                 yield f"robots.{i}.settings.port", f"{other} has this port: each robot needs its own"

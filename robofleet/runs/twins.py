@@ -3,7 +3,6 @@
 import sys
 from functools import partial
 
-from robofleet.bus.arena_file import twin_port
 from robofleet.bus.bus import Bus
 from robofleet.bus.keys import STATE, TRUTH
 from robofleet.bus.messages import UNIT_TRUTH, Truth, UnitTruth
@@ -11,6 +10,7 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.nodes.node import LineWaker
+from robofleet.nodes.unit import driver_settings
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.twin import Twin
 from robofleet.vehicles.readings import TruePose
@@ -29,7 +29,8 @@ class Twins:
         plant = slices.shared_plant(config, [robot.id for robot in config.twins], now_ns)
         try:
             for robot in config.twins:
-                port, others = twin_port(config.arena.name, robot.id), partial(self._others, robot.id)
+                port, others = driver_settings.port(config, robot), partial(self._others, robot.id)
+                assert port is not None, "a twin's driver has a port"
                 self._twins[robot.id] = Twin(config, robot.id, port, now_ns, faults, others, plant)
         except BaseException:
             self.close()

@@ -1,4 +1,4 @@
-"""A firmware's twin: a simulated body, the firmware that moves it, and a serial port that a driver opens."""
+"""A firmware's twin: a simulated body, the firmware that moves it, and a port that a driver opens."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -7,10 +7,12 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.plugins import load
+from robofleet.drivers.udp_port import SCHEME
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_line import Ledger, TwinTroubles
 from robofleet.simulation.firmware import Firmware, Hardware
 from robofleet.simulation.serial_line import SerialLine, Wire
+from robofleet.simulation.udp_line import UdpLine
 from robofleet.vehicles.interface import STOP
 from robofleet.vehicles.plant import Plant
 from robofleet.vehicles.plants import SharedPlant
@@ -19,15 +21,19 @@ from robofleet.vehicles.sensors import SimulatedSensors
 
 Others = Callable[[], Sequence[tuple[TruePose, float]]]  # where other robots are, and their bodies' radii [m]
 
+_NETWORK_BAUD = 10**9
 _UNOPENED_NS = 10 * MS  # nothing tells when the host opens the port: it is looked at so often
 _BUFFER_BYTES = 64  # that wait for a firmware that hangs
 
 
 class Twin:
-    """One robot's twin, switched on at ``now_ns`` with its port at ``port``. The caller's clock is its time."""
+    """One robot's twin, switched on at ``now_ns`` with its port at ``port``, a path or ``udp://HOST:PORT``.
+
+    The caller's clock is its time.
+    """
 
     def __init__(
-        self, config: Config, robot: str, port: Path, now_ns: int, faults: Schedule | None = None,
+        self, config: Config, robot: str, port: str, now_ns: int, faults: Schedule | None = None,
         others: Others = lambda: (), plant: SharedPlant | None = None,
     ) -> None:  # fmt: skip
         """Put it there; ``others`` tells the bodies that its distance sensors see; ``plant``: that it shares."""
@@ -49,11 +55,14 @@ class Twin:
         self._target = STOP
         self._loop_period_ns = round(s.imperfections.loop_period * S)
         self._loop_ns = now_ns + self._loop_period_ns
-        self._to_robot, self._to_host = Wire(self._firmware.baud), Wire(self._firmware.baud)
+        self._now_ns = now_ns
+        self._network = port.startswith(SCHEME)  # which has no baud rate, and resets no board
+        baud = _NETWORK_BAUD if self._network else self._firmware.baud
+        self._to_robot, self._to_host = Wire(baud), Wire(baud)
         self._waiting = b""  # for a firmware that hangs
         self._troubles = TwinTroubles(faults, robot)
         self.ledger = Ledger(self.hardware, spare, make(spare)) if self._troubles.to_robot.injections else None
-        self._line = SerialLine(port)
+        self._line = UdpLine(port, lambda: self._now_ns // 1000 % 2**32) if self._network else SerialLine(Path(port))
 
     @property
     def descriptor(self) -> int | None:
@@ -67,6 +76,7 @@ class Twin:
 
     def step(self, now_ns: int) -> int:
         """Let time pass until ``now_ns``; returns when the next step is due [ns], if nothing is heard before."""
+        self._now_ns = now_ns
         if self._troubles.unplugged(now_ns):
             self._line.unplug()
         else:
@@ -88,7 +98,7 @@ class Twin:
         """Notice that the driver has opened the port, and take what it has written."""
         was_open = self._line.open
         data = self._line.read()
-        if (self._line.open or data) and not was_open:
+        if (self._line.open or data) and not was_open and not self._network:
             self._to_robot.clear()
             self._to_host.clear()
             self._firmware.opened(now_ns)

@@ -124,7 +124,7 @@ class DriverBench:
             stack.enter_context(patch.object(DeadMan, "sign", lambda _: None))
             self.port = twin_port(self.config.arena.name, "r1")
             if self.config.robots[0].twin is not None:
-                self.twin = Twin(self.config, "r1", self.port, self.now_ns, self._schedule)
+                self.twin = Twin(self.config, "r1", str(self.port), self.now_ns, self._schedule)
                 stack.callback(self.twin.close)
             stack.callback(self._close_all)
             self._stack = stack.pop_all()

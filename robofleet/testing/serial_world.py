@@ -2,13 +2,15 @@
 
 The kernel carries a byte to the other end of a pseudo-terminal a moment after it was written: here a write returns
 when it has. A driver that waits for its robot, with ``select.select`` or ``SerialPort.wait``, lets the twin's time
-pass instead of ours: so the same happens each time, and seconds cost milliseconds.
+pass instead of ours: so the same happens each time, and seconds cost milliseconds. Where it waits for datagrams, too.
 """
 
 import fcntl
 import math
 import os
 import select
+import socket
+import stat
 import struct
 import termios
 from collections.abc import Callable, Iterator
@@ -35,7 +37,7 @@ def shared(now_ns: Callable[[], int], pass_time: Callable[[int], None]) -> Itera
     """
 
     def wait(reads: Any, writes: Any, errors: Any, timeout: float | None = None) -> Any:
-        if not any(terminal(_descriptor(item)) for item in reads):
+        if not any(terminal(_descriptor(item)) or _takes_datagrams(_descriptor(item)) for item in reads):
             return _select(reads, writes, errors, timeout)
         assert timeout is not None, "it waits for its robot for ever"
         deadline_ns = now_ns() + math.ceil(timeout * S)
@@ -57,6 +59,13 @@ def terminal(descriptor: int) -> tuple[int, bool] | None:
     except OSError:
         return None
     return (os.minor(device), False) if os.major(device) == _PTS else None
+
+
+def _takes_datagrams(descriptor: int) -> bool:
+    if not stat.S_ISSOCK(os.fstat(descriptor).st_mode):
+        return False
+    with socket.socket(fileno=os.dup(descriptor)) as same:
+        return same.family == socket.AF_INET and same.type == socket.SOCK_DGRAM
 
 
 def unread(port: Path) -> int:

@@ -64,8 +64,7 @@ class LineBench:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self.port = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "r1.tty"
-            self.line = SerialLine(self.port)
+            self.port, self.line = self.plug(stack)
             stack.callback(self.line.unplug)
             stack.enter_context(shared(self.clock.now_ns, self._pass_while_waiting))
             stack.callback(self._close)
@@ -75,6 +74,11 @@ class LineBench:
     def __exit__(self, *_: object) -> None:
         self.to_robot = self.to_driver = bytes
         self._stack.close()
+
+    def plug(self, stack: ExitStack) -> tuple[Any, Any]:
+        """Return the port, and the robot's end of the line."""
+        port = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "r1.tty"
+        return port, SerialLine(port)
 
     @property
     def now_ns(self) -> int:

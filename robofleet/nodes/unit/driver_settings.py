@@ -12,11 +12,14 @@ from robofleet.config.faults import Complaint, plain_words
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.plugins import load
+from robofleet.drivers.udp_port import SCHEME
 from robofleet.vehicles.interface import DriverContext, SimulatedDriver, World
 
 
 def of(config: Config, robot: Robot) -> Any:
     """Return a robot's settings, with its twin's port where it has one; None where its driver takes none.
+
+    A twin on a network has the configured port.
 
     Raises:
         PluginError: there is no such driver.
@@ -25,7 +28,8 @@ def of(config: Config, robot: Robot) -> Any:
     kind = getattr(load("robofleet.drivers", robot.driver), "Settings", None)
     if kind is None:
         return None
-    port = {} if robot.twin is None else {"port": str(twin_port(config.arena.name, robot.id))}
+    own = robot.twin is None or str(robot.settings.get("port", "")).startswith(SCHEME)
+    port = {} if own else {"port": str(twin_port(config.arena.name, robot.id))}
     return kind.model_validate(robot.settings | port)
 
 

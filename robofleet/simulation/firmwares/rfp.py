@@ -38,6 +38,7 @@ class RfpFirmware:
         self._ffi.memmove(self.board.eeprom, b"\xff" * len(self.board.eeprom), len(self.board.eeprom))
         self.board.writes_left = 2**31 - 1
         self._ready_ns = 0
+        self._ran = False
         self.start(0, _POWER_ON)
 
     @staticmethod
@@ -68,7 +69,8 @@ class RfpFirmware:
             return b""
         now_us = _us(now_ns)
         if (now_us - self.board.now_us) % 2**32 > _WATCHDOG_US:
-            self.start(now_ns, _WATCHDOG)
+            self.start(now_ns, _WATCHDOG if self._ran else _POWER_ON)
+        self._ran = True
         self._look(now_us)
         for _ in range(2):  # while it runs its speed loops it does not listen
             self._c.robot_loop(self.robot)

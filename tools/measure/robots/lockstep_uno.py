@@ -1,24 +1,29 @@
 """A robot with the binary of an Uno in simavr behind its real driver, in lockstep: a driver for measurements.
 
-    robofleet run configs/firmware.yaml --lockstep $(python -m tools.measure.robots.lockstep_uno)
+    robofleet run configs/firmware.yaml --lockstep $(python -m tools.measure.robots.lockstep_uno [--udp])
 
 Driver, pseudo-terminal and binary live on a clock of their own, which the run's clock moves: the second that the boot
-loader takes passes before the run begins.
+loader takes passes before the run begins. ``--udp``: the firmware compiled for this computer, by UDP.
 """
 
+import socket
+import sys
 import tempfile
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from robofleet.core.clock import MS
 from robofleet.drivers.rfp import Rfp
+from robofleet.drivers.udp_port import SCHEME
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmwares.arduino_uno import ArduinoUnoFirmware
+from robofleet.simulation.firmwares.rfp import RfpFirmware
 from robofleet.simulation.serial_line import SerialLine
+from robofleet.simulation.udp_line import UdpLine
 from robofleet.testing.serial_world import shared
 from robofleet.vehicles.interface import DriverContext, DriverReading, WheelSpeeds
 from robofleet.vehicles.plant import Plant
@@ -29,6 +34,7 @@ class LockstepUno:
     """One robot; it is a simulated one for the run."""
 
     body_faults: ClassVar[bool] = True
+    _make: ClassVar[Any] = ArduinoUnoFirmware
 
     class Settings(BaseModel):
         """As the driver's, without what a line needs."""
@@ -47,18 +53,22 @@ class LockstepUno:
         self._ns = begin_ns = context.now_ns()
         self._plant = Plant(s.drive, s.imperfections, s.start, s.rng, now_ns=begin_ns, trouble=s.trouble)
         self._hardware = Hardware(s.drive, s.imperfections, self._plant)
-        self._firmware = ArduinoUnoFirmware(self._hardware)
+        self._firmware = self._make(self._hardware)
         self._target = self._hardware.command
         with ExitStack() as stack:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            self._line = SerialLine(folder / "uno")
+            port, self._line = self._plug(Path(stack.enter_context(tempfile.TemporaryDirectory())))
             stack.callback(self._line.unplug)
             stack.enter_context(shared(lambda: self._ns, self._pass_until))
-            settings = Rfp.Settings(port=str(folder / "uno"), **context.settings.model_dump())
-            self._firmware.opened(self._ns)
+            settings = Rfp.Settings(port=port, **context.settings.model_dump())
+            if not port.startswith(SCHEME):
+                self._firmware.opened(self._ns)
             self._driver = Rfp(replace(context, now_ns=lambda: self._ns, settings=settings))
             self._ahead_ns = self._ns - begin_ns
             self._stack = stack.pop_all()
+
+    def _plug(self, folder: Path) -> tuple[str, Any]:
+        """Return the driver's port, and the robot's end."""
+        return str(folder / "uno"), SerialLine(folder / "uno")
 
     def write(self, wheels: WheelSpeeds) -> None:
         self._catch_up()
@@ -104,6 +114,19 @@ class LockstepUno:
             self._plant.write(self._target)
 
 
+class LockstepUdp(LockstepUno):
+    """One robot with the firmware that is compiled for this computer, on a network."""
+
+    _make = RfpFirmware
+
+    def _plug(self, folder: Path) -> tuple[str, Any]:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            url = f"{SCHEME}127.0.0.1:{probe.getsockname()[1]}"
+        return url, UdpLine(url, lambda: self._ns // 1000 % 2**32)
+
+
 if __name__ == "__main__":
-    names = (f"--set robots.{i}.driver=tools.measure.robots.lockstep_uno:LockstepUno" for i in range(4))
+    kind = "LockstepUdp" if "--udp" in sys.argv else "LockstepUno"
+    names = (f"--set robots.{i}.driver=tools.measure.robots.lockstep_uno:{kind}" for i in range(4))
     print(*names, *(f"--set robots.{i}.twin=null" for i in range(4)))
