@@ -1,0 +1,202 @@
+"""A tick of many robots side by side: the equations of ``vehicles/plant.py`` for LANES robots in each instruction.
+
+First each robot's tick is cut into steps in which its commands are constant: by its gate's ramp, by its delay, by its
+firmware's loop. That needs whole numbers and branches, and no physics. Then all robots pass their first step, all their
+second one and so on, in one loop without branches, which the compiler makes vector instructions of.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from robofleet.core.arrays import Array
+from robofleet.core.kernels import infinite_kernel, infinite_kernel_of_plain, kernel, kernel_of_plain
+from robofleet.envs import normals
+from robofleet.safety import gate
+from robofleet.vehicles import plant
+from robofleet.vehicles.differential_drive import body_from_wheels, end_of_arc
+
+LANES = normals.STREAMS
+STEP = 5 * LANES  # numbers of a step of all lanes
+
+_NS = 1e-9
+_WHOLE = 1.5 * 2.0**52  # beside it floats are whole numbers
+_HALF_PI, _HALF_PI_REST = 1.57079632673412561417, 6.07710050650619224932e-11  # fdlibm's pi / 2, in two parts
+_RAMP_NS, _NEVER_NS = gate.RAMP_NS, plant.NEVER_NS
+_DURATION, _LEFT, _RIGHT, _DECAY, _STOP_DECAY = range(0, STEP, LANES)  # of a step: [s], commands [rad/s], as plant.decays
+(
+    _X, _Y, _PSI, _USED, _LEFT_ANGLE, _LEFT_SPEED, _LEFT_COUNTED, _RIGHT_ANGLE, _RIGHT_SPEED, _RIGHT_COUNTED,
+    _RADIUS, _BASE, _MAX_SPEED, _MOTOR_LAG, _STOP_LAG, _QUANTUM, _PERIOD, _DEADBAND, _BREAKAWAY, _SLIP, _SLIP_NOISE,
+    _SAG, _LIFE, _LEFT_GAIN, _RIGHT_GAIN,
+) = range(0, 25 * LANES, LANES)  # of lanes: where their rows begin  # fmt: skip
+LANE_ROWS = 25 * LANES
+
+_follow, _command, _next_step = (kernel_of_plain(f) for f in (gate.follow, plant.command, plant.next_step))
+_setpoints, _decays = kernel_of_plain(plant.setpoints), kernel_of_plain(plant.decays)
+_draw = normals.draw
+
+
+class Lane(NamedTuple):
+    """What the equations need of a ``plant.Build``."""
+
+    wheel_radius: float
+    wheel_base: float
+    max_wheel_speed: float
+    motor_lag: float
+    stop_lag: float
+    speed_quantum: float
+    loop_period: float
+    deadband: float
+    breakaway: float
+    slip: float
+    slip_noise: float
+    top_speed_sag: float
+    battery_life: float
+
+
+def steps(tick_ns: int, longest_step_ns: int) -> int:
+    """Return how many steps a tick may have."""
+    ramps = tick_ns // gate.RAMP_NS + 1
+    return 2 * ramps + tick_ns // longest_step_ns + 2  # renewed, renewals that act, what is left of a firmware's loop
+
+
+@kernel
+def drive(  # type: ignore[no-untyped-def]
+    bodies, builds, coming, gates, drives, wheels, now_ns, tick_ns, plan, lanes, streams, noise
+):  # fmt: skip
+    """Let robots (R,) obey wheels (R, 2) [rad/s] for a tick, each behind its gate's ramp.
+
+    plan, lanes, noise: room for ``steps``, LANE_ROWS, and two LANES of numbers.
+    """
+    for begin in range(0, len(bodies), LANES):
+        count, most = min(LANES, len(bodies) - begin), 0
+        plan[:] = 0.0
+        for i in range(count):
+            r = begin + i
+            used = _cut(
+                bodies[r], builds[r], coming[r], gates[r], drives[r % len(drives)], wheels[r, 0], wheels[r, 1], now_ns,
+                now_ns + tick_ns, plan, i,
+            )  # fmt: skip
+            most = max(most, used)
+            _load(bodies[r], builds[r], lanes, i)
+        for k in range(most):
+            _draw(streams, noise)
+            _step(lanes, plan[k * STEP : (k + 1) * STEP], noise)
+        for i in range(count):
+            _store(bodies[begin + i], lanes, i)
+
+
+@kernel
+def _cut(b, p, coming, g, drive, left, right, now_ns, end_ns, plan, i):  # type: ignore[no-untyped-def]
+    """Write the steps of lane i, and return how many they are."""
+    at, at_ns = i, now_ns
+    duration_ns, decay, stop_decay = 0, 0.0, 0.0
+    while True:
+        _follow(g, left, right, drive.max_wheel_acceleration, at_ns)
+        _command(b, p, coming, g.output_left, g.output_right, _NEVER_NS)
+        arrived = g.output_left == left and g.output_right == right
+        at_ns = end_ns if arrived else min(at_ns + _RAMP_NS, end_ns)
+        while b.reached_ns < at_ns:
+            step_ns = _next_step(b, p, coming, at_ns)
+            if step_ns != duration_ns:
+                duration_ns, (decay, stop_decay) = step_ns, _decays(p, step_ns * _NS)
+            plan[at + _DURATION], plan[at + _DECAY], plan[at + _STOP_DECAY] = step_ns * _NS, decay, stop_decay
+            plan[at + _LEFT], plan[at + _RIGHT] = _setpoints(b, p)
+            at += STEP
+            b.reached_ns += step_ns
+        if at_ns == end_ns:
+            return at // STEP
+
+
+@kernel
+def _load(b, p, lanes, i):  # type: ignore[no-untyped-def]
+    lanes[_X + i], lanes[_Y + i], lanes[_PSI + i], lanes[_USED + i] = b.x, b.y, b.psi, b.used
+    lanes[_LEFT_ANGLE + i], lanes[_LEFT_SPEED + i], lanes[_LEFT_COUNTED + i] = b.left_angle, b.left_speed, b.left_counted
+    lanes[_RIGHT_ANGLE + i], lanes[_RIGHT_SPEED + i] = b.right_angle, b.right_speed
+    lanes[_RIGHT_COUNTED + i] = b.right_counted
+    lanes[_RADIUS + i], lanes[_BASE + i], lanes[_MAX_SPEED + i] = p.wheel_radius, p.wheel_base, p.max_wheel_speed
+    lanes[_MOTOR_LAG + i], lanes[_STOP_LAG + i] = p.motor_lag, p.stop_lag
+    lanes[_QUANTUM + i], lanes[_PERIOD + i] = p.speed_quantum, p.loop_period
+    lanes[_DEADBAND + i], lanes[_BREAKAWAY + i] = p.deadband, p.breakaway
+    lanes[_SLIP + i], lanes[_SLIP_NOISE + i] = p.slip, p.slip_noise
+    lanes[_SAG + i], lanes[_LIFE + i] = p.top_speed_sag, p.battery_life
+    lanes[_LEFT_GAIN + i], lanes[_RIGHT_GAIN + i] = p.left_gain, p.right_gain
+
+
+@kernel
+def _store(b, lanes, i):  # type: ignore[no-untyped-def]
+    b.x, b.y, b.psi, b.used = lanes[_X + i], lanes[_Y + i], lanes[_PSI + i], lanes[_USED + i]
+    b.left_angle, b.left_speed, b.left_counted = lanes[_LEFT_ANGLE + i], lanes[_LEFT_SPEED + i], lanes[_LEFT_COUNTED + i]
+    b.right_angle, b.right_speed = lanes[_RIGHT_ANGLE + i], lanes[_RIGHT_SPEED + i]
+    b.right_counted = lanes[_RIGHT_COUNTED + i]
+
+
+@infinite_kernel
+def _sin_cos(x: float) -> tuple[float, float]:
+    """Return sine and cosine of an angle of a few turns at most, within 1e-15, without a branch or a call.
+
+    The polynomials are those of Moshier's Cephes, for [-pi / 4, pi / 4].
+    """
+    quarters = _rounded(x * (2.0 / math.pi))
+    r = (x - quarters * _HALF_PI) - quarters * _HALF_PI_REST
+    z = r * r
+    s = r + r * z * (
+        -1.66666666666666307295e-1 + z * (8.33333333332211858878e-3 + z * (-1.98412698295895385996e-4 + z * (
+            2.75573136213857245213e-6 + z * (-2.50507477628578072866e-8 + z * 1.58962301576546568060e-10))))
+    )  # fmt: skip
+    c = 1.0 - 0.5 * z + z * z * (
+        4.16666666666665929218e-2 + z * (-1.38888888888730564116e-3 + z * (2.48015872888517045348e-5 + z * (
+            -2.75573141792967388112e-7 + z * (2.08757008419747316778e-9 + z * -1.13585365213876817300e-11))))
+    )  # fmt: skip
+    part = quarters - 4.0 * _rounded(0.25 * quarters - 0.375)  # 0 to 3
+    odd = part == 1.0 or part == 3.0
+    sine, cosine = (c, s) if odd else (s, c)
+    return (-sine if part >= 2.0 else sine), (-cosine if part == 1.0 or part == 2.0 else cosine)
+
+
+@infinite_kernel
+def _rounded(x: float) -> float:
+    return (x + _WHOLE) - _WHOLE
+
+
+def step(lanes: Array, plan: Array, noise: Array) -> None:
+    """Let all lanes pass a step, as ``plant.step``; one that has no such step stays as it is."""
+    for i in range(LANES):
+        p = Lane(
+            lanes[_RADIUS + i], lanes[_BASE + i], lanes[_MAX_SPEED + i], lanes[_MOTOR_LAG + i], lanes[_STOP_LAG + i],
+            lanes[_QUANTUM + i], lanes[_PERIOD + i], lanes[_DEADBAND + i], lanes[_BREAKAWAY + i], lanes[_SLIP + i],
+            lanes[_SLIP_NOISE + i], lanes[_SAG + i], lanes[_LIFE + i],
+        )  # fmt: skip
+        duration, decay, stop_decay = plan[_DURATION + i], plan[_DECAY + i], plan[_STOP_DECAY + i]
+        passes, used = duration > 0.0, lanes[_USED + i] + duration
+        top = plant.top_speed(p, used)
+        left, left_angle, left_speed, left_counted = plant.turned(
+            p, lanes[_LEFT_ANGLE + i], lanes[_LEFT_SPEED + i], lanes[_LEFT_COUNTED + i], plan[_LEFT + i], top, duration,
+            decay, stop_decay,
+        )  # fmt: skip
+        right, right_angle, right_speed, right_counted = plant.turned(
+            p, lanes[_RIGHT_ANGLE + i], lanes[_RIGHT_SPEED + i], lanes[_RIGHT_COUNTED + i], plan[_RIGHT + i], top,
+            duration, decay, stop_decay,
+        )  # fmt: skip
+        left, right = plant.slipped(
+            p, lanes[_LEFT_GAIN + i] * left, lanes[_RIGHT_GAIN + i] * right, noise[i], noise[LANES + i]
+        )
+        v, omega = body_from_wheels(left, right, p.wheel_radius, p.wheel_base)
+        half = omega * duration / 2.0
+        sin_half, _ = _sin_cos(half)
+        s, c = _sin_cos(lanes[_PSI + i] + half)
+        x, y, psi = end_of_arc(lanes[_X + i], lanes[_Y + i], lanes[_PSI + i], v * duration, half, sin_half, s, c)
+        lanes[_X + i] = x if passes else lanes[_X + i]
+        lanes[_Y + i] = y if passes else lanes[_Y + i]
+        lanes[_PSI + i] = psi if passes else lanes[_PSI + i]
+        lanes[_USED + i] = used
+        lanes[_LEFT_ANGLE + i] = left_angle if passes else lanes[_LEFT_ANGLE + i]
+        lanes[_LEFT_SPEED + i] = left_speed if passes else lanes[_LEFT_SPEED + i]
+        lanes[_LEFT_COUNTED + i] = left_counted if passes else lanes[_LEFT_COUNTED + i]
+        lanes[_RIGHT_ANGLE + i] = right_angle if passes else lanes[_RIGHT_ANGLE + i]
+        lanes[_RIGHT_SPEED + i] = right_speed if passes else lanes[_RIGHT_SPEED + i]
+        lanes[_RIGHT_COUNTED + i] = right_counted if passes else lanes[_RIGHT_COUNTED + i]
+
+
+_step = infinite_kernel_of_plain(step)
