@@ -1,8 +1,8 @@
 """A tick of many robots side by side: the equations of ``vehicles/plant.py`` for LANES robots in each instruction.
 
-First each robot's tick is cut into steps in which its commands are constant: by its gate's ramp, by its delay, by its
-firmware's loop. That needs whole numbers and branches, and no physics. Then all robots pass their first step, all their
-second one and so on, in one loop without branches, which the compiler makes vector instructions of.
+First each robot's tick is cut into steps in which its commands are constant: by its gate's ramp, its delay, and its
+firmware's loop. Then all robots pass their first step, all pass their second one, and so on: that loop has neither
+branches nor calls, so the compiler makes vector instructions of it. Nothing befalls these robots (``plant.befall``).
 """
 
 import math
@@ -15,22 +15,24 @@ from robofleet.core.kernels import infinite_kernel, infinite_kernel_of_plain, ke
 from robofleet.envs import normals
 from robofleet.safety import gate
 from robofleet.vehicles import plant
-from robofleet.vehicles.differential_drive import body_from_wheels, end_of_arc
+from robofleet.vehicles.differential_drive import WHOLE, body_from_wheels, end_of_arc
 
 LANES = normals.STREAMS
 STEP = 5 * LANES  # numbers of a step of all lanes
 
 _NS = 1e-9
-_WHOLE = 1.5 * 2.0**52  # beside it floats are whole numbers
 _HALF_PI, _HALF_PI_REST = 1.57079632673412561417, 6.07710050650619224932e-11  # fdlibm's pi / 2, in two parts
 _RAMP_NS, _NEVER_NS = gate.RAMP_NS, plant.NEVER_NS
-_DURATION, _LEFT, _RIGHT, _DECAY, _STOP_DECAY = range(0, STEP, LANES)  # of a step: [s], commands [rad/s], as plant.decays
+# rows of a step: [s], commands [rad/s], as plant.decays
+_DURATION, _LEFT_COMMAND, _RIGHT_COMMAND, _DECAY, _STOP_DECAY = range(0, STEP, LANES)
+_WHEEL = 5 * LANES  # numbers of the left or the right wheels
+_ANGLE, _SPEED, _COUNTED, _GAIN, _ROLLED = range(0, _WHEEL, LANES)
+_LEFT, _RIGHT, _BODY = 0, _WHEEL, 2 * _WHEEL
+LANE_ROWS = _BODY + 17 * LANES
 (
-    _X, _Y, _PSI, _USED, _LEFT_ANGLE, _LEFT_SPEED, _LEFT_COUNTED, _RIGHT_ANGLE, _RIGHT_SPEED, _RIGHT_COUNTED,
-    _RADIUS, _BASE, _MAX_SPEED, _MOTOR_LAG, _STOP_LAG, _QUANTUM, _PERIOD, _DEADBAND, _BREAKAWAY, _SLIP, _SLIP_NOISE,
-    _SAG, _LIFE, _LEFT_GAIN, _RIGHT_GAIN,
-) = range(0, 25 * LANES, LANES)  # of lanes: where their rows begin  # fmt: skip
-LANE_ROWS = 25 * LANES
+    _X, _Y, _PSI, _USED, _RADIUS, _BASE, _MAX_SPEED, _MOTOR_LAG, _STOP_LAG, _QUANTUM, _PERIOD, _DEADBAND, _BREAKAWAY,
+    _SLIP, _SLIP_NOISE, _SAG, _LIFE,
+) = range(_BODY, LANE_ROWS, LANES)  # where rows begin  # fmt: skip
 
 _follow, _command, _next_step = (kernel_of_plain(f) for f in (gate.follow, plant.command, plant.next_step))
 _setpoints, _decays = kernel_of_plain(plant.setpoints), kernel_of_plain(plant.decays)
@@ -56,9 +58,12 @@ class Lane(NamedTuple):
 
 
 def steps(tick_ns: int, longest_step_ns: int) -> int:
-    """Return how many steps a tick may have."""
-    ramps = tick_ns // gate.RAMP_NS + 1
-    return 2 * ramps + tick_ns // longest_step_ns + 2  # renewed, renewals that act, what is left of a firmware's loop
+    """Return how many steps a tick has at most.
+
+    It is cut where a gate's output is renewed, where a renewal acts after a delay, and where a firmware's loop ends.
+    """
+    renewals = tick_ns // gate.RAMP_NS + 2
+    return 2 * renewals + tick_ns // longest_step_ns
 
 
 @kernel
@@ -67,11 +72,12 @@ def drive(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Let robots (R,) obey wheels (R, 2) [rad/s] for a tick, each behind its gate's ramp.
 
-    plan, lanes, noise: room for ``steps``, LANE_ROWS, and two LANES of numbers.
+    plan, lanes, noise: room for as many STEP as ``steps`` says, for LANE_ROWS and for two LANES numbers.
     """
     for begin in range(0, len(bodies), LANES):
         count, most = min(LANES, len(bodies) - begin), 0
-        plan[:] = 0.0
+        for k in range(len(plan)):
+            plan[k] = 0.0
         for i in range(count):
             r = begin + i
             used = _cut(
@@ -102,7 +108,7 @@ def _cut(b, p, coming, g, drive, left, right, now_ns, end_ns, plan, i):  # type:
             if step_ns != duration_ns:
                 duration_ns, (decay, stop_decay) = step_ns, _decays(p, step_ns * _NS)
             plan[at + _DURATION], plan[at + _DECAY], plan[at + _STOP_DECAY] = step_ns * _NS, decay, stop_decay
-            plan[at + _LEFT], plan[at + _RIGHT] = _setpoints(b, p)
+            plan[at + _LEFT_COMMAND], plan[at + _RIGHT_COMMAND] = _setpoints(b, p)
             at += STEP
             b.reached_ns += step_ns
         if at_ns == end_ns:
@@ -112,24 +118,24 @@ def _cut(b, p, coming, g, drive, left, right, now_ns, end_ns, plan, i):  # type:
 @kernel
 def _load(b, p, lanes, i):  # type: ignore[no-untyped-def]
     lanes[_X + i], lanes[_Y + i], lanes[_PSI + i], lanes[_USED + i] = b.x, b.y, b.psi, b.used
-    lanes[_LEFT_ANGLE + i], lanes[_LEFT_SPEED + i], lanes[_LEFT_COUNTED + i] = b.left_angle, b.left_speed, b.left_counted
-    lanes[_RIGHT_ANGLE + i], lanes[_RIGHT_SPEED + i] = b.right_angle, b.right_speed
-    lanes[_RIGHT_COUNTED + i] = b.right_counted
+    lanes[_LEFT + _ANGLE + i], lanes[_RIGHT + _ANGLE + i] = b.left_angle, b.right_angle
+    lanes[_LEFT + _SPEED + i], lanes[_RIGHT + _SPEED + i] = b.left_speed, b.right_speed
+    lanes[_LEFT + _COUNTED + i], lanes[_RIGHT + _COUNTED + i] = b.left_counted, b.right_counted
+    lanes[_LEFT + _GAIN + i], lanes[_RIGHT + _GAIN + i] = p.left_gain, p.right_gain
     lanes[_RADIUS + i], lanes[_BASE + i], lanes[_MAX_SPEED + i] = p.wheel_radius, p.wheel_base, p.max_wheel_speed
     lanes[_MOTOR_LAG + i], lanes[_STOP_LAG + i] = p.motor_lag, p.stop_lag
     lanes[_QUANTUM + i], lanes[_PERIOD + i] = p.speed_quantum, p.loop_period
     lanes[_DEADBAND + i], lanes[_BREAKAWAY + i] = p.deadband, p.breakaway
     lanes[_SLIP + i], lanes[_SLIP_NOISE + i] = p.slip, p.slip_noise
     lanes[_SAG + i], lanes[_LIFE + i] = p.top_speed_sag, p.battery_life
-    lanes[_LEFT_GAIN + i], lanes[_RIGHT_GAIN + i] = p.left_gain, p.right_gain
 
 
 @kernel
 def _store(b, lanes, i):  # type: ignore[no-untyped-def]
     b.x, b.y, b.psi, b.used = lanes[_X + i], lanes[_Y + i], lanes[_PSI + i], lanes[_USED + i]
-    b.left_angle, b.left_speed, b.left_counted = lanes[_LEFT_ANGLE + i], lanes[_LEFT_SPEED + i], lanes[_LEFT_COUNTED + i]
-    b.right_angle, b.right_speed = lanes[_RIGHT_ANGLE + i], lanes[_RIGHT_SPEED + i]
-    b.right_counted = lanes[_RIGHT_COUNTED + i]
+    b.left_angle, b.right_angle = lanes[_LEFT + _ANGLE + i], lanes[_RIGHT + _ANGLE + i]
+    b.left_speed, b.right_speed = lanes[_LEFT + _SPEED + i], lanes[_RIGHT + _SPEED + i]
+    b.left_counted, b.right_counted = lanes[_LEFT + _COUNTED + i], lanes[_RIGHT + _COUNTED + i]
 
 
 @infinite_kernel
@@ -157,46 +163,57 @@ def _sin_cos(x: float) -> tuple[float, float]:
 
 @infinite_kernel
 def _rounded(x: float) -> float:
-    return (x + _WHOLE) - _WHOLE
+    return (x + WHOLE) - WHOLE
 
 
-def step(lanes: Array, plan: Array, noise: Array) -> None:
-    """Let all lanes pass a step, as ``plant.step``; one that has no such step stays as it is."""
+def turn(lanes: Array, plan: Array, wheel: int, command: int) -> None:
+    """Let the left or the right wheels of all lanes turn for a step; a lane that has no such step stays as it is.
+
+    Their mean speeds, as the floor would see them without slip, are written, too.
+    """
     for i in range(LANES):
-        p = Lane(
-            lanes[_RADIUS + i], lanes[_BASE + i], lanes[_MAX_SPEED + i], lanes[_MOTOR_LAG + i], lanes[_STOP_LAG + i],
-            lanes[_QUANTUM + i], lanes[_PERIOD + i], lanes[_DEADBAND + i], lanes[_BREAKAWAY + i], lanes[_SLIP + i],
-            lanes[_SLIP_NOISE + i], lanes[_SAG + i], lanes[_LIFE + i],
+        p, duration = _lane(lanes, i), plan[_DURATION + i]
+        before = lanes[wheel + _ANGLE + i], lanes[wheel + _SPEED + i], lanes[wheel + _COUNTED + i]
+        mean, angle, speed, counted = plant.turned(
+            p, before[0], before[1], before[2], plan[command + i], plant.top_speed(p, lanes[_USED + i] + duration),
+            duration, plan[_DECAY + i], plan[_STOP_DECAY + i],
         )  # fmt: skip
-        duration, decay, stop_decay = plan[_DURATION + i], plan[_DECAY + i], plan[_STOP_DECAY + i]
-        passes, used = duration > 0.0, lanes[_USED + i] + duration
-        top = plant.top_speed(p, used)
-        left, left_angle, left_speed, left_counted = plant.turned(
-            p, lanes[_LEFT_ANGLE + i], lanes[_LEFT_SPEED + i], lanes[_LEFT_COUNTED + i], plan[_LEFT + i], top, duration,
-            decay, stop_decay,
-        )  # fmt: skip
-        right, right_angle, right_speed, right_counted = plant.turned(
-            p, lanes[_RIGHT_ANGLE + i], lanes[_RIGHT_SPEED + i], lanes[_RIGHT_COUNTED + i], plan[_RIGHT + i], top,
-            duration, decay, stop_decay,
-        )  # fmt: skip
+        rolled = lanes[wheel + _GAIN + i] * mean
+        if duration == 0.0:
+            (angle, speed, counted), rolled = before, 0.0
+        lanes[wheel + _ANGLE + i], lanes[wheel + _SPEED + i], lanes[wheel + _COUNTED + i] = angle, speed, counted
+        lanes[wheel + _ROLLED + i] = rolled
+
+
+def move(lanes: Array, plan: Array, noise: Array) -> None:
+    """Let the bodies of all lanes move as their wheels turned."""
+    for i in range(LANES):
+        p, duration = _lane(lanes, i), plan[_DURATION + i]
         left, right = plant.slipped(
-            p, lanes[_LEFT_GAIN + i] * left, lanes[_RIGHT_GAIN + i] * right, noise[i], noise[LANES + i]
+            p, lanes[_LEFT + _ROLLED + i], lanes[_RIGHT + _ROLLED + i], noise[i], noise[LANES + i]
         )
         v, omega = body_from_wheels(left, right, p.wheel_radius, p.wheel_base)
         half = omega * duration / 2.0
         sin_half, _ = _sin_cos(half)
         s, c = _sin_cos(lanes[_PSI + i] + half)
         x, y, psi = end_of_arc(lanes[_X + i], lanes[_Y + i], lanes[_PSI + i], v * duration, half, sin_half, s, c)
-        lanes[_X + i] = x if passes else lanes[_X + i]
-        lanes[_Y + i] = y if passes else lanes[_Y + i]
-        lanes[_PSI + i] = psi if passes else lanes[_PSI + i]
-        lanes[_USED + i] = used
-        lanes[_LEFT_ANGLE + i] = left_angle if passes else lanes[_LEFT_ANGLE + i]
-        lanes[_LEFT_SPEED + i] = left_speed if passes else lanes[_LEFT_SPEED + i]
-        lanes[_LEFT_COUNTED + i] = left_counted if passes else lanes[_LEFT_COUNTED + i]
-        lanes[_RIGHT_ANGLE + i] = right_angle if passes else lanes[_RIGHT_ANGLE + i]
-        lanes[_RIGHT_SPEED + i] = right_speed if passes else lanes[_RIGHT_SPEED + i]
-        lanes[_RIGHT_COUNTED + i] = right_counted if passes else lanes[_RIGHT_COUNTED + i]
+        lanes[_X + i], lanes[_Y + i], lanes[_PSI + i] = x, y, psi
+        lanes[_USED + i] += duration
+
+
+def _lane(lanes: Array, i: int) -> Lane:
+    return Lane(
+        lanes[_RADIUS + i], lanes[_BASE + i], lanes[_MAX_SPEED + i], lanes[_MOTOR_LAG + i], lanes[_STOP_LAG + i],
+        lanes[_QUANTUM + i], lanes[_PERIOD + i], lanes[_DEADBAND + i], lanes[_BREAKAWAY + i], lanes[_SLIP + i],
+        lanes[_SLIP_NOISE + i], lanes[_SAG + i], lanes[_LIFE + i],
+    )  # fmt: skip
+
+
+def step(lanes: Array, plan: Array, noise: Array) -> None:
+    """Let all lanes pass a step, as ``plant.step``."""
+    turn(lanes, plan, _LEFT, _LEFT_COMMAND)
+    turn(lanes, plan, _RIGHT, _RIGHT_COMMAND)
+    move(lanes, plan, noise)
 
 
 _step = infinite_kernel_of_plain(step)

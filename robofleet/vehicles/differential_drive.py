@@ -7,6 +7,7 @@
 import math
 from dataclasses import dataclass
 
+WHOLE = 1.5 * 2.0**52  # a float beside it is a whole number
 _INSIDE = 1.0 - 1e-9  # a scaled wheel stays inside its limit whatever is rounded later
 
 
@@ -72,5 +73,11 @@ def end_of_arc(
     chord = way * (1.0 - half * half / 6.0 if abs(half) < 1e-4 else sin_half / half)
     psi += 2.0 * half
     if psi > math.pi or psi <= -math.pi:
-        psi -= math.tau * math.ceil((psi - math.pi) / math.tau)
+        psi += math.tau * floor((math.pi - psi) / math.tau)
     return x + chord * c, y + chord * s, psi
+
+
+def floor(x: float) -> float:
+    """Return the whole number not above x, as a float: vector instructions cannot make the integer of ``math.floor``."""
+    rounded = (x + WHOLE) - WHOLE
+    return rounded - 1.0 if rounded > x else rounded

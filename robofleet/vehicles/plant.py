@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
+from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels, floor
 from robofleet.vehicles.interface import BodyTrouble, DriverReading, Imperfections, WheelSpeeds
 from robofleet.vehicles.readings import TruePose
 
@@ -275,7 +275,7 @@ def turned(
     travelled = angle + mean * duration
     resolution = p.speed_quantum * p.loop_period
     if resolution:
-        seen = resolution * math.floor(travelled / resolution)
+        seen = resolution * floor(travelled / resolution)
         # the loop acts on what it counts: what the encoder has not seen yet is missing from its feedback
         unseen = (travelled - seen) - (angle - counted)
         counted = seen
