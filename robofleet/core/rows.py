@@ -20,7 +20,7 @@ def row_type(record: type) -> np.dtype[Any]:
 
 def row_of(record: Any) -> tuple[Any, ...]:
     """Return a record's fields, as a row takes them: ``dataclasses.astuple`` copies each, which takes long."""
-    return _fields_of(type(record))(record)
+    return _fields_of(type(record))(record)  # type: ignore[arg-type]
 
 
 @cache

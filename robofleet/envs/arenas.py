@@ -10,7 +10,6 @@ same seed gives the same numbers on any machine.
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from robofleet.core.rows import row_of
 from robofleet.envs import lanes, normals
 from robofleet.envs.robots import Builds
 from robofleet.safety import barrier as safety_barrier
-from robofleet.safety import gate
 from robofleet.safety.gate import DRIVE, GATE, GateState
 from robofleet.simulation.bodies import BODY, BUILD, COMING
 from robofleet.vehicles import differential_drive, plant
@@ -135,8 +133,19 @@ class Arenas:
         def chunk(k: int) -> None:
             rows = slice(k * _CHUNK, (k + 1) * _CHUNK)
             _step(
-                velocities[rows], of_body, *self._chunks[k], self._streams[k], self._steps, self._driving, self._limits,
-                self._drives, self._sigma, self._barrier_on, self._now_ns, self._tick_ns, *self._constants,
+                velocities[rows],
+                of_body,
+                *self._chunks[k],
+                self._streams[k],
+                self._steps,
+                self._driving,
+                self._limits,
+                self._drives,
+                self._sigma,
+                self._barrier_on,
+                self._now_ns,
+                self._tick_ns,
+                *self._constants,
             )  # type: ignore[call-arg]
 
         if self._pool is None:

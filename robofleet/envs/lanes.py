@@ -6,9 +6,7 @@ branches nor calls, so the compiler makes vector instructions of it. Nothing bef
 """
 
 import math
-from typing import NamedTuple
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from robofleet.core.arrays import Array
 from robofleet.core.kernels import infinite_kernel, infinite_kernel_of_plain, kernel, kernel_of_plain
@@ -34,8 +32,9 @@ LANE_ROWS = _BODY + 17 * LANES
     _SLIP, _SLIP_NOISE, _SAG, _LIFE,
 ) = range(_BODY, LANE_ROWS, LANES)  # where rows begin  # fmt: skip
 
-_follow, _command, _next_step = (kernel_of_plain(f) for f in (gate.follow, plant.command, plant.next_step))
-_setpoints, _decays = kernel_of_plain(plant.setpoints), kernel_of_plain(plant.decays)
+_follow, _command = kernel_of_plain(gate.follow), kernel_of_plain(plant.command)
+_next_step, _setpoints = kernel_of_plain(plant.next_step), kernel_of_plain(plant.setpoints)
+_decays = kernel_of_plain(plant.decays)
 _draw = normals.draw
 
 
@@ -76,8 +75,9 @@ def drive(  # type: ignore[no-untyped-def]
     """
     for begin in range(0, len(bodies), LANES):
         count, most = min(LANES, len(bodies) - begin), 0
-        for k in range(len(plan)):
-            plan[k] = 0.0
+        for k in range(_DURATION, len(plan), STEP):
+            for i in range(LANES):
+                plan[k + i] = 0.0
         for i in range(count):
             r = begin + i
             used = _cut(
@@ -156,9 +156,8 @@ def _sin_cos(x: float) -> tuple[float, float]:
             -2.75573141792967388112e-7 + z * (2.08757008419747316778e-9 + z * -1.13585365213876817300e-11))))
     )  # fmt: skip
     part = quarters - 4.0 * _rounded(0.25 * quarters - 0.375)  # 0 to 3
-    odd = part == 1.0 or part == 3.0
-    sine, cosine = (c, s) if odd else (s, c)
-    return (-sine if part >= 2.0 else sine), (-cosine if part == 1.0 or part == 2.0 else cosine)
+    sine, cosine = (c, s) if abs(part - 2.0) == 1.0 else (s, c)
+    return (-sine if part >= 2.0 else sine), (-cosine if abs(part - 1.5) == 0.5 else cosine)
 
 
 @infinite_kernel
@@ -201,7 +200,7 @@ def move(lanes: Array, plan: Array, noise: Array) -> None:
         lanes[_USED + i] += duration
 
 
-def _lane(lanes: Array, i: int) -> Lane:
+def _lane(lanes: Array, i: int) -> Any:
     return Lane(
         lanes[_RADIUS + i], lanes[_BASE + i], lanes[_MAX_SPEED + i], lanes[_MOTOR_LAG + i], lanes[_STOP_LAG + i],
         lanes[_QUANTUM + i], lanes[_PERIOD + i], lanes[_DEADBAND + i], lanes[_BREAKAWAY + i], lanes[_SLIP + i],

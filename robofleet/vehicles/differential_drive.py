@@ -78,6 +78,6 @@ def end_of_arc(
 
 
 def floor(x: float) -> float:
-    """Return the whole number not above x, as a float: vector instructions cannot make the integer of ``math.floor``."""
+    """Return the whole number not above x, as a float: vector instructions do not make integers of floats."""
     rounded = (x + WHOLE) - WHOLE
     return rounded - 1.0 if rounded > x else rounded
