@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import fields
+from functools import cache
+from operator import attrgetter
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -18,7 +20,13 @@ def row_type(record: type) -> np.dtype[Any]:
 
 def row_of(record: Any) -> tuple[Any, ...]:
     """Return a record's fields, as a row takes them: ``dataclasses.astuple`` copies each, which takes long."""
-    return tuple([getattr(record, field.name) for field in fields(record)])
+    return _fields_of(type(record))(record)  # type: ignore[arg-type]
+
+
+@cache
+def _fields_of(kind: type) -> Callable[[Any], tuple[Any, ...]]:
+    """Return what gets all fields, of which there are two or more."""
+    return attrgetter(*(field.name for field in fields(kind)))
 
 
 def record_of(record: Callable[..., T], row: np.void) -> T:

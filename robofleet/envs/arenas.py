@@ -8,10 +8,8 @@ Arenas are stepped in chunks, by as many threads as there are cores. Each chunk 
 same seed gives the same numbers on any machine.
 """
 
-import math
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 
@@ -21,23 +19,21 @@ from robofleet.config.tree import Config
 from robofleet.control import wheels
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.clock import S
-from robofleet.core.kernels import free_kernel, kernel, kernel_of_plain
+from robofleet.core.kernels import free_kernel, kernel
 from robofleet.core.rows import row_of
+from robofleet.envs import lanes, normals
 from robofleet.envs.robots import Builds
 from robofleet.safety import barrier as safety_barrier
-from robofleet.safety import gate
 from robofleet.safety.gate import DRIVE, GATE, GateState
-from robofleet.simulation import bodies as simulated
 from robofleet.simulation.bodies import BODY, BUILD, COMING
 from robofleet.vehicles import differential_drive, plant
 
 _CHUNK = 256  # arenas that share random numbers
 _UNDER_WAY = 16  # commands of a robot that do not act yet, at most: 80 ms of them
-_NOISE = 128  # random numbers of a robot that are drawn at once
-_follow, _advance, _command = kernel_of_plain(gate.follow), simulated.advance, simulated.command
+_drive, _draw = lanes.drive, normals.draw
 _limit_commands, _filter_commands = wheels.limit_commands, safety_barrier.filter_commands
 _body_from_wheels = kernel(differential_drive.body_from_wheels)
-_RAMP_NS, _NEVER_NS = gate.RAMP_NS, plant.NEVER_NS
+_LANES = lanes.LANES
 
 
 class Arenas:
@@ -72,8 +68,7 @@ class Arenas:
         self._drives = np.array([row_of(body.drive) for body in bodies[:n]], DRIVE)
         self._tick_ns = round(config.controller.tick_s * S)
         loop_s = min(slices.imperfections(robot).loop_period for robot in config.members)
-        cuts = self._tick_ns // gate.RAMP_NS + math.ceil(config.controller.tick_s / loop_s) + 2
-        self._draws = plant.DRAWS * cuts  # random numbers that a robot may use in a tick
+        self._steps = lanes.steps(self._tick_ns, round(loop_s * S))
         self._now_ns = S  # 0 means "never" in many fields
         truth = config.tracker.truth
         self._sigma = np.array([truth.position_noise_m, truth.position_noise_m, truth.heading_noise_rad])
@@ -85,11 +80,10 @@ class Arenas:
         self._new_gate = np.array(row_of(GateState(boot_id=1)), GATE)
         self._arrays = (
             np.zeros((count, n), BODY), np.zeros((count, n), BUILD), np.zeros((count, n, _UNDER_WAY), COMING),
-            np.zeros((count, n, _NOISE)), np.zeros((count, n), GATE), np.zeros((count, m, 2)),
+            np.zeros((count, n), GATE), np.zeros((count, m, 2)),
             *(np.repeat(array[None], count, axis=0) for array in self._fresh),
         )  # fmt: skip
-        self._pose_noise = np.zeros((count, n, 3))
-        every = (self.poses, self.truths, self.velocities, *self._arrays, self._pose_noise)
+        every = (self.poses, self.truths, self.velocities, *self._arrays)
         self._chunks = [tuple(array[k : k + _CHUNK] for array in every) for k in range(0, count, _CHUNK)]
         self.seed(seed)
         threads = min(threads or len(os.sched_getaffinity(0)), len(self._chunks))
@@ -103,7 +97,7 @@ class Arenas:
     def seed(self, seed: int) -> None:
         """Begin anew with random numbers."""
         rngs = np.random.default_rng(seed).spawn(1 + len(self._chunks))
-        self._rng, self._rngs = rngs[0], rngs[1:]
+        self._rng, self._streams = rngs[0], [normals.streams(rng) for rng in rngs[1:]]
 
     def close(self) -> None:
         """End the threads."""
@@ -112,12 +106,11 @@ class Arenas:
 
     def reset(self, arenas: Indices, starts: Array) -> None:
         """Begin anew in some arenas (K,), where the members stand at ``starts`` (K, N, 3), with robots newly drawn."""
-        bodies, builds, coming, noise, gates, turning, *memory = self._arrays
+        bodies, builds, coming, gates, turning, *memory = self._arrays
         for arena in arenas.tolist():
             builds[arena] = [row_of(build) for build in self._build(self._rng)]
             for array, fresh in zip(memory, self._fresh, strict=True):
                 array[arena] = fresh
-            self._rng.standard_normal(out=noise[arena])
         coming[arenas], bodies[arenas], gates[arenas] = 0, self._new_body, self._new_gate
         for k, name in enumerate(("x", "y", "psi")):
             bodies[name][arenas] = starts[..., k]
@@ -139,7 +132,21 @@ class Arenas:
 
         def chunk(k: int) -> None:
             rows = slice(k * _CHUNK, (k + 1) * _CHUNK)
-            self._step_chunk(velocities[rows], of_body, self._rngs[k], *self._chunks[k])
+            _step(
+                velocities[rows],
+                of_body,
+                *self._chunks[k],
+                self._streams[k],
+                self._steps,
+                self._driving,
+                self._limits,
+                self._drives,
+                self._sigma,
+                self._barrier_on,
+                self._now_ns,
+                self._tick_ns,
+                *self._constants,
+            )  # type: ignore[call-arg]
 
         if self._pool is None:
             for k in range(len(self._chunks)):
@@ -149,61 +156,45 @@ class Arenas:
         self._now_ns += self._tick_ns
         self.ticks += 1
 
-    def _step_chunk(self, velocities: Array, of_body: Flags, rng: np.random.Generator, *arrays: Any) -> None:
-        bodies, noise, pose_noise = arrays[3], arrays[6], arrays[-1]
-        rng.standard_normal(out=pose_noise)
-        low = bodies["drawn"] > _NOISE - self._draws
-        if low.any():
-            noise[low] = rng.standard_normal((np.count_nonzero(low), _NOISE))
-            bodies["drawn"][low] = 0
-        _step(
-            velocities, of_body, *arrays, self._driving, self._limits, self._drives, self._sigma, self._barrier_on,
-            self._now_ns, self._tick_ns, *self._constants,  # type: ignore[call-arg]
-        )  # fmt: skip
-
 
 @free_kernel
 def _step(  # type: ignore[no-untyped-def]
-    velocities, of_body, poses, truths, obeyed, bodies, builds, coming, noise, gates, turning, holds, lately, deadlocks,
-    pose_noise, driving, limits, drives, sigma, barrier_on, now_ns, tick_ns, constants, between, half, edges, rings,
+    velocities, of_body, poses, truths, obeyed, bodies, builds, coming, gates, turning, holds, lately, deadlocks,
+    streams, steps, driving, limits, drives, sigma, barrier_on, now_ns, tick_ns, constants, between, half, edges, rings,
     floors, ahead, rate, l, age, lost_after, tick, times, patience,
 ):  # fmt: skip
     count, n, m = velocities.shape[0], velocities.shape[1], poses.shape[1]
-    points, u, commands, saturated = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    points, u, commands, saturated = np.empty((n, 2)), np.empty((n, 2)), np.empty((count, n, 2)), np.empty(n)
     change, blocked = np.zeros(n, np.int64), np.zeros(n, np.bool_)
     unseen, pushed = np.full(m, age), np.zeros((m, 2))
     for a in range(count):
-        _limit_commands(velocities[a], of_body, poses[a], l, limits, driving, points, u, commands, saturated)
+        _limit_commands(velocities[a], of_body, poses[a], l, limits, driving, points, u, commands[a], saturated)
         if barrier_on:
             _filter_commands(
-                poses[a], turning[a], unseen, pushed, driving, commands, u, change, blocked, holds[a], lately[a],
+                poses[a], turning[a], unseen, pushed, driving, commands[a], u, change, blocked, holds[a], lately[a],
                 deadlocks[a], constants, between, half, edges, rings, floors, ahead, rate, l, age, lost_after, tick,
                 times, patience,
             )  # fmt: skip
+    plan, rows, noise = np.empty(steps * lanes.STEP), np.empty(lanes.LANE_ROWS), np.empty(2 * _LANES)
+    _drive(
+        bodies.reshape(-1), builds.reshape(-1), coming.reshape(count * n, coming.shape[2]), gates.reshape(-1), drives,
+        commands.reshape(count * n, 2), now_ns, tick_ns, plan, rows, streams, noise,
+    )  # fmt: skip
+    drawn = 2 * _LANES
+    for a in range(count):
         for i in range(n):
             b = bodies[a, i]
-            _drive(b, builds[a, i], coming[a, i], noise[a, i], gates[a, i], drives[i], commands[i], now_ns, tick_ns)
             obeyed[a, i, 0], obeyed[a, i, 1] = _body_from_wheels(
-                commands[i, 0], commands[i, 1], limits[i, 0], limits[i, 1]
+                commands[a, i, 0], commands[a, i, 1], limits[i, 0], limits[i, 1]
             )
             turning[a, i, 0], turning[a, i, 1] = b.left_speed, b.right_speed
             truths[a, i, 0], truths[a, i, 1], truths[a, i, 2] = b.x, b.y, b.psi
             for k in range(3):
-                poses[a, i, k] = truths[a, i, k] + sigma[k] * pose_noise[a, i, k]
-
-
-@kernel
-def _drive(b, p, coming, noise, g, drive, wheels, now_ns, tick_ns):  # type: ignore[no-untyped-def]
-    """Let a robot obey wheels (2,) [rad/s] for a tick, behind its gate's ramp."""
-    at_ns, end_ns = now_ns, now_ns + tick_ns
-    while True:
-        _follow(g, wheels[0], wheels[1], drive.max_wheel_acceleration, at_ns)
-        _command(b, p, coming, g.output_left, g.output_right, _NEVER_NS)
-        arrived = g.output_left == wheels[0] and g.output_right == wheels[1]
-        at_ns = end_ns if arrived else min(at_ns + _RAMP_NS, end_ns)
-        _advance(b, p, coming, noise, at_ns)
-        if at_ns == end_ns:
-            return
+                if drawn == 2 * _LANES:
+                    _draw(streams, noise)
+                    drawn = 0
+                poses[a, i, k] = truths[a, i, k] + sigma[k] * noise[drawn]
+                drawn += 1
 
 
 KERNELS = (_step,)  # that are called from Python

@@ -37,21 +37,24 @@ def builds(config: Config, scale: float = 1.0) -> Builds:
 
 def _draw(config: Config, robot: Robot, scale: float) -> Callable[[np.random.Generator], Build]:
     p, drive = slices.imperfections(robot), slices.vehicle_drive(robot.vehicle)
-    p = replace(p, wheel_gain_spread=scale * p.wheel_gain_spread, wheel_base_spread=scale * p.wheel_base_spread)
     late_ns = round((config.lockstep.bus_delay_s + p.actuation_delay) * S) - slices.delay_ns(config, robot)
     if late_ns > MOST_LATE_S * S:
         raise ValueError(
             f"{robot.id} obeys {late_ns / S:.3f} s later than its controller believes, an environment takes at most "
             f"{MOST_LATE_S:g} s: mend controller.command_delay_s, or the robot's delay_s"
         )
+    p = replace(
+        p, wheel_gain_spread=scale * p.wheel_gain_spread, wheel_base_spread=scale * p.wheel_base_spread,
+        actuation_delay=late_ns / S,
+    )  # fmt: skip
     known = None if robot.calibration is None else robot.calibration.identified
-    names: tuple[str, ...] = () if known is None else known.parameters
-    root = None if known is None or not names else scale * _square_root(np.array(known.covariance))
+    if known is None or not known.parameters:
+        return lambda rng: built(drive, p, rng)
+    names, root = known.parameters, scale * _square_root(np.array(known.covariance))
 
     def draw(rng: np.random.Generator) -> Build:
-        build = replace(built(drive, p, rng), delay_ns=late_ns)
-        off = {} if root is None else dict(zip(names, (root @ rng.standard_normal(len(root))).tolist(), strict=True))
-        return _changed(build, off)
+        off = (root @ rng.standard_normal(len(root))).tolist()
+        return _changed(built(drive, p, rng), dict(zip(names, off, strict=True)))
 
     return draw
 

@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.core.arrays import Array, Instants
-from robofleet.core.kernels import kernel
+from robofleet.core.kernels import kernel, kernel_of_plain
 from robofleet.safety import deadlock, solid_rows
 from robofleet.safety.distances import Body, Keepout, believed_for, from_edge
 from robofleet.safety.neighbours import around, sorted_into_cells
@@ -54,7 +54,7 @@ _WITHDRAWING = 0.5  # of its top speed, at most
 _WHEEL, _BASE, _LAG, _WHEEL_SPEED, _TOP, _EDGE, _FASTEST, _BELIEVED, _DISC = range(9)
 _WALLS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # outwards
 
-_arc = kernel(differential_drive.arc)
+_arc = kernel_of_plain(differential_drive.arc)
 _body_from_wheels = kernel(differential_drive.body_from_wheels)
 _wheels_from_body = kernel(differential_drive.wheels_from_body)
 _add_row, _solid_rows = solid_rows.add_row, solid_rows.solid_rows

@@ -7,6 +7,7 @@
 import math
 from dataclasses import dataclass
 
+WHOLE = 1.5 * 2.0**52  # a float beside it is a whole number
 _INSIDE = 1.0 - 1e-9  # a scaled wheel stays inside its limit whatever is rounded later
 
 
@@ -61,11 +62,22 @@ def feasible_ratio(left: float, right: float, radius: float, max_wheel_speed: fl
 
 def arc(x: float, y: float, psi: float, v: float, omega: float, duration: float) -> tuple[float, float, float]:
     """Return the pose after ``duration`` [s] of constant body velocity: an exact arc; psi in (-pi, pi]."""
-    turn = omega * duration
-    half = turn / 2.0
-    chord = v * duration * (1.0 - half * half / 6.0 if abs(half) < 1e-4 else math.sin(half) / half)
-    heading = psi + half
-    psi += turn
+    half = omega * duration / 2.0
+    return end_of_arc(x, y, psi, v * duration, half, math.sin(half), math.sin(psi + half), math.cos(psi + half))
+
+
+def end_of_arc(
+    x: float, y: float, psi: float, way: float, half: float, sin_half: float, s: float, c: float
+) -> tuple[float, float, float]:
+    """Return the pose at the end of an arc of a length, of ``half`` its turn; s, c: of the chord's direction."""
+    chord = way * (1.0 - half * half / 6.0 if abs(half) < 1e-4 else sin_half / half)
+    psi += 2.0 * half
     if psi > math.pi or psi <= -math.pi:
-        psi -= math.tau * math.ceil((psi - math.pi) / math.tau)
-    return x + chord * math.cos(heading), y + chord * math.sin(heading), psi
+        psi += math.tau * floor((math.pi - psi) / math.tau)
+    return x + chord * c, y + chord * s, psi
+
+
+def floor(x: float) -> float:
+    """Return the whole number not above x, as a float: vector instructions do not make integers of floats."""
+    rounded = (x + WHOLE) - WHOLE
+    return rounded - 1.0 if rounded > x else rounded

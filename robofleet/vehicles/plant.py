@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels
+from robofleet.vehicles.differential_drive import DifferentialDrive, arc, body_from_wheels, floor
 from robofleet.vehicles.interface import BodyTrouble, DriverReading, Imperfections, WheelSpeeds
 from robofleet.vehicles.readings import TruePose
 
@@ -147,11 +147,14 @@ def command(b: Body, p: Build, coming: Sequence[Coming], left: float, right: flo
 
     At ``off_ns`` the motors go off, if there is no other command before.
     """
+    b.off_ns = off_ns
+    if p.delay_ns <= 0:
+        b.left_command, b.right_command = left, right
+        return
     newest = coming[(b.first + b.waiting) % len(coming)]
     newest.at_ns, newest.left, newest.right = b.reached_ns + p.delay_ns, left, right
     if b.waiting < len(coming):
         b.waiting += 1
-    b.off_ns = off_ns
 
 
 def advance(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float], now_ns: int) -> None:
@@ -169,15 +172,19 @@ def advance(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float],
 
 def _pass(b: Body, p: Build, coming: Sequence[Coming], noise: Sequence[float], now_ns: int) -> None:
     while b.reached_ns < now_ns and b.drawn + DRAWS <= len(noise):
-        act(b, coming)
-        step_ns = min(now_ns - b.reached_ns, p.longest_step_ns)
-        if b.waiting > 0:
-            step_ns = min(step_ns, coming[b.first].at_ns - b.reached_ns)
+        step_ns = next_step(b, p, coming, now_ns)
         step(b, p, noise, step_ns * _NS)
         if b.pushed_x != 0.0 or b.pushed_y != 0.0:
             b.x += b.pushed_x * step_ns * _NS
             b.y += b.pushed_y * step_ns * _NS
         b.reached_ns += step_ns
+
+
+def next_step(b: Body, p: Build, coming: Sequence[Coming], now_ns: int) -> int:
+    """Let the commands act that are due, and return for how long they are constant [ns], until ``now_ns`` at most."""
+    act(b, coming)
+    step_ns = min(now_ns - b.reached_ns, p.longest_step_ns)
+    return min(step_ns, coming[b.first].at_ns - b.reached_ns) if b.waiting > 0 else step_ns
 
 
 def act(b: Body, coming: Sequence[Coming]) -> None:
@@ -194,25 +201,21 @@ def step(b: Body, p: Build, noise: Sequence[float], duration: float) -> None:
     if b.stuck:
         b.left_speed = b.right_speed = b.v = b.omega = 0.0
         return
-    used = min(1.0, b.used / p.battery_life)
-    top = p.max_wheel_speed * (1.0 - p.top_speed_sag * used)
+    top, (decay, stop_decay) = top_speed(p, b.used), decays(p, duration)
     left, right = setpoints(b, p)
-    decay = math.exp(-duration / p.motor_lag) if p.motor_lag else 0.0  # of both wheels: an exponential takes long
-    mean, b.left_angle, b.left_speed, b.left_counted = _turn(
-        p, b.left_angle, b.left_speed, b.left_counted, left, top, duration, decay
+    mean, b.left_angle, b.left_speed, b.left_counted = turned(
+        p, b.left_angle, b.left_speed, b.left_counted, left, top, duration, decay, stop_decay
     )
     left = p.left_gain * mean
-    mean, b.right_angle, b.right_speed, b.right_counted = _turn(
-        p, b.right_angle, b.right_speed, b.right_counted, right, top, duration, decay
+    mean, b.right_angle, b.right_speed, b.right_counted = turned(
+        p, b.right_angle, b.right_speed, b.right_counted, right, top, duration, decay, stop_decay
     )
     right = p.right_gain * mean
     if left == 0.0 and right == 0.0:
         b.v = b.omega = 0.0
         return
     if p.slip:
-        turning = p.slip * abs(body_from_wheels(left, right, p.wheel_radius, p.wheel_base)[1])
-        left *= 1.0 - turning * max(0.0, 1.0 + p.slip_noise * noise[b.drawn])
-        right *= 1.0 - turning * max(0.0, 1.0 + p.slip_noise * noise[b.drawn + 1])
+        left, right = slipped(p, left, right, noise[b.drawn], noise[b.drawn + 1])
         b.drawn += DRAWS
     left, right = (1.0 - b.slip) * left, (1.0 - b.slip) * right
     b.v, b.omega = body_from_wheels(left, right, p.wheel_radius, p.wheel_base)
@@ -241,13 +244,24 @@ def measured(b: Body, p: Build) -> tuple[float, float, float, float, float]:
     )  # fmt: skip
 
 
-def _turn(
-    p: Build, angle: float, speed: float, counted: float, command: float, top: float, duration: float, decay: float
-) -> tuple[float, float, float, float]:
-    """Return the mean speed of a wheel over ``duration``, then its angle, speed and counted angle.
+def top_speed(p: Build, used: float) -> float:
+    """Return the fastest speed of a wheel [rad/s] after so much battery time [s]."""
+    return p.max_wheel_speed * (1.0 - p.top_speed_sag * min(1.0, used / p.battery_life))
 
-    ``decay``: what is left after ``duration`` of what the wheel lags behind, while it drives.
-    """
+
+def decays(p: Build, duration: float) -> tuple[float, float]:
+    """Return what is left after ``duration`` [s] of what a wheel lags behind, while it drives and while it stops."""
+    decay = math.exp(-duration / p.motor_lag) if p.motor_lag else 0.0  # once for both: an exponential takes long
+    if p.stop_lag == p.motor_lag:
+        return decay, decay
+    return decay, math.exp(-duration / p.stop_lag) if p.stop_lag else 0.0
+
+
+def turned(
+    p: Build, angle: float, speed: float, counted: float, command: float, top: float, duration: float,
+    decay: float, stop_decay: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Return the mean speed of a wheel over ``duration``, then its angle, speed and counted angle."""
     threshold = p.deadband if speed else p.breakaway
     if -threshold < command < threshold:
         target = 0.0
@@ -255,24 +269,27 @@ def _turn(
             speed = 0.0
     else:
         target = command if -top <= command <= top else math.copysign(top, command)
-    lag = p.motor_lag if target else p.stop_lag
-    if lag:
-        if lag != p.motor_lag:
-            decay = math.exp(-duration / lag)
-        ahead = speed - target
-        mean, speed = target + ahead * (1.0 - decay) * lag / duration, target + ahead * decay
-    else:
-        mean = speed = target
+    lag, decay = (p.motor_lag, decay) if target else (p.stop_lag, stop_decay)
+    ahead = speed - target
+    mean, speed = target + ahead * (1.0 - decay) * lag / duration, target + ahead * decay
     travelled = angle + mean * duration
     resolution = p.speed_quantum * p.loop_period
     if resolution:
-        seen = resolution * math.floor(travelled / resolution)
+        seen = resolution * floor(travelled / resolution)
         # the loop acts on what it counts: what the encoder has not seen yet is missing from its feedback
         unseen = (travelled - seen) - (angle - counted)
         counted = seen
         if target and p.motor_lag:
             speed += unseen / p.motor_lag
     return mean, travelled, speed, counted
+
+
+def slipped(p: Build, left: float, right: float, left_noise: float, right_noise: float) -> tuple[float, float]:
+    """Return with which speeds wheels pass over the floor that turn with ``left`` and ``right`` [rad/s]."""
+    turning = p.slip * abs(body_from_wheels(left, right, p.wheel_radius, p.wheel_base)[1])
+    left *= 1.0 - turning * max(0.0, 1.0 + p.slip_noise * left_noise)
+    right *= 1.0 - turning * max(0.0, 1.0 + p.slip_noise * right_noise)
+    return left, right
 
 
 def _through_wires(p: Build, left: float, right: float) -> tuple[float, float]:

@@ -60,10 +60,17 @@ def commands(ticks: int) -> Array:
     return np.repeat(drawn, 15, axis=0)[:ticks]
 
 
-def test_the_plant_is_the_one_of_a_run(platoon: Config) -> None:
+@pytest.mark.parametrize(
+    ("delay_s", "errors"),
+    [
+        (0.02, {}),
+        (0.0, {"loop_period_s": 0.002, "motor_lag_s": 0.05, "stop_lag_s": 0.0, "speed_quantum_rad_s": 0.0}),
+    ],
+)
+def test_the_plant_is_the_one_of_a_run(platoon: Config, delay_s: float, errors: dict[str, float]) -> None:
     """The oracle: the plain plant of the driver ``simulated`` behind a plain gate's ramp, for 20 s."""
-    config = with_plants(platoon, slip_noise=0.0, actuation_delay_s=0.02)
-    unknown_s = 0.02 + config.lockstep.bus_delay_s - config.controller.command_delay_s
+    config = with_plants(platoon, slip_noise=0.0, actuation_delay_s=delay_s, **errors)
+    unknown_s = delay_s + config.lockstep.bus_delay_s - config.controller.command_delay_s
     robots = [slices.simulation(config, robot, None) for robot in config.members]
     plants = [
         Plant(r.drive, replace(r.imperfections, actuation_delay=unknown_s), (x, y, psi), r.rng)

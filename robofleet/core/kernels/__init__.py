@@ -100,6 +100,11 @@ def infinite_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return _kernel(function, INFINITE)
 
 
+def infinite_kernel_of_plain(function: Callable[P, R]) -> Callable[..., R]:
+    """As ``kernel_of_plain``; a division by zero is an infinity."""
+    return cast("Callable[..., R]", PlainKernel(function, INFINITE))
+
+
 def image_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """As ``kernel``, for pixels: the order of sums is the compiler's, and a division by zero is an infinity."""
     return _kernel(function, {"fastmath": True, **INFINITE})

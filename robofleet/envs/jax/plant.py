@@ -166,7 +166,7 @@ def _turn(
     p: Build, angle: jax.Array, speed: jax.Array, counted: jax.Array, command: jax.Array, top: jax.Array,
     duration: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:  # fmt: skip
-    """Return mean speeds of wheels, then their angles, speeds and counted angles, as ``plant._turn``."""
+    """Return mean speeds of wheels, then their angles, speeds and counted angles, as ``plant.turned``."""
     held = jnp.abs(command) < jnp.where(speed != 0.0, p.deadband, p.breakaway)
     speed = jnp.where(held & (jnp.abs(speed) < plant._AT_REST), 0.0, speed)
     target = jnp.where(held, 0.0, jnp.clip(command, -top, top))

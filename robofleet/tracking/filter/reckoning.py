@@ -7,13 +7,13 @@ along the arcs of the wheel speeds.
 import numpy as np
 
 from robofleet.core.arrays import Array, Instants
-from robofleet.core.kernels import kernel
+from robofleet.core.kernels import kernel, kernel_of_plain
 from robofleet.tracking.filter.correction import copy
 from robofleet.vehicles import differential_drive
 
 _LONGEST_STEP_NS = 17_000_000
 
-_arc = kernel(differential_drive.arc)
+_arc = kernel_of_plain(differential_drive.arc)
 _body_from_wheels = kernel(differential_drive.body_from_wheels)
 
 
