@@ -147,7 +147,8 @@ export class Scene {
     };
   }
 
-  // A ring, and where it heads. What is wrong with a robot has a bolder ring; beside it stands what it is.
+  // A ring, and where it heads. What is wrong with a robot has a bolder ring; beside it stands what it is. A whole ring is
+  // what is left of a filled circle around the disc, which is drawn on it.
   #drawHalos(robots) {
     const [g, view] = [this.#warp, this.#view];
     const { accent, amber, red } = view.colour;
@@ -158,11 +159,16 @@ export class Scene {
       const r = robot.disc_m * view.scale + bold / 2;
       g.strokeStyle = g.fillStyle = colours[robot.trouble] ?? this.#colours[robot.row];
       g.lineWidth = bold;
-      g.setLineDash(robot.trouble === LOST ? [8, 8] : []);
       g.beginPath();
-      circle(g, x, y, r);
-      g.stroke();
-      g.setLineDash([]);
+      if (robot.trouble === LOST) {
+        g.setLineDash([8, 8]);
+        circle(g, x, y, r);
+        g.stroke();
+        g.setLineDash([]);
+      } else {
+        circle(g, x, y, r + bold / 2);
+        g.fill();
+      }
       g.beginPath();
       arrow(g, x + (r + ARROW) * Math.cos(psi), y - (r + ARROW) * Math.sin(psi), psi, ARROW);
       g.fill();
