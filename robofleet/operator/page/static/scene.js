@@ -46,7 +46,7 @@ export class Scene {
   choose(show) {
     this.#show = new Set(show);
     const [[length, depth], drawn] = [this.#hello.arena.size_m, this.#hello.drawn];
-    const scale = drawn[this.#show.has("large") ? "large_units" : "units"] / length; // lines and letters have their sizes in units
+    const scale = drawn[this.#show.has("large") ? "large_units" : "units"] / length; // [units/m]
     this.#view = {
       scale,
       drawn,
@@ -107,8 +107,8 @@ export class Scene {
       drawRings(g, view, seen, FINE);
     }
     if (show.has("halos")) this.#drawHalos(seen);
-    if (show.has("names")) this.#labels.draw(g, view, seen);
-    if (show.has("countdown")) this.#countDown(tick);
+    const clock = show.has("countdown") ? [this.#countDown(tick)] : [];
+    if (show.has("names")) this.#labels.draw(g, view, seen, clock);
     const gray = Math.round(255 * Math.min(1, this.#projector.disc_gray / this.#projector.brightness));
     g.fillStyle = `rgb(${gray},${gray},${gray})`;
     for (const robot of seen) {
@@ -176,6 +176,7 @@ export class Scene {
     }
   }
 
+  // Returns the box around it: middle, half of its width, half of its height.
   #countDown({ phase, t_s: t }) {
     const [g, { colour }] = [this.#warp, this.#view];
     const left = Math.max(0, Math.ceil(this.#hello.duration_s - (t ?? 0)));
@@ -189,6 +190,8 @@ export class Scene {
     const words = phase === "running" ? clock : (PHASES[phase] ?? phase);
     g.strokeText(words, 12, 10);
     g.fillText(words, 12, 10);
+    const half = g.measureText(words).width / 2;
+    return [12 + half, 23, half, 13];
   }
 
   async #load(link, path, take) {
