@@ -49,7 +49,8 @@ TELEOP = Topic(
     "group/{}/teleop", "operator", "controller supervisor", 0.020, "DATA_HIGH", _FLEET, messages.SCRIPT_WISH,
     by_sender=True,
 )  # fmt: skip
-NOTE = Topic("group/{}/note", "script", "viewers", 0.0, "DATA_LOW", _FLEET, messages.NOTE, reliable=True)
+NOTE = Topic("group/{}/note", "script", "viewers tracker", 0.0, "DATA_LOW", _FLEET, messages.NOTE, reliable=True)
+SHOWING = Topic("showing", "web", "web tracker", 0.0, "DATA_LOW", _FIXED, None, reliable=True)
 TRUTH = Topic("sim/{}/truth", "unit", "tracker", 0.020, "DATA_LOW", _FLEET, messages.UNIT_TRUTH)
 SENSORS = Topic("unit/{}/sensors", "unit", "all", 0.033, "DATA", _LONG, messages.UNIT_SENSORS)
 CONFIG = Topic("unit/{}/config", "supervisor", "unit", 0.0, "DATA", _LONG, messages.HANDED, reliable=True)
@@ -67,7 +68,7 @@ LARGEST_MESSAGE = 1 << 20  # [bytes] with all that Zenoh puts around a payload
 
 TOPICS = (
     COMMAND, STATUS, ENABLE, LEASE, CONFIG, HOST, POSES, NEWS, PICTURE, TICK, RECORDER, STATE, BUSY, TRUTH, SENSORS,
-    WISH, TELEOP, NOTE, REQUEST, SAFE_REQUEST, ALIVE,
+    WISH, TELEOP, NOTE, SHOWING, REQUEST, SAFE_REQUEST, ALIVE,
 )  # fmt: skip
 QUERIES = LEASE, CONFIG, HOST, REQUEST, SAFE_REQUEST  # queries, which somebody answers
 OF_UNITS = COMMAND, STATUS, ENABLE, LEASE, TRUTH  # that a recording has of each unit; of some it has SENSORS

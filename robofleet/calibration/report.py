@@ -3,10 +3,14 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from matplotlib.colors import LinearSegmentedColormap
+
 from robofleet.calibration.store import CalibrationError
 from robofleet.core.clock import utc_now
+from robofleet.core.figures import COLOURS
 from robofleet.reports.pages import Page
 
+BLUES = LinearSegmentedColormap.from_list("blues", ["#cfe0f0", COLOURS[0]])  # of errors; white is where none is known
 _WORDS = {  # of figures and parameters, as a calibration's file names them
     "views": "views that were used",
     "views_left_out": "views that were left out",

@@ -7,7 +7,7 @@ from robofleet.config import obstacles, slices
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
-from robofleet.safety.distances import Body, Keepout
+from robofleet.safety.distances import Body, Keepout, apart
 
 
 def keepout(config: Config) -> Keepout:
@@ -21,3 +21,9 @@ def keepout(config: Config) -> Keepout:
 
 def body(config: Config, robot: Robot) -> Body:
     return Body(slices.drive(robot), robot.vehicle.body_radius_m, slices.delay_ns(config, robot) / S)
+
+
+def disc_radius_m(config: Config, robot: Robot) -> float:
+    """Return the radius of the disc that the barrier keeps apart from other robots' of the same kind: two may touch."""
+    own = body(config, robot)
+    return apart(keepout(config), own, own) / 2.0

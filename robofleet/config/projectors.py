@@ -14,6 +14,12 @@ Shown = Literal[
 ]  # fmt: skip
 
 
+def shown(words: bytes) -> tuple[str, ...] | None:
+    """Return what is shown from its words; None where a word is none of ``Shown``."""
+    show = tuple(words.decode(errors="replace").split())
+    return show if set(show) <= set(get_args(Shown)) else None
+
+
 class ProjectorOptics(Model):
     """A projector's lens, pose and delay: a camera whose light goes the other way."""
 

@@ -268,7 +268,7 @@ def project(
     need_extra("lab", *WEB_PACKAGES)
     from robofleet.operator.page.certificate import page_keys  # noqa: PLC0415
     from robofleet.operator.page.command import there  # noqa: PLC0415
-    from robofleet.operator.page.known_page import page_of  # noqa: PLC0415
+    from robofleet.operator.page.known_page import page_for_others, page_of  # noqa: PLC0415
     from robofleet.operator.page.projectors import background, calibrated  # noqa: PLC0415
 
     page_run = there(run, for_one_process)
@@ -289,6 +289,8 @@ def project(
                 until_over(page_run)
             return
         socket = opened.enter_context(listening(host, port, "--host"))
+        if other := page_for_others(arena):
+            print(f"the run's own page is {other}: what is switched there is shown here, too", file=sys.stderr)
         done, line = by_hand(page_run, socket, host, page_keys(arena, host, "--host"), announce)
     if line:
         raise typer.Exit(direct.answered(done, line))

@@ -53,6 +53,12 @@ class Brush:
                 hull = np.asarray(cv2.convexHull(lit.astype(np.float32)), np.float64)
                 cv2.fillConvexPoly(picture, _fixed(hull), gray, cv2.LINE_AA, _SHIFT)
 
+    def fill(self, picture: Image, outline: Array, gray: int) -> None:
+        """Fill a small convex outline (n, 2) on the floor, if all of it is lit."""
+        pixels = self._pixels(outline, np.zeros(len(outline)))
+        if np.isfinite(pixels).all():
+            cv2.fillConvexPoly(picture, _fixed(pixels), gray, cv2.LINE_AA, _SHIFT)
+
     def _lit_part(self, outline: Array) -> Array:
         """Return the corners (n, 2) [px] of what is lit of a convex outline (K, 2) on the floor."""
         middle = self._projector.corners.mean(axis=0)

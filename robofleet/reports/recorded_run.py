@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from robofleet.bus.keys import NOTE, PICTURE, TICK, key
 from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.bus.notes import Marks
 from robofleet.config.faults import did_you_mean
 from robofleet.config.tree import Config
 from robofleet.core.refusal import RefusedError
 from robofleet.recording import notes
-from robofleet.recording.notes import Marks
 from robofleet.recording.reading import about, file_of, imported, trouble_of
 from robofleet.recording.reading import parts as recording_parts
 from robofleet.reports import run_tables

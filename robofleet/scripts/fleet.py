@@ -30,12 +30,12 @@ from robofleet.behaviours.script import journey
 from robofleet.bus import sensors
 from robofleet.bus.keys import SENSORS, STATUS
 from robofleet.bus.messages import NOTE, SCRIPT_WISH, TICK_RECORD, UNIT_STATUS, Note, NoteKind, RobotTick
+from robofleet.bus.notes import Marks
 from robofleet.config import groups, slices
 from robofleet.config.load import ConfigError
 from robofleet.config.tree import Config
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.valid_json import dumps
-from robofleet.recording.notes import Marks
 from robofleet.reports.arena_card import BAD, GOOD, TRAIL_POINTS, TRAIL_S, WAITING, ArenaView, Card
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.scripts.script_link import FleetError, Link

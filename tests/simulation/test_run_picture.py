@@ -8,8 +8,9 @@ import pytest
 
 from robofleet.behaviours import described
 from robofleet.bus.bus import MemoryBus
-from robofleet.bus.keys import POSES, TICK
-from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, FleetPoses, RobotTick, TagPose, TickRecord
+from robofleet.bus.keys import NOTE, POSES, SHOWING, TICK
+from robofleet.bus.messages import FLEET_POSES, TICK_RECORD, FleetPoses, Note, NoteKind, RobotTick, TagPose, TickRecord
+from robofleet.bus.messages import NOTE as NOTE_LAYOUT
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.groups import descriptions
 from robofleet.config.load import load_config
@@ -38,6 +39,7 @@ class Shown:
         self.run = RunPicture(self.config, settings, RATE_HZ, bus)
         assert settings.calibration is not None
         self.projector, self.delay_s = Projector.from_model(settings.calibration), settings.calibration.delay_s
+        self.bus = bus
         self._tick, self._poses = bus.publisher(TICK), bus.publisher(POSES, self.config.camera.name)
         self.groups = descriptions(self.config)
         self._size = described.size(self.groups)
@@ -153,3 +155,31 @@ def test_an_image_that_is_none_is_refused(tmp_path: Path) -> None:
     config = load_config(SHIPPED / "projector.yaml", [f"projection.background={tmp_path}/notes.png"])
     ((key, line),) = SimulatedCamera.refusals(config)
     assert (key, line) == ("projection.background", f"{tmp_path}/notes.png is no image: name a PNG, JPEG or WebP")
+
+
+def test_an_operator_switches_what_is_shown() -> None:
+    """By the page's topic; words that are none change nothing."""
+    shown = Shown("projection.show=[floor]")
+    say = shown.bus.publisher(SHOWING)
+    shown.tick(*FOUR)
+    path = next(shape for group in shown.groups for shape in group.shapes)
+    edge, on_path = (-1.6, 0.3), path.points[len(path.points) // 2].tolist()
+    lit = []
+    for words in "", "paths large", "paths walls", "floor":
+        say(words.encode())
+        picture = shown.picture()
+        lit.append([shown.gray(picture, *point) == 255 for point in (edge, on_path)])
+    assert lit == [[False, False], [False, True], [False, True], [True, False]]
+
+
+def test_a_scripts_mark_is_shown_until_it_is_taken_away() -> None:
+    group = "{behaviour: script, robots: [r1, r2, r3, r4]}"
+    shown = Shown(f"groups=[{group}]", "projection.show=[paths]")
+    note = shown.bus.publisher(NOTE, "script")
+    shown.tick(*FOUR)
+    lit = []
+    for points in "[[-0.5, 0.5], [0.5, 0.5]]", "[]":
+        mark = f'{{"kind": "Line", "name": "way", "points": {points}}}'
+        note(NOTE_LAYOUT.encode(Note(1, 1, 1, NoteKind.MARK, mark.encode())))
+        lit.append(shown.gray(shown.picture(), 0.0, 0.5))
+    assert lit == [255, 0]

@@ -7,18 +7,16 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from robofleet.calibration.extrinsics.consensus import Agreement
 from robofleet.calibration.extrinsics.fiducials import Marks
 from robofleet.calibration.extrinsics.region import COLUMNS, ROWS
-from robofleet.calibration.report import Report
+from robofleet.calibration.report import BLUES, Report
 from robofleet.config.calibrated import CameraModel
 from robofleet.core.arrays import Array
 from robofleet.core.figures import COLOURS, INK, STYLE
 
-_BLUES = LinearSegmentedColormap.from_list("blues", ["#ffffff", COLOURS[0]])
 _PLOT_WIDTH = 7.0  # [inch]
 _ARROW_SHARE = 0.12  # of the longest arrow, over the floor's width
 
@@ -82,7 +80,7 @@ def _heat_map(points: Array, sigma_mm: Array, marks: Marks, agreement: Agreement
     axes.grid(visible=False)
     x, y = (np.unique(points[:, k]) for k in (0, 1))
     values = np.ma.masked_invalid(sigma_mm.reshape(ROWS, COLUMNS))
-    image = axes.pcolormesh(x, y, values, cmap=_BLUES, vmin=0.0, shading="nearest", rasterized=True)
+    image = axes.pcolormesh(x, y, values, cmap=BLUES, vmin=0.0, shading="nearest", rasterized=True)
     lines = axes.contour(x, y, values, 5, colors=INK, linewidths=0.6)
     axes.clabel(lines, fmt="%.2f")
     _dots(axes, marks, agreement)

@@ -4,14 +4,12 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from robofleet.calibration.projector.measured import COLUMNS, ROWS, Found
-from robofleet.calibration.report import Report
+from robofleet.calibration.report import BLUES, Report
 from robofleet.core.figures import COLOURS, INK, STYLE
 
-_BLUES = LinearSegmentedColormap.from_list("blues", ["#cfe0f0", COLOURS[0]])  # white is not lit
 _SIZE = 7.0, 5.0  # [inch]
 _ARROW_SHARE = 0.08  # of the longest arrow, over the arena's width
 
@@ -47,7 +45,7 @@ def _heat_map(found: Found) -> Figure:
     axes.grid(visible=False)
     x, y = (np.unique(found.points[:, k]) for k in (0, 1))
     values = np.ma.masked_invalid(1e3 * found.sigma_m.reshape(ROWS, COLUMNS))
-    image = axes.pcolormesh(x, y, values, cmap=_BLUES, vmin=0.0, shading="nearest", rasterized=True)
+    image = axes.pcolormesh(x, y, values, cmap=BLUES, vmin=0.0, shading="nearest", rasterized=True)
     figure.colorbar(image, ax=axes, label="mm", shrink=0.8)
     corners = found.fit.projector.corners
     axes.plot(*np.vstack([corners, corners[:1]]).T, color=INK, lw=0.8)

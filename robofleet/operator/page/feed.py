@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from robofleet.bus.bus import Bus
-from robofleet.bus.keys import TICK
+from robofleet.bus.keys import SHOWING, TICK
 from robofleet.bus.messages import RunState, TrackerNews
+from robofleet.bus.notes import Marks
 from robofleet.config import groups
+from robofleet.config.projectors import shown
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.core.valid_json import dumps
@@ -23,7 +25,6 @@ from robofleet.operator.page.frames import Frame, event
 from robofleet.operator.page.hearing import Hearing
 from robofleet.operator.page.words import end_words, phase_name
 from robofleet.recording.lines import Level, Line, busy_line, latch_line, news_line, note_line, state_lines
-from robofleet.recording.notes import Marks
 from robofleet.safety.latches import Latch
 from robofleet.safety.supervisor import Event
 from robofleet.tracking.outlines import TagOutlines
@@ -106,6 +107,7 @@ class Feed:
         self.show: tuple[str, ...] = config.projection.show  # what projectors show
         self.projectors = {projector.name for projector in config.projectors if projector.calibration is not None}
         self.showings = 1  # changes of it, and of who shows it
+        self._say_show, self._newest_show = bus.publisher(SHOWING), bus.newest(SHOWING)
         self.hearing = Hearing(config, bus, clock, self._wake)
         self.diary = Diary(config.ids)
         self.pages: set[Page] = set()
@@ -160,7 +162,9 @@ class Feed:
 
     def now_shows(self, show: Sequence[str] | None = None) -> None:
         """Tell every page that something else is shown, or that somebody else shows it."""
-        self.show = self.show if show is None else tuple(show)
+        if show is not None and tuple(show) != self.show:
+            self.show = tuple(show)
+            self._say_show(" ".join(show).encode())
         self.showings += 1
         for page in self.pages:
             page.wake()
@@ -193,6 +197,9 @@ class Feed:
         self._looked_ns = now_ns
         self.diary.look(self.hearing, self.hearing.hear_the_rest(), end_words(self._progress()))
         self._mark()
+        words = self._newest_show.take()  # another server's, or its own
+        if words is not None and (show := shown(words)) is not None and show != self.show:
+            self.show, self.showings = show, self.showings + 1
         self.seq += 1
         self.record_ns = self.hearing.run.arrival_ns(TICK) if self.hearing.record is not before else 0
         for page in self.pages:

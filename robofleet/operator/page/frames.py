@@ -27,9 +27,9 @@ from robofleet.operator.page.projectors import described, lit
 from robofleet.operator.page.words import ENDING, end_words, phase_name, what_next
 from robofleet.operator.terminal import live_figures
 from robofleet.operator.terminal.on_the_way import WAYS, OnTheWay
+from robofleet.projection.drawing import SIZES
 from robofleet.recording.causes import named, own_state
 from robofleet.recording.state_words import ROBOT_WORDS, state_words
-from robofleet.safety.distances import apart
 from robofleet.safety.latches import GateStatus, Latch
 from robofleet.safety.supervisor import Phase
 from robofleet.tracking.outlines import TagOutlines
@@ -69,6 +69,7 @@ def hello(config: Config, groups: Sequence[Group], folder: Path) -> Frame:
         "projectors": list(described(config)),
         "lit": list(lit(config)) if config.projectors else [],
         "background": config.projection.background is not None,
+        "drawn": SIZES,
         "groups": [
             {
                 "name": group.name,
@@ -214,15 +215,14 @@ def picture(camera: str, shown: Shown, tags: Mapping[int, str], outlines: TagOut
 
 def _robot(config: Config, row: int) -> Frame:
     robot = config.bodies[row]
-    body = barrier.body(config, robot)
     return {
         "id": robot.id,
         "tag": robot.tag,
         "reality": robot.reality,
         "driven": row < len(config.members),
         "group": config.ids.group_of(row) or None,
-        "body_radius_m": body.radius,
-        "safety_radius_m": _rounded(apart(barrier.keepout(config), body, body) / 2.0, 4),  # two such circles may touch
+        "body_radius_m": robot.vehicle.body_radius_m,
+        "safety_radius_m": _rounded(barrier.disc_radius_m(config, robot), 4),  # two such circles may touch
     }
 
 

@@ -17,12 +17,12 @@ from robofleet.bus.messages import (
     TickRecord,
     TrackerNews,
 )
+from robofleet.bus.notes import Noted, noted
 from robofleet.bus.observer import Observer, RobotObserved, robots_observed
 from robofleet.config import groups
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock
 from robofleet.operator.terminal.on_the_way import OnTheWay
-from robofleet.recording.notes import Noted, noted
 from robofleet.recording.run_clock import LiveClock
 from robofleet.safety.supervisor import Phase
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 from contextlib import closing, suppress
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
@@ -43,6 +44,16 @@ def page_of(arena: str) -> Addresses | None:
                 connection.request("POST", "/once", headers=headers)
                 return at._replace(once=str(json.loads(connection.getresponse().read(_LARGEST))))
     return None
+
+
+def page_for_others(arena: str) -> str:
+    """Return where a run's page is served to other computers, without what lets in; empty where it is not."""
+    with suppress(OSError, ValueError):
+        if (at := _read(arena)) is not None and at.viewer:
+            parts = urlsplit(at.page)
+            socket.create_connection((str(parts.hostname), parts.port or 0), _ANSWERS_WITHIN_S).close()
+            return f"{parts.scheme}://{parts.netloc}"
+    return ""
 
 
 def _read(arena: str) -> Addresses | None:

@@ -22,11 +22,11 @@ from robofleet.behaviours import described
 from robofleet.bus.keys import BUSY, NEWS, NOTE, PICTURE, POSES, STATE, STATUS, TICK, TRUTH, key
 from robofleet.bus.messages import BUSY_MACHINE, FLEET_POSES, RUN_STATE, TRACKER_NEWS, UNIT_STATUS, FleetPoses
 from robofleet.bus.messages import PICTURE as PICTURE_LAYOUT
+from robofleet.bus.notes import noted
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
 from robofleet.recording.channels import Channel, of_protobuf
 from robofleet.recording.lines import Line, busy_line, latch_line, news_line, note_line, state_lines
-from robofleet.recording.notes import noted
 from robofleet.recording.scenes import shapes
 from robofleet.recording.scenes.fleet_scene import FleetScene, TopicMessages, pose_topic, stamp
 from robofleet.recording.scenes.overlay import Overlay

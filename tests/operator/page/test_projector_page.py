@@ -13,11 +13,16 @@ import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 
-from robofleet.bus.messages import RobotTick
+from robofleet.behaviours import described
+from robofleet.bus.bus import MemoryBus
+from robofleet.bus.keys import SHOWING, TICK
+from robofleet.bus.messages import TICK_RECORD, RobotTick, TickRecord
 from robofleet.core.arrays import Array, Image
+from robofleet.core.clock import SimulatedClock
 from robofleet.projection.disc import disc_radii
 from robofleet.projection.prediction import ahead
 from robofleet.safety.supervisor import Event, Phase
+from robofleet.simulation.run_picture import RunPicture
 from robofleet.vehicles.differential_drive import body_from_wheels
 from tests.operator.page.browser import show_as
 from tests.operator.page.openpage import SOON_S, Fleet
@@ -142,6 +147,28 @@ def test_each_robot_and_its_tag_lie_in_constant_grey(browser: Chrome, stand: Web
         for robot in STANDING:
             ((u, v),) = np.round(tilted().pixels(np.array([[robot.x_m, robot.y_m, 0.0]]))).astype(int)
             assert not picture[v - 20 : v + 20, u - 20 : u + 20].any(), "what was drawn before is still there"
+
+
+def test_a_simulated_projector_lights_what_the_page_lights(browser: Chrome, stand: WebStand) -> None:
+    """Words and the grid are the page's alone; all is of one size. Nothing moves, so there are no trails."""
+    (main, *_), size = stand.config.projectors, described.size(stand.groups)
+    bus = MemoryBus(stand.config.arena.name, SimulatedClock(), 0)
+    simulated, say = RunPicture(stand.config, main, 60.0, bus), bus.publisher(SHOWING)
+    head = 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, Phase.RUNNING, 0, 0, 0, 0
+    tick = TickRecord(*head, tuple(STANDING), (np.nan,) * size)
+    bus.publisher(TICK)(TICK_RECORD.encode(tick))
+    near = np.ones((3, 3), np.uint8)
+    with lit(browser, stand, STANDING) as page:
+        page.becomes("window.robofleet?.state.pictures > 1")
+        for show in ["paths", "halos", "large"], ["floor"], ["paths"], ["halos"], ["barrier"]:
+            page.shows(*show)
+            say(" ".join(show).encode())
+            picture = simulated.at(1)
+            assert picture is not None
+            both = [each > 60 for each in (picture, page.picture().max(axis=2))]
+            for some, others in (both, both[::-1]):
+                unlit = some & (cv2.dilate(others.astype(np.uint8), near) == 0)
+                assert unlit.sum() < 0.01 * some.sum(), show
 
 
 def test_what_moves_is_drawn_where_it_will_be_when_its_light_falls(browser: Chrome, stand: WebStand) -> None:

@@ -17,7 +17,7 @@ from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.refusal import RefusedError
 from robofleet.operator.page import projectors
-from robofleet.operator.page.known_page import forget, keep, page_of
+from robofleet.operator.page.known_page import forget, keep, page_for_others, page_of
 from robofleet.operator.page.page_address import Addresses, projector_address
 from robofleet.operator.page.process import projected
 from robofleet.safety.supervisor import Event, Phase
@@ -58,6 +58,11 @@ def test_an_operator_switches_what_every_page_is_told_is_shown(stand: WebStand) 
         operator.say(show=["halos", "large"])
         for page in operator, projector:
             assert page.next("showing", lambda frame: frame["show"] != before["show"])["show"] == ["halos", "large"]
+        stand.say_showing("walls")
+        stand.say_showing("paths")
+        assert operator.next("showing")["show"] == ["paths"], "another server's operator switches it here, too"
+        operator.say(show=["halos", "large"])
+        assert operator.next("showing")["show"] == ["halos", "large"]
     with stand.page() as late:
         showing = late.next("showing", lambda frame: not frame["pages"])  # a browser that is gone is told, too
         assert showing["show"] == ["halos", "large"]
@@ -81,7 +86,7 @@ def test_a_page_that_makes_no_sense_is_closed(stand: WebStand, nonsense: dict[st
         assert closed.value.rcvd.code == 1008
 
 
-def test_a_viewer_sees_a_projectors_page_and_switches_nothing(tmp_path: Path) -> None:
+def test_a_viewer_sees_a_projectors_page_and_switches_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keys = keys_in(tmp_path / "keys")
     with (
         web_stand(tmp_path, "tracker.source=truth", hanging("main"), host=HOST, keys=keys) as stand,
@@ -91,6 +96,11 @@ def test_a_viewer_sees_a_projectors_page_and_switches_nothing(tmp_path: Path) ->
         end.callback(viewer.client.close)
         entering = viewer.enter(projector_address(stand.addresses.viewer, 'main">&x'))
         assert 'url=/projector?name=main%22%3E%26x&amp;"' in entering.text
+        monkeypatch.setenv("XDG_RUNTIME_DIR", end.enter_context(tempfile.TemporaryDirectory()))
+        assert page_for_others("platoon") == ""
+        keep("platoon", stand.addresses)
+        assert page_of("platoon") is None, "it is none of this computer's alone"
+        assert page_for_others("platoon") == f"https://{stand.authority}"
         assert viewer.client.get("/projector?name=main").status_code == 200
         page = end.enter_context(viewer.page())
         page.say(show=["large"])

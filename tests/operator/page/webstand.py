@@ -63,6 +63,7 @@ class WebStand:
         topics = keys.REQUEST, keys.SAFE_REQUEST
         self._served = [bus.serve(topic, "supervisor", lambda _: self._answer()) for topic in topics]
         self._tick, self._state = bus.publisher(keys.TICK), bus.publisher(keys.STATE)
+        self._showing = bus.publisher(keys.SHOWING)
         self._status = {robot: bus.publisher(keys.STATUS, robot) for robot in self.robots}
         self._poses, self._picture = bus.publisher(keys.POSES, keys.CAMERA), bus.publisher(keys.PICTURE, keys.CAMERA)
         self._seq = 0
@@ -100,6 +101,10 @@ class WebStand:
         robots = (RobotState(1, 0, halted), *[RobotState(1, 0, 0)] * (len(self.robots) - 1))
         state = RunState(9, self._seq, phase, cause, robot, 0.0, 0, robots)
         self._state(messages.RUN_STATE.encode(state))
+
+    def say_showing(self, words: str) -> None:
+        """Switch what projectors show, as another server's page would."""
+        self._showing(words.encode())
 
     def say_status(
         self, robot: str, gate: GateStatus = GateStatus.OPEN, latch: Latch = Latch.NONE, took_ns: int = 0

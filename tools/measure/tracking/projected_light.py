@@ -25,6 +25,7 @@ from robofleet.config.load import spelled
 from robofleet.config.projectors import ProjectorOptics
 from robofleet.core.arrays import Array, Array32
 from robofleet.core.clock import S, stopwatch_ns
+from robofleet.projection.drawing import SIZES
 from robofleet.projection.model import Projector
 from robofleet.recording.run import Run
 from robofleet.reports.metrics import summary
@@ -105,7 +106,8 @@ def measure_halo(duration_s: float) -> None:
             _FILE, [*faster(), f"camera.source={_WATCHING}", shown, f"run.duration_s={duration_s}"], lockstep=True
         )
     )
-    print(f"  {why(*run.run())}")
+    with patch.dict(SIZES, arrow=0.0):  # its light would be a part of the circle's
+        print(f"  {why(*run.run())}")
     start_ns = int(Run(run.recording).ticks["stamp_ns"][0])
     halos = [(exposure_ns, centres) for exposure_ns, centres in WatchingCamera.halos if exposure_ns >= start_ns]
     exposures_ns = np.array([exposure_ns for exposure_ns, _ in halos])

@@ -14,7 +14,7 @@ export class Arena {
   #stage = document.getElementById("arena-stage");
   #hello = null;
   #tick = null;
-  #trails = new Trails();
+  #trails = null;
   #labels = new Labels();
   #view = null;
   #colours = [];
@@ -31,7 +31,7 @@ export class Arena {
   begin(hello) {
     this.#hello = hello;
     document.body.classList.remove("aims");
-    this.#trails = new Trails();
+    this.#trails = new Trails(hello.drawn);
     const [width, height] = hello.arena.size_m;
     this.#stage.style.aspectRatio = `${width} / ${height}`;
     this.#look.begin(hello.arena.size_m);
@@ -82,7 +82,7 @@ export class Arena {
   #see() {
     if (this.#hello === null) return;
     const { clientWidth: width, clientHeight: height } = this.#stage;
-    this.#view = new View(this.#hello.arena.size_m, width, height, this.#look.now);
+    this.#view = new View(this.#hello.arena.size_m, width, height, this.#look.now, this.#hello.drawn);
     drawFloor(this.#floor.getContext("2d"), this.#view, this.#hello);
     if (this.#tick) this.#drawRobots();
   }

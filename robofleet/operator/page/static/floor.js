@@ -6,8 +6,6 @@ import { robotColours } from "./view.js";
 
 const GRID_STEPS_M = [0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20];
 const GRID_PX = 56; // at least, between two lines
-const ARROWS = 8;
-const DOT_PX = 4;
 
 /** Draw the floor with its grid and scale, and what is drawn on it for each group. */
 export function drawFloor(g, view, hello) {
@@ -18,7 +16,7 @@ export function drawFloor(g, view, hello) {
   g.fillRect(view.x(-w / 2), view.y(h / 2), w * scale, h * scale);
   const grid = drawGrid(g, view, hello.arena.size_m);
   g.strokeStyle = view.colour.muted;
-  g.lineWidth = 1.5;
+  g.lineWidth = view.drawn.edge;
   g.strokeRect(view.x(-w / 2), view.y(h / 2), w * scale, h * scale);
   drawObstacles(g, view, hello.arena);
   drawShapes(g, view, hello);
@@ -68,7 +66,7 @@ function drawScale(g, view, w, h, { step, lines }) {
 /** Draw what stands on the floor, and the floor's own edge where it is no rectangle. */
 export function drawObstacles(g, view, { floor_m, obstacles }) {
   g.strokeStyle = view.colour.muted;
-  g.lineWidth = 1.5;
+  g.lineWidth = view.drawn.edge;
   if (floor_m) {
     outline(g, view, floor_m);
     g.stroke();
@@ -112,17 +110,18 @@ export function drawShapes(g, view, hello) {
 }
 
 function drawLine(g, view, { points, closed, directed }) {
-  g.lineWidth = 2;
+  g.lineWidth = view.drawn.line;
   g.beginPath();
   for (const [x, y] of points) g.lineTo(view.x(x), view.y(y));
   if (closed) g.closePath();
   g.stroke();
   if (!directed || points.length < 2) return;
   g.beginPath();
-  for (let n = 0; n < Math.min(ARROWS, points.length - 1); n++) {
-    const k = Math.floor((n * (points.length - 1)) / ARROWS);
+  const { direction, directions } = view.drawn;
+  for (let n = 0; n < Math.min(directions, points.length - 1); n++) {
+    const k = Math.floor((n * (points.length - 1)) / directions);
     const [[x0, y0], [x1, y1]] = [points[k], points[k + 1]];
-    arrow(g, view.x(x0), view.y(y0), Math.atan2(y1 - y0, x1 - x0), 6);
+    arrow(g, view.x(x0), view.y(y0), Math.atan2(y1 - y0, x1 - x0), direction);
   }
   g.fill();
 }
@@ -131,9 +130,9 @@ function drawLine(g, view, { points, closed, directed }) {
 function drawDots(g, view, points, colours) {
   points.forEach(([x, y], k) => {
     g.strokeStyle = colours[k] ?? g.strokeStyle;
-    g.lineWidth = 2;
+    g.lineWidth = view.drawn.line;
     g.beginPath();
-    circle(g, view.x(x), view.y(y), DOT_PX);
+    circle(g, view.x(x), view.y(y), view.drawn.dot);
     g.stroke();
   });
 }

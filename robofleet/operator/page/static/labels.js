@@ -13,15 +13,17 @@ export class Labels {
     this.#troubleWords = troubleWords;
   }
 
-  /** The worst first, each where nothing is yet; one without a place is left out, but for a robot in trouble. */
-  draw(g, view, robots) {
+  /** The worst first, each where nothing is yet; one without a place is left out, but for a robot in trouble. `boxes`:
+   *  where there is something: middle, half of a width, half of a height. */
+  draw(g, view, robots, boxes = []) {
     g.textAlign = "center";
     g.textBaseline = "middle";
     g.lineWidth = 3;
-    const taken = robots.map((robot) => {
+    const bodies = robots.map((robot) => {
       const r = drawnRadius(view, robot);
       return [view.x(robot.x_m), view.y(robot.y_m), r, r];
     });
+    const taken = [...boxes, ...bodies];
     for (const robot of [...robots].sort((a, b) => b.trouble - a.trouble || a.row - b.row)) {
       const bad = robot.trouble >= HALTED;
       const words = bad ? this.#troubleWords(robot) : robot.id;

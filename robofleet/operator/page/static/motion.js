@@ -3,8 +3,6 @@
 import { FINE } from "./robots.js";
 import { arrow, circle, line } from "./shapes.js";
 
-const TRAIL_EVERY = 3; // ticks
-const TRAIL_MS = 4000;
 const TRAIL_BANDS = 4; // of one opacity each
 const FEW = 20; // robots whose trails have their own colours; more share one stroke a band
 
@@ -12,20 +10,26 @@ const FEW = 20; // robots whose trails have their own colours; more share one st
 export class Trails {
   #trails = [];
   #taken = 0;
+  #drawn;
+
+  /** `drawn`: how long a trail is, and of which ticks. */
+  constructor(drawn) {
+    this.#drawn = drawn;
+  }
 
   /** Take a tick's robots. */
   take(robots) {
-    if (this.#taken++ % TRAIL_EVERY !== 0) return;
+    if (this.#taken++ % this.#drawn.trail_ticks !== 0) return;
     const now = performance.now();
     for (const { row, x_m, y_m } of robots) {
       const trail = (this.#trails[row] ??= []);
       if (x_m !== null) trail.push([x_m, y_m, now]);
-      while (trail.length > 0 && trail[0][2] < now - TRAIL_MS) trail.shift();
+      while (trail.length > 0 && trail[0][2] < now - 1000 * this.#drawn.trail_s) trail.shift();
     }
   }
 
   draw(g, view, colours) {
-    g.lineWidth = 2;
+    g.lineWidth = view.drawn.line;
     if (this.#trails.length > FEW) drawBands(g, view, this.#trails, view.colour.accent);
     else this.#trails.forEach((trail, row) => drawBands(g, view, [trail], colours[row]));
     g.globalAlpha = 1;
@@ -77,14 +81,14 @@ export function drawPlaces(g, view, robots, colours) {
 // From point p (a dot) to its reference (a cross).
 export function drawAims(g, view, robots) {
   g.strokeStyle = g.fillStyle = view.colour.ink;
-  g.lineWidth = 1;
+  g.lineWidth = view.drawn.thin;
   g.beginPath();
   const dots = [];
   for (const robot of robots) {
     const { point_x_m, point_y_m, reference_x_m, reference_y_m } = robot;
     if (point_x_m === null || reference_x_m === null) continue;
     const [px, py, rx, ry] = [view.x(point_x_m), view.y(point_y_m), view.x(reference_x_m), view.y(reference_y_m)];
-    const size = Math.min(4, view.radius(robot) / 2);
+    const size = Math.min(view.drawn.cross, view.radius(robot) / 2);
     line(g, px, py, rx, ry);
     line(g, rx - size, ry - size, rx + size, ry + size);
     line(g, rx - size, ry + size, rx + size, ry - size);
@@ -99,7 +103,7 @@ export function drawAims(g, view, robots) {
 // The discs that the barrier keeps apart.
 export function drawRings(g, view, robots, trouble) {
   g.globalAlpha = trouble === FINE ? 0.6 : 1;
-  g.lineWidth = trouble === FINE ? 1 : 2.5;
+  g.lineWidth = trouble === FINE ? view.drawn.thin : 2.5;
   g.beginPath();
   for (const robot of robots) {
     circle(g, view.x(robot.x_m), view.y(robot.y_m), robot.safety_radius_m * view.scale);

@@ -11,8 +11,6 @@ import { arrow, circle } from "./shapes.js";
 import { COLOURS, coloursOfTheDay, robotColours } from "./view.js";
 import { Warp } from "./warp.js";
 
-const [UNITS, LARGE_UNITS] = [900, 450]; // of the arena's length: lines and letters have their sizes in them
-const [HALO, BOLD_HALO, ARROW] = [3, 6, 7]; // [units]
 const UNSEEN_MS = 1000; // then a robot stands that is not seen
 
 export class Scene {
@@ -24,7 +22,7 @@ export class Scene {
   #background = null;
   #veil = null; // black, the more opaque the more light other projectors give
   #show = new Set();
-  #trails = new Trails();
+  #trails;
   #labels = new Labels(({ id, words }) => `${id}: ${words}`);
   #takenAt = 0; // when the newest tick came
   #measuredAt = []; // when the newest tick came that measured each robot
@@ -36,6 +34,7 @@ export class Scene {
     this.lens = new Lens(projector);
     this.delay_s = projector.optics.delay_s;
     this.#colours = robotColours(hello, true);
+    this.#trails = new Trails(hello.drawn);
     canvas.style.opacity = projector.brightness;
     if (hello.background) this.#load(link, "background", (image) => (this.#background = image));
     if (hello.projectors.filter(({ optics }) => optics !== null).length > 1) {
@@ -46,17 +45,18 @@ export class Scene {
   /** Show these things. */
   choose(show) {
     this.#show = new Set(show);
-    const [length, depth] = this.#hello.arena.size_m;
-    const scale = (this.#show.has("large") ? LARGE_UNITS : UNITS) / length;
+    const [[length, depth], drawn] = [this.#hello.arena.size_m, this.#hello.drawn];
+    const scale = drawn[this.#show.has("large") ? "large_units" : "units"] / length; // [units/m]
     this.#view = {
       scale,
+      drawn,
       width: length * scale,
       height: depth * scale,
       colour: coloursOfTheDay(COLOURS),
       dark: true,
       x: (x_m) => (x_m + length / 2) * scale,
       y: (y_m) => (depth / 2 - y_m) * scale,
-      radius: (robot) => robot.disc_m * scale + BOLD_HALO + ARROW,
+      radius: (robot) => robot.disc_m * scale + drawn.bold_halo + drawn.arrow,
     };
     this.redraw();
   }
@@ -72,7 +72,7 @@ export class Scene {
     if (this.#show.has("grid")) drawGrid(g, view, hello.arena.size_m);
     if (this.#show.has("floor")) {
       g.strokeStyle = view.colour.muted;
-      g.lineWidth = 2;
+      g.lineWidth = view.drawn.edge;
       g.strokeRect(0, 0, view.width, view.height);
       drawObstacles(g, view, hello.arena);
     }
@@ -107,8 +107,8 @@ export class Scene {
       drawRings(g, view, seen, FINE);
     }
     if (show.has("halos")) this.#drawHalos(seen);
-    if (show.has("names")) this.#labels.draw(g, view, seen);
-    if (show.has("countdown")) this.#countDown(tick);
+    const clock = show.has("countdown") ? [this.#countDown(tick)] : [];
+    if (show.has("names")) this.#labels.draw(g, view, seen, clock);
     const gray = Math.round(255 * Math.min(1, this.#projector.disc_gray / this.#projector.brightness));
     g.fillStyle = `rgb(${gray},${gray},${gray})`;
     for (const robot of seen) {
@@ -147,28 +147,36 @@ export class Scene {
     };
   }
 
-  // A ring, and where it heads. What is wrong with a robot has a bolder ring; beside it stands what it is.
+  // A ring, and where it heads. What is wrong with a robot has a bolder ring; beside it stands what it is. A whole ring is
+  // what is left of a filled circle around the disc, which is drawn on it.
   #drawHalos(robots) {
     const [g, view] = [this.#warp, this.#view];
     const { accent, amber, red } = view.colour;
+    const drawn = view.drawn;
     const colours = { [SLOWED]: accent, [HALTED]: amber, [LOST]: amber, [LATCHED]: red };
     for (const robot of robots) {
-      const bold = robot.trouble >= HALTED ? BOLD_HALO : HALO;
+      const bold = robot.trouble >= HALTED ? drawn.bold_halo : drawn.halo;
       const [x, y, psi] = [view.x(robot.x_m), view.y(robot.y_m), robot.psi_rad];
       const r = robot.disc_m * view.scale + bold / 2;
       g.strokeStyle = g.fillStyle = colours[robot.trouble] ?? this.#colours[robot.row];
       g.lineWidth = bold;
-      g.setLineDash(robot.trouble === LOST ? [8, 8] : []);
       g.beginPath();
-      circle(g, x, y, r);
-      g.stroke();
-      g.setLineDash([]);
+      if (robot.trouble === LOST) {
+        g.setLineDash([8, 8]);
+        circle(g, x, y, r);
+        g.stroke();
+        g.setLineDash([]);
+      } else {
+        circle(g, x, y, r + bold / 2);
+        g.fill();
+      }
       g.beginPath();
-      arrow(g, x + (r + ARROW) * Math.cos(psi), y - (r + ARROW) * Math.sin(psi), psi, ARROW);
+      arrow(g, x + (r + drawn.arrow) * Math.cos(psi), y - (r + drawn.arrow) * Math.sin(psi), psi, drawn.arrow);
       g.fill();
     }
   }
 
+  // Returns the box around it: middle, half of its width, half of its height.
   #countDown({ phase, t_s: t }) {
     const [g, { colour }] = [this.#warp, this.#view];
     const left = Math.max(0, Math.ceil(this.#hello.duration_s - (t ?? 0)));
@@ -182,6 +190,8 @@ export class Scene {
     const words = phase === "running" ? clock : (PHASES[phase] ?? phase);
     g.strokeText(words, 12, 10);
     g.fillText(words, 12, 10);
+    const half = g.measureText(words).width / 2;
+    return [12 + half, 23, half, 13];
   }
 
   async #load(link, path, take) {

@@ -8,14 +8,15 @@ export class View {
   #x;
   #y;
 
-  /** A floor of a size [m] in a canvas [CSS px]; `look`: how much larger than whole, and what is in the middle [m]. */
-  constructor([length, depth], width, height, look) {
+  /** A floor of a size [m] in a canvas [CSS px]; `look`: how much larger than whole, and what is in the middle [m];
+   *  `drawn`: sizes of what is drawn [CSS px]. */
+  constructor([length, depth], width, height, look, drawn) {
     const { left, right, top, bottom } = MARGIN_PX;
     const whole = Math.min((width - left - right) / length, (height - top - bottom) / depth);
     this.scale = whole * look.factor; // [px/m]
     this.#x = (width + left - right) / 2 - look.x_m * this.scale;
     this.#y = (height + top - bottom) / 2 + look.y_m * this.scale;
-    [this.width, this.height] = [width, height];
+    [this.width, this.height, this.drawn] = [width, height, drawn];
     this.colour = coloursOfTheDay(COLOURS);
     this.dark = dark.matches;
   }

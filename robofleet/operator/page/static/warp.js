@@ -1,12 +1,13 @@
 // A canvas of a projector, drawn on as if it were the floor: what a 2D context has, in units of the floor.
 //
 // Points go through the projector's lens one by one, and lines in short pieces: so they fall where they belong, and are
-// as sharp as the projector's pixels. What is drawn is remembered by tiles, so that only these are cleared.
+// as sharp as the projector's pixels. What is drawn is remembered by tiles, so that only these are cleared. Without a
+// GPU a whole small image is drawn six times as fast as a part of a large one, and a polygon as a stroked line.
 
 const STEP_PX = 40; // of a line: its chords are 0.1 px off at most
 const ROUND = 48; // chords of a circle
-const TILE_PX = 64;
-const MOST_LETTERED = 300;
+const TILE_PX = 128;
+const TURNS = 128; // steps of a unit in which letters turn, shear and grow: else none is as the one that the browser has
 const SAME = ["strokeStyle", "fillStyle", "globalAlpha", "font", "textAlign", "textBaseline"];
 
 export class Warp {
@@ -16,8 +17,9 @@ export class Warp {
   #columns;
   #touched; // tiles that have been drawn on
   #cleared; // and those before them
-  #letters = new Map(); // pictures of words
-  #points = []; // of the path
+  #boxes = new Map(); // around words
+  #pieces = new Map(); // of images: tiles
+  #parts = []; // of the path: each one's points
   #begin = null; // of the part of the path that is drawn now [units]
   #last = null;
 
@@ -28,7 +30,8 @@ export class Warp {
     this.#columns = Math.ceil(width / TILE_PX);
     this.#touched = new Uint8Array(this.#columns * Math.ceil(height / TILE_PX));
     this.#cleared = this.#touched.slice();
-    g.lineJoin = g.lineCap = "round";
+    g.lineCap = "round";
+    g.miterLimit = 2; // beyond, corners are cut: round ones are dear
     for (const name of SAME) {
       Object.defineProperty(this, name, { get: () => g[name], set: (value) => (g[name] = value) });
     }
@@ -52,22 +55,27 @@ export class Warp {
 
   beginPath() {
     this.#g.beginPath();
-    this.#points = [];
+    this.#parts = [];
     this.#last = null;
   }
 
   moveTo(u, v) {
     this.#begin = this.#last = [u, v];
-    this.#g.moveTo(...this.#kept(this.#pixel(u, v)));
+    const point = this.#pixel(u, v);
+    this.#parts.push([point]);
+    this.#g.moveTo(point[0], point[1]);
   }
 
   lineTo(u, v) {
     if (this.#last === null) return this.moveTo(u, v);
     const [u0, v0] = this.#last;
     const pieces = Math.max(1, Math.ceil((Math.hypot(u - u0, v - v0) * this.#px) / STEP_PX));
+    const part = this.#parts.at(-1);
     for (let k = 1; k <= pieces; k++) {
       const share = k / pieces;
-      this.#g.lineTo(...this.#kept(this.#pixel(u0 + share * (u - u0), v0 + share * (v - v0))));
+      const point = this.#pixel(u0 + share * (u - u0), v0 + share * (v - v0));
+      part.push(point);
+      this.#g.lineTo(point[0], point[1]);
     }
     this.#last = [u, v];
   }
@@ -89,12 +97,12 @@ export class Warp {
   stroke() {
     this.#g.stroke();
     const reach = this.#g.lineWidth / 2 + STEP_PX / 2 + 1;
-    for (const [x, y] of this.#points) this.#touch(x - reach, y - reach, x + reach, y + reach);
+    for (const part of this.#parts) for (const [x, y] of part) this.#touch(x - reach, y - reach, x + reach, y + reach);
   }
 
   fill() {
     this.#g.fill();
-    this.#touchAround(this.#points);
+    for (const part of this.#parts) this.#touchAround(part);
   }
 
   strokeRect(u, v, w, h) {
@@ -114,38 +122,32 @@ export class Warp {
 
   // Words lie on the floor as it is at their place: they turn, shear and grow with it.
   #write(how, words, u, v) {
-    const [g, px, [x, y]] = [this.#g, this.#px, this.#pixel(u, v)];
-    const [[xu, yu], [xv, yv]] = [this.#pixel(u + 1, v), this.#pixel(u, v + 1)];
-    const { image, left, top } = this.#lettered(how, words);
-    g.setTransform((xu - x) / px, (yu - y) / px, (xv - x) / px, (yv - y) / px, x, y);
-    g.drawImage(image, -left, -top);
-    g.resetTransform();
-    const at = ([du, dv]) => this.#pixel(u + du / px, v + dv / px);
-    const [right, bottom] = [image.width - left, image.height - top];
-    this.#touchAround([[-left, -top], [right, -top], [right, bottom], [-left, bottom]].map(at));
+    const g = this.#g;
+    const [[x0, y0], [xu, yu], [xv, yv]] = [this.#pixel(u, v), this.#pixel(u + 1, v), this.#pixel(u, v + 1)];
+    const turned = [xu - x0, yu - y0, xv - x0, yv - y0].map((px) => Math.round(px * TURNS) / TURNS);
+    const [x, y] = [Math.round(x0), Math.round(y0)];
+    g.save();
+    g.setTransform(...turned, x, y);
+    g.lineJoin = "round";
+    g.lineWidth = this.lineWidth;
+    g[how](words, 0, 0);
+    g.restore();
+    const at = ([du, dv]) => [x + turned[0] * du + turned[2] * dv, y + turned[1] * du + turned[3] * dv];
+    this.#touchAround(this.#box(words).map(at));
   }
 
-  // Letters as large as these are dear to draw: each line of words is drawn once, and its picture kept.
-  #lettered(how, words) {
+  // The corners around words [units]; to measure is dear.
+  #box(words) {
     const g = this.#g;
-    const style = how === "fillText" ? g.fillStyle : g.strokeStyle;
-    const key = [how, words, g.font, style, g.lineWidth, g.textAlign, g.textBaseline].join();
-    if (!this.#letters.has(key)) {
-      if (this.#letters.size >= MOST_LETTERED) this.#letters.clear();
-      const box = g.measureText(words);
-      const margin = g.lineWidth / 2 + 1;
-      const sides = ["Left", "Ascent", "Right", "Descent"].map((side) => box[`actualBoundingBox${side}`] * this.#px + margin);
-      const [left, top, right, bottom] = sides.map(Math.ceil);
-      const canvas = new OffscreenCanvas(left + right, top + bottom);
-      const own = canvas.getContext("2d");
-      for (const name of SAME) own[name] = g[name];
-      own.lineJoin = "round";
-      own.lineWidth = g.lineWidth / this.#px;
-      own.setTransform(this.#px, 0, 0, this.#px, left, top);
-      own[how](words, 0, 0);
-      this.#letters.set(key, { image: canvas.transferToImageBitmap(), left, top });
+    const key = [words, g.font, this.lineWidth, g.textAlign, g.textBaseline].join();
+    if (!this.#boxes.has(key)) {
+      const measured = g.measureText(words);
+      const [left, top, right, bottom] = ["Left", "Ascent", "Right", "Descent"].map(
+        (side) => measured[`actualBoundingBox${side}`] + this.lineWidth,
+      );
+      this.#boxes.set(key, [[-left, -top], [right, -top], [right, bottom], [-left, bottom]]);
     }
-    return this.#letters.get(key);
+    return this.#boxes.get(key);
   }
 
   /** Fill what an upright cylinder on the floor hides from the projector: no ray to it has another colour. */
@@ -179,59 +181,62 @@ export class Warp {
 
   /** Put another canvas's picture where this one was drawn on; all of it is clean then. */
   clear(still) {
-    this.#tile(still, this.#touched);
+    this.#tile(still, this.#touched, { alpha: false });
     [this.#cleared, this.#touched] = [this.#touched, this.#cleared.fill(0)];
   }
 
   /** Lay an image over what was cleared, and over what was drawn since then. */
   cover(image) {
-    this.#tile(image, this.#touched.map((touched, k) => touched | this.#cleared[k]));
+    this.#tile(image, this.#touched.map((touched, k) => touched | this.#cleared[k]), { alpha: true });
   }
 
-  #tile(image, tiles) {
-    const columns = this.#columns;
-    for (let k = tiles.indexOf(1); k >= 0; k = tiles.indexOf(1, k)) {
-      const [row, first] = [Math.floor(k / columns), k];
-      while (k < (row + 1) * columns && tiles[k]) k++;
-      const [x, y, w] = [(first - row * columns) * TILE_PX, row * TILE_PX, (k - first) * TILE_PX];
-      this.#g.drawImage(image, x, y, w, TILE_PX, x, y, w, TILE_PX);
+  #tile(image, tiles, how) {
+    if (!this.#pieces.has(image)) this.#pieces.set(image, []);
+    const pieces = this.#pieces.get(image);
+    for (let k = tiles.indexOf(1); k >= 0; k = tiles.indexOf(1, k + 1)) {
+      const [x, y] = [(k % this.#columns) * TILE_PX, Math.floor(k / this.#columns) * TILE_PX];
+      this.#g.drawImage((pieces[k] ??= piece(image, x, y, how)), x, y);
     }
   }
 
-  #kept(point) {
-    this.#points.push(point);
-    return point;
-  }
-
   #touchAround(points) {
-    const [xs, ys] = [0, 1].map((axis) => points.map((point) => point[axis]));
-    this.#touch(Math.min(...xs) - 1, Math.min(...ys) - 1, Math.max(...xs) + 1, Math.max(...ys) + 1);
+    let [left, top, right, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
+    for (const [x, y] of points) {
+      [left, top, right, bottom] = [Math.min(left, x), Math.min(top, y), Math.max(right, x), Math.max(bottom, y)];
+    }
+    this.#touch(left - 1, top - 1, right + 1, bottom + 1);
   }
 
   #touch(left, top, right, bottom) {
-    const rows = this.#touched.length / this.#columns;
-    const tile = (px, most) => Math.min(most, Math.max(0, Math.floor(px / TILE_PX)));
-    const [first, last] = [tile(left, this.#columns), tile(right, this.#columns - 1)];
-    for (let row = tile(top, rows); row <= tile(bottom, rows - 1); row++) {
-      if (first <= last) this.#touched.fill(1, row * this.#columns + first, row * this.#columns + last + 1);
+    const columns = this.#columns;
+    const [first, last] = [Math.max(0, Math.floor(left / TILE_PX)), Math.min(columns - 1, Math.floor(right / TILE_PX))];
+    const end = Math.min(this.#touched.length, (Math.floor(bottom / TILE_PX) + 1) * columns);
+    for (let row = Math.max(0, Math.floor(top / TILE_PX)) * columns; row < end; row += columns) {
+      for (let k = first; k <= last; k++) this.#touched[row + k] = 1;
     }
   }
 }
 
+function piece(image, x, y, how) {
+  const canvas = new OffscreenCanvas(TILE_PX, TILE_PX);
+  canvas.getContext("2d", how).drawImage(image, -x, -y);
+  return canvas.transferToImageBitmap();
+}
+
 /** The convex hull of points (Andrew's monotone chain). */
 function hull(points) {
-  const sorted = [...points].sort(([x, y], [u, v]) => x - u || y - v);
-  const half = (some) => {
-    const chain = [];
-    for (const [x, y] of some) {
-      while (chain.length > 1) {
-        const [[a, b], [c, d]] = chain.slice(-2);
-        if ((c - a) * (y - b) > (d - b) * (x - a)) break;
-        chain.pop();
-      }
-      chain.push([x, y]);
-    }
-    return chain.slice(0, -1);
+  const sorted = points.toSorted((p, q) => p[0] - q[0] || p[1] - q[1]);
+  const chain = [];
+  const go = (point, first) => {
+    while (chain.length > first && !turnsLeft(chain.at(-2), chain.at(-1), point)) chain.pop();
+    chain.push(point);
   };
-  return [...half(sorted), ...half(sorted.reverse())];
+  for (const point of sorted) go(point, 1);
+  const first = chain.length;
+  for (let k = sorted.length - 2; k >= 0; k--) go(sorted[k], first);
+  return chain;
+}
+
+function turnsLeft(a, b, c) {
+  return (b[0] - a[0]) * (c[1] - a[1]) > (b[1] - a[1]) * (c[0] - a[0]);
 }
