@@ -54,6 +54,9 @@ def true(seed: int) -> Wheels:
         tag_forward_m=OFFSET.forward_m,
         tag_left_m=OFFSET.left_m,
         tag_heading_rad=math.radians(OFFSET.heading_deg),
+        left_encoder=1.0,
+        right_encoder=1.0,
+        encoder_offset_s=0.0,
     )
 
 
