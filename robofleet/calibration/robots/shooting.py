@@ -33,6 +33,7 @@ _UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covaria
 _LEAST_VARIANCE = np.array([1e-6**2, 1e-6**2, 1e-5**2])  # of a simulated pose without noise [m^2, m^2, rad^2]
 _QUIET = np.zeros(8192)  # the plant's random numbers: none
 _LONGEST_STEP_NS = S
+_UNMOVED = dict.fromkeys(("tag_forward_m", "tag_left_m", "tag_heading_rad", "left_encoder", "right_encoder"), 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +97,7 @@ class Shots:
         self.kept = np.ones(len(self.at_s), dtype=np.bool_)  # poses that are no outliers
         counted = np.floor((drive.encoders_s - self.at_s[0]) / SHOT_S).astype(np.int64)
         self.encoders = Encoders(drive.encoders_s, drive.encoders_rad, counted)
+        self._newest: tuple[Wheels, Motion] | None = None  # a derivative by what moves nothing needs it again
 
     @cached_property
     def used_s(self) -> float:
@@ -110,7 +112,12 @@ class Shots:
 
     def motion(self, wheels: Wheels) -> Motion:
         """Return the model's motion."""
-        w = wheels
+        moving = replace(wheels, **_UNMOVED)
+        if self._newest is None or self._newest[0] != moving:
+            self._newest = moving, self._simulated(moving)
+        return self._newest[1]
+
+    def _simulated(self, w: Wheels) -> Motion:
         radius = (w.left_radius_m + w.right_radius_m) / 2.0
         build = plant.Build(
             wheel_radius=radius, wheel_base=w.wheel_base_m, max_wheel_speed=w.top_speed_rad_s,
