@@ -16,6 +16,7 @@ from robofleet.behaviours.excitation import LONGEST_LINE_M, REST_S, Manoeuvre, l
 from robofleet.calibration.robots import believed
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.information import (
+    ENCODERS,
     HELD_OUT,
     PARAMETERS,
     SMOOTH_ROWS,
@@ -50,6 +51,7 @@ NOISE = {  # of poses and wheels, where nobody identified the robot: of the simu
     "noise_stamp_ms": 0.02, "wander_wheel": 1e-3,
 }  # fmt: skip
 _ROUNDING = 1e-9
+_SIMULATED = [row for row, name in enumerate(PARAMETERS) if name not in ENCODERS]
 _STATUS_S = 0.02  # from one reading of encoders to the next
 
 
@@ -192,9 +194,9 @@ class Designer:
         return Knowledge(share * j.T @ j, found)
 
     def log_determinant(self, knowledge: Knowledge) -> float:
-        """Return that of the covariance that would be stated."""
+        """Return that of the covariance that would be stated of what the robot is simulated by."""
         scale = np.outer(self._prior.sigmas, self._prior.sigmas)
-        return float(np.linalg.slogdet(self._covariance(knowledge) / scale)[1])
+        return float(np.linalg.slogdet((self._covariance(knowledge) / scale)[np.ix_(_SIMULATED, _SIMULATED)])[1])
 
     def sigmas(self, knowledge: Knowledge) -> Array:
         """Return the standard deviations (P,) that would be stated."""

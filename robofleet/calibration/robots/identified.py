@@ -10,7 +10,7 @@ from robofleet.calibration.robots.believed import believed_errors
 from robofleet.calibration.robots.design import NOISE, Design
 from robofleet.calibration.robots.encoders import counts
 from robofleet.calibration.robots.identification import Identification
-from robofleet.calibration.robots.information import PARAMETERS
+from robofleet.calibration.robots.information import ENCODERS, PARAMETERS
 from robofleet.calibration.robots.plots import motion_figure, residual_figure
 from robofleet.calibration.robots.results import Rows, source
 from robofleet.calibration.robots.shooting import Shots
@@ -22,7 +22,6 @@ from robofleet.config.tree import Config
 from robofleet.reports.pages import Marked
 
 _ANGLES = "tag_heading_rad"
-_ENCODERS = "left_encoder", "right_encoder", "encoder_offset_s"
 _SHOWN = {  # of a parameter: in words, its unit, by what it is multiplied, digits
     "left_radius_m": ("left wheel's radius", "mm", 1e3, 4),
     "right_radius_m": ("right wheel's radius", "mm", 1e3, 4),
@@ -47,7 +46,7 @@ _MISSING = {  # what a drive needs for a parameter
     "stop_lag_s": "stops", "deadband_rad_s": "wheels that slow down through it",
     "breakaway_rad_s": "slow starts from rest",
     "top_speed_rad_s": "wheels at their top speed", "top_speed_sag": "top speed at several charges of the battery",
-    "slip_s_per_rad": "turns at several rates", **dict.fromkeys(_ENCODERS, "encoders"),
+    "slip_s_per_rad": "turns at several rates", **dict.fromkeys(ENCODERS, "encoders"),
 }  # fmt: skip
 _LEAST_SLIP = 1e-3  # less is none: its noise says nothing [s/rad]
 

@@ -14,6 +14,7 @@ from robofleet.core.arrays import Array
 
 PARAMETERS = tuple(field.name for field in fields(Wheels))
 THRESHOLDS = "deadband_rad_s", "breakaway_rad_s"
+ENCODERS = "left_encoder", "right_encoder", "encoder_offset_s"
 SMOOTH = tuple(name for name in PARAMETERS if name not in THRESHOLDS)
 SMOOTH_ROWS = [PARAMETERS.index(name) for name in SMOOTH]
 LEAST = {  # values of parameters

@@ -8,7 +8,7 @@ from robofleet.core.arrays import Array
 
 COUNT, TICK_S, SHOT = 0.002244, 0.02, 100
 NOISE = {"stamp_s": 1e-6, "wander": 1e-6}
-AT_S = TICK_S * np.arange(1000)
+AT_S = np.arange(0.0, 20.0, TICK_S, dtype=np.float64)
 TURNED = np.column_stack([np.cumsum(0.05 + 0.05 * np.sin(AT_S)), np.where(AT_S < 10.0, 0.0, 3.1 * (AT_S - 10.0))])
 EVERYTHING = np.ones(len(AT_S), dtype=np.bool_)
 
