@@ -44,6 +44,9 @@ def prior(config: Config, robot: Robot) -> Prior:
         tag_forward_m=offset.forward_m,
         tag_left_m=offset.left_m,
         tag_heading_rad=math.radians(offset.heading_deg),
+        left_encoder=1.0,
+        right_encoder=1.0,
+        encoder_offset_s=0.0,
     )
     sigma = {
         "left_radius_m": 0.1 * nominal.wheel_radius, "right_radius_m": 0.1 * nominal.wheel_radius,
@@ -51,6 +54,7 @@ def prior(config: Config, robot: Robot) -> Prior:
         "deadband_rad_s": 0.4, "breakaway_rad_s": 0.4, "top_speed_rad_s": 0.1 * nominal.max_wheel_speed,
         "top_speed_sag": 0.1,
         "slip_s_per_rad": 0.03, "tag_forward_m": 0.05, "tag_left_m": 0.05, "tag_heading_rad": 2.0,
+        "left_encoder": 0.05, "right_encoder": 0.05, "encoder_offset_s": 0.02,
     }  # fmt: skip
     slip = errors.slip_noise * errors.slip_s_per_rad * math.sqrt(errors.loop_period_s)
     return Prior(values, sigma, Noise(slip=max(_LEAST_WANDER, slip), way=_LEAST_WANDER))

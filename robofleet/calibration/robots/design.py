@@ -16,6 +16,7 @@ from robofleet.behaviours.excitation import LONGEST_LINE_M, REST_S, Manoeuvre, l
 from robofleet.calibration.robots import believed
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.information import (
+    ENCODERS,
     HELD_OUT,
     PARAMETERS,
     SMOOTH_ROWS,
@@ -47,8 +48,11 @@ _LEAST_VARIANCE = 1e-12
 _FALLS_SHORT = 0.995  # of the commanded top speed: a wheel that reaches it does not tell its own
 NOISE = {  # of poses and wheels, where nobody identified the robot: of the simulated camera through the tracker
     "noise_position_mm": 0.01, "noise_heading_deg": 0.03, "wander_slip": 4e-4, "wander_way": 3e-4,
+    "noise_stamp_ms": 0.02, "wander_wheel": 1e-3,
 }  # fmt: skip
 _ROUNDING = 1e-9
+_SIMULATED = [row for row, name in enumerate(PARAMETERS) if name not in ENCODERS]
+_STATUS_S = 0.02  # from one reading of encoders to the next
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +156,9 @@ class Designer:
     """Says what manoeuvres tell of one robot, whose battery has been used for so long then."""
 
     def __init__(self, config: Config, robot: Robot, used_s: float = 0.0) -> None:
-        self._charge = max(0.0, 1.0 - used_s / believed.believed_errors(robot).battery_life_s)
+        errors = believed.believed_errors(robot)
+        self._charge = max(0.0, 1.0 - used_s / errors.battery_life_s)
+        self._count = errors.speed_quantum_rad_s * errors.loop_period_s  # of its encoders [rad]; 0: it has none
         self._robot, self._drive, self._prior = robot, slices.drive(robot), believed.prior(config, robot)
         self._tick_s = config.controller.tick_s
         self._acceleration = robot.vehicle.max_wheel_acceleration_rad_s2
@@ -163,7 +169,10 @@ class Designer:
             figures |= {name: value for name, value in source.figures.items() if name in figures and value is not None}
         position, heading = 1e-3 * figures["noise_position_mm"], math.radians(figures["noise_heading_deg"])
         self._pose_covariance = position**2, 0.0, position**2, 0.0, 0.0, heading**2
-        self._noise = Noise(slip=figures["wander_slip"], way=figures["wander_way"])
+        self._noise = Noise(
+            slip=figures["wander_slip"], way=figures["wander_way"], stamp_s=1e-3 * figures["noise_stamp_ms"],
+            wander=figures["wander_wheel"],
+        )  # fmt: skip
         top = min(self._prior.values.top_speed_rad_s, _FALLS_SHORT * self._drive.max_wheel_speed)
         self._wheels = replace(self._prior.values, top_speed_rad_s=top)
         self._stated = np.sqrt(np.maximum(np.diag(stated) - SYSTEMATIC_VARIANCE, _LEAST_VARIANCE))
@@ -185,9 +194,9 @@ class Designer:
         return Knowledge(share * j.T @ j, found)
 
     def log_determinant(self, knowledge: Knowledge) -> float:
-        """Return that of the covariance that would be stated."""
+        """Return that of the covariance that would be stated of what the robot is simulated by."""
         scale = np.outer(self._prior.sigmas, self._prior.sigmas)
-        return float(np.linalg.slogdet(self._covariance(knowledge) / scale)[1])
+        return float(np.linalg.slogdet((self._covariance(knowledge) / scale)[np.ix_(_SIMULATED, _SIMULATED)])[1])
 
     def sigmas(self, knowledge: Knowledge) -> Array:
         """Return the standard deviations (P,) that would be stated."""
@@ -222,25 +231,31 @@ class Designer:
         return replace(wheels, breakaway_rad_s=max(wheels.deadband_rad_s, wheels.breakaway_rad_s))
 
     def _driven(self, manoeuvre: Manoeuvre) -> RobotDrive:
-        """Return the drive of a manoeuvre, without poses."""
+        """Return the drive of a manoeuvre, without what is measured."""
         spells = list(there_and_back(self._drive, manoeuvre, 0.0))
         at_s = np.arange(0.0, spells[-1].end, self._tick_s)
         ends = np.array([spell.end for spell in spells])
         rows = np.searchsorted(ends, at_s, side="right")
         wheels = [spells[row].wheels(t) for row, t in zip(rows.tolist(), at_s.tolist(), strict=True)]
+        counted_s = np.arange(0.0, spells[-1].end, _STATUS_S) if self._count else np.empty(0)
         return RobotDrive(
             self._robot.id, at_s, np.array(wheels), at_s + self._tick_s / 2.0, np.zeros((len(at_s), 3)), np.empty(0),
-            np.empty((0, 2)), np.empty(0), np.empty((0, 2)), 0.0, self._acceleration,
+            np.empty((0, 2)), counted_s, np.zeros((len(counted_s), 2)), 0.0, self._acceleration,
             pose_covariances=np.tile(self._pose_covariance, (len(at_s), 1)), battery=np.full(len(at_s), self._charge),
         )  # fmt: skip
 
     def _residuals(self, drive: RobotDrive, truth: Wheels) -> Residuals:
-        """Return the function from models to residuals (M, 3), of poses without noise of a robot that is so."""
-        shots = believed.shots(self._robot, drive)
+        """Return the function from models to residuals (R,), of poses without noise of a robot that is so."""
+        motion = believed.shots(self._robot, drive).motion(truth)
         tag = np.array([truth.tag_forward_m, truth.tag_left_m, truth.tag_heading_rad])
-        shots = believed.shots(self._robot, replace(drive, poses=compose(accumulated(shots.motion(truth)), tag)))
-        everything = np.ones(len(shots.at_s), dtype=np.bool_)
-        return lambda wheels: shots.residuals(wheels, self._noise, shots.motion(wheels), everything)[0]
+        angles = motion.angles * (truth.left_encoder, truth.right_encoder)
+        if self._count:
+            angles = self._count * np.round(angles / self._count)
+        shots = believed.shots(
+            self._robot, replace(drive, poses=compose(accumulated(motion.steps), tag), encoders_rad=angles)
+        )
+        chosen = np.ones_like(shots.shot, dtype=np.bool_), np.ones_like(shots.encoders.shot, dtype=np.bool_)
+        return lambda wheels: shots.all_residuals(wheels, self._noise, *chosen)
 
 
 def _information(stated: Array, prior: Prior) -> Array:

@@ -7,11 +7,11 @@ by Gauss-Newton steps (``scipy.optimize.least_squares``). The noise's scales and
 by the residuals and by their own priors. Every fifth shot is held out: it takes no part in the fit.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
 from robofleet.calibration.robots import thresholds
@@ -24,6 +24,7 @@ from robofleet.calibration.robots.information import (
     SMOOTH,
     SMOOTH_ROWS,
     THRESHOLDS,
+    TOP_SPEED,
     Prior,
     covariance,
     derivative,
@@ -39,7 +40,7 @@ _OF_STOPS = ("stop_lag_s",)
 _MOST = {"motor_lag_s": 2.0, "stop_lag_s": 2.0, "delay_s": 1.0, "slip_s_per_rad": 0.5}
 _DELAYS_S, _LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3), (0.01, 0.04, 0.08, 0.15, 0.3)
 _SPLITS_S = np.geomspace(0.005, 0.4, 16).tolist()
-_AT_FIRST = Noise(position=5.0, heading=5.0, way=3e-3)
+_AT_FIRST = Noise(position=5.0, heading=5.0, way=3e-3, stamp_s=5e-3, wander=3e-2)
 _ROUNDS = 3
 _LOSS_SCALE = 3.0  # from so many sigmas on a residual counts less
 _OUTLIER_SHARE = 0.2
@@ -70,6 +71,8 @@ class Identification:
     held_out_chi_square: float
     held_out: tuple[HeldOut, ...]
     residuals: tuple[Array, ...]  # (M, 3) of each recording, whitened; 0: none
+    encoder_chi_square: float  # as those of the poses; NaN: it has no encoders
+    encoder_correlation: float
 
     @property
     def sigma(self) -> dict[str, float]:
@@ -126,6 +129,7 @@ class _Fit:
         self._frozen: dict[str, float] = {}  # what was told by poses that are left out now, and its variance
         self._held_out = [shots.shot % HELD_OUT == HELD_OUT - 1 for shots in recordings]
         self._training = [~own for own in self._held_out]
+        self._counted = [shots.encoders.shot % HELD_OUT != HELD_OUT - 1 for shots in recordings]
 
     def run(self) -> None:
         self._start()
@@ -140,7 +144,8 @@ class _Fit:
             self._find_thresholds()
         found = self._covariance()
         self._fixed = set(PARAMETERS) - set(determined(found, self._prior))
-        self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in self._fixed})
+        untold = self._fixed.difference(TOP_SPEED)  # of a top speed it is known at least that it was reached
+        self._wheels = replace(self._wheels, **{name: getattr(self._prior.values, name) for name in untold})
         rows = [PARAMETERS.index(name) for name in _OF_STOPS]
         self._frozen = dict(zip(_OF_STOPS, np.diag(found)[rows].tolist(), strict=True))
         for _ in range(_OUTLIER_PASSES):  # what the model cannot explain shall not bend the rest
@@ -151,14 +156,9 @@ class _Fit:
 
     # what is minimised
 
-    def _all(self, wheels: Wheels, chosen: Sequence[NDArray[np.bool_]]) -> list[tuple[Array, float]]:
-        return [
-            shots.residuals(wheels, self._noise, shots.motion(wheels), own)
-            for shots, own in zip(self._recordings, chosen, strict=True)
-        ]
-
     def _residuals(self, wheels: Wheels) -> Array:
-        return np.concatenate([own.ravel() for own, _ in self._all(wheels, self._training)])
+        each = zip(self._recordings, self._training, self._counted, strict=True)
+        return np.concatenate([shots.all_residuals(wheels, self._noise, *chosen) for shots, *chosen in each])
 
     def _scaled(self, wheels: Wheels) -> Array:
         return np.asarray((np.array(astuple(wheels)) - self._centre) / self._sigma)
@@ -233,16 +233,18 @@ class _Fit:
         def minus_log_likelihood(logs: Array) -> float:
             noise = Noise(*np.exp(np.clip(logs, -20.0, 5.0)).tolist())
             total = 0.5 * float((((logs - believed) / _NOISE_SIGMA) ** 2).sum())
-            for shots, motion, own in zip(self._recordings, motions, self._training, strict=True):
-                e, log_determinant = shots.residuals(self._wheels, noise, motion, own)
-                total += 0.5 * float(np.minimum(e * e, OUTLIER_SIGMA**2).sum()) + log_determinant
+            each = zip(self._recordings, motions, self._training, self._counted, strict=True)
+            for shots, motion, seen, counted in each:
+                model = self._wheels, noise, motion
+                for e, log_determinant in (shots.residuals(*model, seen), shots.encoder_residuals(*model, counted)):
+                    total += 0.5 * float(np.minimum(e * e, OUTLIER_SIGMA**2).sum()) + log_determinant
             return total
 
         start = np.log(np.array(astuple(self._noise)))
-        simplex = start + np.vstack([np.zeros(4), np.eye(4)])
+        simplex = start + np.vstack([np.zeros(len(start)), np.eye(len(start))])
         found = minimize(
             minus_log_likelihood, start, method="Nelder-Mead",
-            options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 300},
+            options={"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.1, "maxfev": 600},
         )  # fmt: skip
         self._noise = Noise(*np.exp(np.clip(found.x, -20.0, 5.0)).tolist())
 
@@ -250,6 +252,7 @@ class _Fit:
         """Leave out poses that are outliers; ``misfits``: and those where the model is wrong."""
         for shots in self._recordings:
             shots.kept = ~shots.outliers(self._wheels, self._noise, OUTLIER_SIGMA, misfits=misfits)
+            shots.encoders.kept = ~shots.encoder_outliers(self._wheels, self._noise, OUTLIER_SIGMA)
         share = np.mean([not kept for shots in self._recordings for kept in shots.kept])
         if misfits and share > _OUTLIER_SHARE:
             raise CalibrationError(
@@ -272,7 +275,8 @@ class _Fit:
     def _covariance(self) -> Array:
         """Return the covariance of all parameters: of the fit, with their priors; of thresholds by their posteriors."""
         j = derivative(self._residuals, self._wheels, self._prior)
-        j[:, SMOOTH.index("top_speed_rad_s")] = unsaturated(self._residuals, self._wheels, self._prior)
+        for name, column in unsaturated(self._residuals, self._wheels, self._prior).items():
+            j[:, SMOOTH.index(name)] = column
         information = j.T @ j + np.eye(j.shape[1])
         found = covariance(information, self._prior, self._threshold_sigma)
         for name, sigma in self._threshold_sigma.items():  # where it is another one, so are the others
@@ -297,12 +301,19 @@ class _Fit:
         parts = sorted(zip(np.abs(vectors[:, -1]).tolist(), rows, strict=True), reverse=True)
         return tuple(PARAMETERS[k] for part, k in parts[:3] if part > 0.3)
 
+    def _everything(self, shots: Shots) -> tuple[Array, Array]:
+        """Return the residuals (M, 3) of a recording's poses, and (2 E,) of its encoders, one wheel after the other."""
+        model = self._wheels, self._noise, shots.motion(self._wheels)
+        poses, _ = shots.residuals(*model, np.ones_like(shots.shot, dtype=np.bool_))
+        angles, _ = shots.encoder_residuals(*model, np.ones_like(shots.encoders.shot, dtype=np.bool_))
+        return poses, angles.T.ravel()
+
     def found(self) -> Identification:
-        everything = [np.ones(len(shots.at_s), dtype=np.bool_) for shots in self._recordings]
-        residuals = tuple(e for e, _ in self._all(self._wheels, everything))
+        poses, encoders = zip(*(self._everything(shots) for shots in self._recordings), strict=True)
         found = self._covariance()
-        own = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._training, strict=True)]
-        others = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(residuals, self._held_out, strict=True)]
+        own = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(poses, self._training, strict=True)]
+        others = [e[chosen][e[chosen].any(axis=1)] for e, chosen in zip(poses, self._held_out, strict=True)]
+        counted = np.concatenate([e[e != 0.0] for e in encoders])
         white, held_out = np.concatenate(own), np.concatenate(others)
         gate = self._wheels, self._noise, OUTLIER_SIGMA
         single = sum(int(shots.outliers(*gate, misfits=False).sum()) for shots in self._recordings)
@@ -318,16 +329,27 @@ class _Fit:
             left_out=single,
             misfits=max(0, without - single),
             poses=sum(len(shots.at_s) for shots in self._recordings),
-            chi_square=float((white**2).mean()),
-            correlation=float((white[1:] * white[:-1]).mean() / (white**2).mean()),
-            held_out_chi_square=float((held_out**2).mean()) if len(held_out) else float("nan"),
+            chi_square=_mean_square(white),
+            correlation=_correlation(white),
+            held_out_chi_square=_mean_square(held_out),
             held_out=held_out_errors(self._recordings, self._held_out, self._wheels, self._prior.values, self._noise),
-            residuals=residuals,
+            residuals=poses,
+            encoder_chi_square=_mean_square(counted),
+            encoder_correlation=_correlation(counted),
         )
+
+
+def _mean_square(white: Array) -> float:
+    return float((white**2).mean()) if len(white) else math.nan
+
+
+def _correlation(white: Array) -> float:
+    """Return how far residuals (n,) or (n, 3) depend on the ones before."""
+    return float((white[1:] * white[:-1]).mean() / (white**2).mean()) if len(white) else math.nan
 
 
 def _ways(shots: Shots, wheels: Wheels) -> Array:
     """Return each step of the tag, in its own frame, times the model's conjugate: complex, its angle is the tag's."""
-    model, seen = shots.motion(wheels), relative(shots.poses[:-1], shots.poses[1:])
+    model, seen = shots.motion(wheels).steps, relative(shots.poses[:-1], shots.poses[1:])
     straight = np.abs(model[:, 2]) < 0.2 * np.abs(model[:, 0]) / wheels.wheel_base_m
     return np.asarray(((seen[:, 0] + 1j * seen[:, 1]) * (model[:, 0] - 1j * model[:, 1]))[straight])

@@ -8,8 +8,9 @@ import numpy as np
 from robofleet.calibration.report import Report
 from robofleet.calibration.robots.believed import believed_errors
 from robofleet.calibration.robots.design import NOISE, Design
+from robofleet.calibration.robots.encoders import counts
 from robofleet.calibration.robots.identification import Identification
-from robofleet.calibration.robots.information import PARAMETERS
+from robofleet.calibration.robots.information import ENCODERS, PARAMETERS
 from robofleet.calibration.robots.plots import motion_figure, residual_figure
 from robofleet.calibration.robots.results import Rows, source
 from robofleet.calibration.robots.shooting import Shots
@@ -18,7 +19,6 @@ from robofleet.config.calibrated import RobotCalibration, TagOffset
 from robofleet.config.plant_errors import PlantErrors
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
-from robofleet.core.arrays import Array
 from robofleet.reports.pages import Marked
 
 _ANGLES = "tag_heading_rad"
@@ -37,40 +37,18 @@ _SHOWN = {  # of a parameter: in words, its unit, by what it is multiplied, digi
     "tag_forward_m": ("tag, forward", "mm", 1e3, 2),
     "tag_left_m": ("tag, to the left", "mm", 1e3, 2),
     _ANGLES: ("tag, heading", "deg", math.degrees(1.0), 3),
+    "left_encoder": ("left encoder, of its wheel's angle", "%", 1e2, 3),
+    "right_encoder": ("right encoder, of its wheel's angle", "%", 1e2, 3),
+    "encoder_offset_s": ("encoders, later than their stamps", "ms", 1e3, 1),
 }
 _MISSING = {  # what a drive needs for a parameter
     "wheel_base_m": "turns", "motor_lag_s": "quick changes of speed", "delay_s": "quick changes of speed",
     "stop_lag_s": "stops", "deadband_rad_s": "wheels that slow down through it",
     "breakaway_rad_s": "slow starts from rest",
     "top_speed_rad_s": "wheels at their top speed", "top_speed_sag": "top speed at several charges of the battery",
-    "slip_s_per_rad": "turns at several rates",
+    "slip_s_per_rad": "turns at several rates", **dict.fromkeys(ENCODERS, "encoders"),
 }  # fmt: skip
-_WHOLE_COUNTS = 0.02  # of a count
 _LEAST_SLIP = 1e-3  # less is none: its noise says nothing [s/rad]
-
-
-def counts(angles: Array) -> float:
-    """Return one count of an encoder [rad], whose angles (E, 2) are whole counts; 0: they are not."""
-    steps = np.abs(np.diff(angles, axis=0)).ravel()
-    steps = steps[steps > 1e-9]
-    if not len(steps):
-        return 0.0
-    numbers = np.round(steps / steps.min())
-    count = float(steps @ numbers / (numbers @ numbers))
-    return count if np.abs(steps - count * numbers).max() < _WHOLE_COUNTS * count else 0.0
-
-
-def encoder_scales(found: Identification, recordings: Sequence[Shots]) -> tuple[float, float]:
-    """Return what each encoder counts of a wheel's way, against what the wheel was told to turn; NaN: it has none."""
-    commanded, counted = np.zeros(2), np.zeros(2)
-    for shots in recordings:
-        d = shots.drive
-        if len(d.encoders_s):
-            inside = (d.told_s >= d.encoders_s[0]) & (d.told_s <= d.encoders_s[-1])
-            commanded += np.abs(np.diff(d.told_rad[inside], axis=0)).sum(axis=0)
-            counted += np.abs(np.diff(d.encoders_rad, axis=0)).sum(axis=0)
-    left, right = (counted / commanded).tolist() if commanded.all() else (math.nan, math.nan)
-    return left, right
 
 
 def with_identified(
@@ -117,12 +95,13 @@ def with_identified(
         top_speed_sag=round(min(1.0, max(0.0, w.top_speed_sag)), 4),
         battery_life_s=errors.battery_life_s,
     )
+    n = found.noise
     figures: dict[str, float | None] = {f"sigma_{name}": sigma[name] for name in found.determined}
     figures |= {
         "residual_correlation": found.correlation,
         "held_out_chi_square": found.held_out_chi_square,
         **{f"held_out_{e.horizon_s:g}s_mm": e.position_rms_mm for e in found.held_out if e.count},
-        **dict(zip(NOISE, (*recordings[-1].pose_noise(found.noise), found.noise.slip, found.noise.way), strict=True)),
+        **dict(zip(NOISE, (*recordings[-1].pose_noise(n), n.slip, n.way, 1e3 * n.stamp_s, n.wander), strict=True)),
     }
     update["identified"] = source("identify", inputs, found, figures, PARAMETERS, found.covariance)
     return before.model_copy(update=update)
@@ -218,18 +197,17 @@ def page(
                 )
             )
         report.table(("parameter", "found", "95 %", "believed before", ""), rows)
-        left, right = encoder_scales(each, shots)
         count = counts(np.concatenate([each_shots.drive.encoders_rad for each_shots in shots]))
         encoders = (
-            f"; its encoders count {100 * left:.2f} and {100 * right:.2f} % of what they were told"
-            if math.isfinite(left)
+            f" The encoders' residuals have a mean square of {each.encoder_chi_square:.2f} and a correlation of "
+            f"{each.encoder_correlation:.3f}{f'; they count in steps of {1e3 * count:.2f} mrad' if count else ''}."
+            if math.isfinite(each.encoder_chi_square)
             else ""
         )
-        whole = f", in steps of {1e3 * count:.2f} mrad" if count else ""
         report.note(
             f"Poses scatter {each.noise.position:.2f} times as far as their covariances say, headings "
             f"{each.noise.heading:.2f} times. Each wheel's way wanders by {1e3 * each.noise.way:.2f} mm in 1 m, and by "
-            f"{1e3 * each.noise.slip:.2f} mm in a second at 1 m/s and 1 rad/s{encoders}{whole}. Told least: "
+            f"{1e3 * each.noise.slip:.2f} mm in a second at 1 m/s and 1 rad/s.{encoders} Told least: "
             f"{' with '.join(_SHOWN[name][0] for name in each.weakest)}."
         )
         report.figure(motion_figure(each, shots[0]), "Observed and predicted: six seconds of the recording.")

@@ -14,6 +14,7 @@ from robofleet.core.arrays import Array
 
 PARAMETERS = tuple(field.name for field in fields(Wheels))
 THRESHOLDS = "deadband_rad_s", "breakaway_rad_s"
+ENCODERS = "left_encoder", "right_encoder", "encoder_offset_s"
 SMOOTH = tuple(name for name in PARAMETERS if name not in THRESHOLDS)
 SMOOTH_ROWS = [PARAMETERS.index(name) for name in SMOOTH]
 LEAST = {  # values of parameters
@@ -28,8 +29,12 @@ _STEPS = {  # of numerical derivatives
     "left_radius_m": 1e-6, "right_radius_m": 1e-6, "wheel_base_m": 1e-5, "motor_lag_s": 2e-4, "stop_lag_s": 2e-4,
     "delay_s": 2e-4, "top_speed_rad_s": 0.01, "top_speed_sag": 1e-2,
     "slip_s_per_rad": 1e-4, "tag_forward_m": 1e-5, "tag_left_m": 1e-5, "tag_heading_rad": 1e-4,
+    "left_encoder": 1e-4, "right_encoder": 1e-4, "encoder_offset_s": 2e-4,
 }  # fmt: skip
-_HIGHER_RAD_S = 0.01, 0.02, 0.05, 0.1, 0.2, 0.4
+TOP_SPEED = "top_speed_rad_s", "top_speed_sag"
+_HIGHER = {  # steps to a higher top speed, of the parameters that it has
+    "top_speed_rad_s": (0.01, 0.02, 0.05, 0.1, 0.2, 0.4), "top_speed_sag": (-0.01, -0.02, -0.05, -0.1, -0.2, -0.4),
+}  # fmt: skip
 # What the residuals do not show. Commands act, and images are exposed, at instants that are known to a millisecond: of
 # a firmware's loop, an exposure, the simulated truth between two samples. Poses bend over the arena by some hundredths
 # of a millimetre and of a degree: measured on simulated platoons through the tracker. A threshold is passed on a ramp
@@ -38,6 +43,7 @@ _SYSTEMATIC = {
     "left_radius_m": 1.5e-6, "right_radius_m": 1.5e-6, "wheel_base_m": 3e-5, "motor_lag_s": 5e-4, "stop_lag_s": 1e-3,
     "deadband_rad_s": 8e-3, "breakaway_rad_s": 8e-3,
     "delay_s": 5e-4, "slip_s_per_rad": 5e-4, "tag_forward_m": 3e-5, "tag_left_m": 1e-4, "tag_heading_rad": 5e-5,
+    "encoder_offset_s": 5e-4,
 }  # fmt: skip
 SYSTEMATIC_VARIANCE = np.array([_SYSTEMATIC.get(name, 0.0) ** 2 for name in PARAMETERS])
 
@@ -74,18 +80,20 @@ def derivative(residuals: Residuals, wheels: Wheels, prior: Prior, names: tuple[
     return np.column_stack(columns)
 
 
-def unsaturated(residuals: Residuals, wheels: Wheels, prior: Prior) -> Array:
-    """Return the derivative (R,) by a higher top speed: a wheel that reaches its command does not tell its own.
+def unsaturated(residuals: Residuals, wheels: Wheels, prior: Prior) -> Mapping[str, Array]:
+    """Return the derivatives (R,) by a higher top speed: a wheel that reaches its command does not tell its own.
 
-    The step is the first of ``_HIGHER_RAD_S`` by which the sum of squares rises by one, which is a standard deviation:
-    a wheel that falls short of its command by less than that tells its top speed to neither side.
+    The step is the first of ``_HIGHER`` by which the sum of squares rises by one, which is a standard deviation: a
+    wheel that falls short of its command by less than that tells its top speed to neither side.
     """
-    name, value, fitted = "top_speed_rad_s", wheels.top_speed_rad_s, residuals(wheels)
-    for step in _HIGHER_RAD_S:
-        change = (residuals(replace(wheels, **{name: value + step})) - fitted).ravel()
-        if change @ change >= 1.0:
-            break
-    return np.asarray(change / step * prior.sigma[name])
+    fitted, found = residuals(wheels), {}
+    for name, steps in _HIGHER.items():
+        for step in steps:
+            change = (residuals(replace(wheels, **{name: getattr(wheels, name) + step})) - fitted).ravel()
+            if change @ change >= 1.0:
+                break
+        found[name] = np.asarray(change / step * prior.sigma[name])
+    return found
 
 
 def squares(residuals: Residuals, wheels: Wheels, name: str, grid: Array) -> Array:

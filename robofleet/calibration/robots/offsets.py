@@ -44,7 +44,7 @@ class Offsets:
 
 def refuse_unusable(shots: Shots, believed: Wheels) -> None:
     """Raise a CalibrationError where a drive has too few turns or straights, as far as its commands say."""
-    robot, motion = shots.drive.robot, shots.motion(believed)
+    robot, motion = shots.drive.robot, shots.motion(believed).steps
     turn, forward = motion[:, 2], float(np.abs(motion[:, 0]).sum())
     ways = float(turn[turn > 0].sum()), -float(turn[turn < 0].sum())
     if min(ways) < _LEAST_TURN:

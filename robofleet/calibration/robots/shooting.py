@@ -10,12 +10,14 @@ right. The wander is what adds to the way of each wheel: by slip, as in the plan
 import math
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robofleet.calibration.robots import inputs
 from robofleet.calibration.robots.drive_file import RobotDrive
+from robofleet.calibration.robots.encoders import Encoders
 from robofleet.core.arrays import Array
 from robofleet.core.clock import S
 from robofleet.core.kernels import kernel
@@ -31,6 +33,7 @@ _UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covaria
 _LEAST_VARIANCE = np.array([1e-6**2, 1e-6**2, 1e-5**2])  # of a simulated pose without noise [m^2, m^2, rad^2]
 _QUIET = np.zeros(8192)  # the plant's random numbers: none
 _LONGEST_STEP_NS = S
+_UNMOVED = dict.fromkeys(("tag_forward_m", "tag_left_m", "tag_heading_rad", "left_encoder", "right_encoder"), 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +54,9 @@ class Wheels:
     tag_forward_m: float
     tag_left_m: float
     tag_heading_rad: float
+    left_encoder: float  # what is counted of a wheel's angle
+    right_encoder: float
+    encoder_offset_s: float  # how much later than its stamp an angle was counted
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,15 @@ class Noise:
     heading: float = 1.0
     slip: float = 1e-5  # standard deviation of a way of 1 m at 1 rad/s, for 1 s [m s^0.5]
     way: float = 1e-4  # standard deviation of a way of 1 m [m^0.5]
+    stamp_s: float = 1e-4  # standard deviation of an encoder's time stamp
+    wander: float = 1e-3  # standard deviation of a wheel's angle against its command, after 1 rad [rad^0.5]
+
+
+class Motion(NamedTuple):
+    """What a model makes of the commands."""
+
+    steps: Array  # (M - 1, 3) from each pose to the next in the frame of the former [m, m, rad]
+    angles: Array  # (E, 2) of the wheels when the encoders were read [rad]
 
 
 class Shots:
@@ -80,6 +95,9 @@ class Shots:
         self._covariances = covariances[:, [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(-1, 3, 3)
         self.shot = ((self.at_s - self.at_s[0]) / SHOT_S).astype(np.int64)
         self.kept = np.ones(len(self.at_s), dtype=np.bool_)  # poses that are no outliers
+        counted = np.floor((drive.encoders_s - self.at_s[0]) / SHOT_S).astype(np.int64)
+        self.encoders = Encoders(drive.encoders_s, drive.encoders_rad, counted)
+        self._newest: tuple[Wheels, Motion] | None = None  # a derivative by what moves nothing needs it again
 
     @cached_property
     def used_s(self) -> float:
@@ -92,9 +110,14 @@ class Shots:
         near = (speeds > 0.0) & (np.abs(speeds - speed_rad_s) < within_rad_s)
         return float((near * (np.diff(self._outputs_ns) / S)[:, None]).sum())
 
-    def motion(self, wheels: Wheels) -> Array:
-        """Return the model's motion from each pose to the next in the frame of the former (M - 1, 3) [m, m, rad]."""
-        w = wheels
+    def motion(self, wheels: Wheels) -> Motion:
+        """Return the model's motion."""
+        moving = replace(wheels, **_UNMOVED)
+        if self._newest is None or self._newest[0] != moving:
+            self._newest = moving, self._simulated(moving)
+        return self._newest[1]
+
+    def _simulated(self, w: Wheels) -> Motion:
         radius = (w.left_radius_m + w.right_radius_m) / 2.0
         build = plant.Build(
             wheel_radius=radius, wheel_base=w.wheel_base_m, max_wheel_speed=w.top_speed_rad_s,
@@ -106,16 +129,18 @@ class Shots:
             longest_step_ns=self._loop_ns, delay_ns=0,
         )  # fmt: skip
         acts_ns = self._outputs_ns + round(w.delay_s * S)
-        begin_ns = int(min(acts_ns[0], self._poses_ns[0])) - 1
+        counted_ns = np.round((self.encoders.at_s + w.encoder_offset_s) * S).astype(np.int64)
+        begin_ns = int(min(acts_ns[0], self._poses_ns[0], *counted_ns[:1])) - 1
         body = replace(plant.placed((0.0, 0.0, 0.0), begin_ns), used=self.used_s)
-        poses = np.empty((len(self._poses_ns), 3))
+        poses, angles = np.empty((len(self._poses_ns), 3)), np.empty((len(counted_ns), 2))
         _follow(
             np.array([astuple(body)], BODY), np.array([astuple(build)], BUILD),
             np.zeros((1, plant.capacity(0)), COMING), _QUIET, acts_ns, self._outputs, self._poses_ns, poses,
+            counted_ns, angles,
         )  # fmt: skip
-        return relative(poses[:-1], poses[1:])
+        return Motion(relative(poses[:-1], poses[1:]), angles)
 
-    def residuals(self, wheels: Wheels, noise: Noise, motion: Array, chosen: NDArray[np.bool_]) -> tuple[Array, float]:
+    def residuals(self, wheels: Wheels, noise: Noise, motion: Motion, chosen: NDArray[np.bool_]) -> tuple[Array, float]:
         """Return the whitened residuals (M, 3) of the poses of ``chosen`` shots, 0 where there is none, and their
         log-determinant: that of the covariances by which they were whitened.
         """
@@ -124,10 +149,27 @@ class Shots:
         weights = self._noise_covariances(noise)
         offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
         log_determinant = _filter(
-            motion, np.diff(self.at_s), self.poses, weights, offset, wheels.wheel_base_m, noise.slip, noise.way,
+            motion.steps, np.diff(self.at_s), self.poses, weights, offset, wheels.wheel_base_m, noise.slip, noise.way,
             first, chosen & self.kept, chosen, residuals, np.empty((0, 3)), np.inf, _NOBODY,
         )  # fmt: skip
         return residuals, float(log_determinant)
+
+    def encoder_residuals(
+        self, wheels: Wheels, noise: Noise, motion: Motion, chosen: NDArray[np.bool_]
+    ) -> tuple[Array, float]:
+        """Return the whitened residuals (E, 2) of the ``chosen`` angles of the encoders (E,), and the like."""
+        return self.encoders.residuals(motion.angles, _scales(wheels), noise.stamp_s, noise.wander, chosen)
+
+    def all_residuals(self, wheels: Wheels, noise: Noise, seen: NDArray[np.bool_], counted: NDArray[np.bool_]) -> Array:
+        """Return the whitened residuals (3 M + 2 E,) of poses that are ``seen`` (M,) and angles ``counted`` (E,)."""
+        motion = self.motion(wheels)
+        poses, _ = self.residuals(wheels, noise, motion, seen)
+        angles, _ = self.encoder_residuals(wheels, noise, motion, counted)
+        return np.concatenate([poses.ravel(), angles.ravel()])
+
+    def encoder_outliers(self, wheels: Wheels, noise: Noise, gate: float) -> NDArray[np.bool_]:
+        """Return which angles of the encoders (E, 2) are further than so many standard deviations off."""
+        return self.encoders.outliers(self.motion(wheels).angles, _scales(wheels), noise.stamp_s, noise.wander, gate)
 
     def outliers(self, wheels: Wheels, noise: Noise, gate: float, *, misfits: bool) -> NDArray[np.bool_]:
         """Return which poses (M,) are further than so many standard deviations from where the others put the robot.
@@ -142,9 +184,9 @@ class Shots:
         for _ in range(_WRONG_BEGINNINGS):
             found[:] = False
             _filter(
-                motion, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset, wheels.wheel_base_m,
-                noise.slip, noise.way, first, ~beginnings, everything, np.zeros((len(self.at_s), 3)), np.empty((0, 3)),
-                gate, found,
+                motion.steps, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset,
+                wheels.wheel_base_m, noise.slip, noise.way, first, ~beginnings, everything,
+                np.zeros((len(self.at_s), 3)), np.empty((0, 3)), gate, found,
             )  # fmt: skip
             share = np.bincount(self.shot, found) / np.maximum(1, np.bincount(self.shot, ~beginnings))
             wrong = np.flatnonzero(share > _WRONG_SHARE)
@@ -169,14 +211,14 @@ class Shots:
         offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
         estimates = np.empty((len(self.at_s), 3))
         _filter(
-            motion, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset, wheels.wheel_base_m,
+            motion.steps, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset, wheels.wheel_base_m,
             noise.slip, noise.way, first, self.kept, everything, np.zeros((len(self.at_s), 3)), estimates, np.inf,
             _NOBODY,
         )  # fmt: skip
         ends = np.searchsorted(self.at_s, self.at_s + horizon_s - self._half_interval_s)
         start = np.flatnonzero((ends < len(self.at_s)) & (self.at_s > self.at_s[0] + SHOT_S / 2.0))
         start = start[self.kept[ends[start]]]
-        path = accumulated(motion)
+        path = accumulated(motion.steps)
         step = relative(path[start], path[ends[start]])
         return self.at_s[start], compose(compose(estimates[start], step), offset), self.poses[ends[start]]
 
@@ -192,6 +234,10 @@ class Shots:
     def _noise_covariances(self, noise: Noise) -> Array:
         scale = np.array([noise.position, noise.position, noise.heading])
         return np.asarray(self._covariances * scale[:, None] * scale + np.diag(_LEAST_VARIANCE))
+
+
+def _scales(wheels: Wheels) -> Array:
+    return np.array([wheels.left_encoder, wheels.right_encoder])
 
 
 def relative(start: Array, end: Array) -> Array:
@@ -225,17 +271,26 @@ def wrapped(angle: Array) -> Array:
 
 
 @kernel
-def _follow(bodies, builds, coming, noise, at_ns, outputs, poses_ns, poses):  # type: ignore[no-untyped-def]
-    """Let a robot follow outputs (K, 2) that begin to act at instants (K,); fill in where it is at others (M,)."""
+def _follow(bodies, builds, coming, noise, at_ns, outputs, poses_ns, poses, counted_ns, angles):  # type: ignore[no-untyped-def]
+    """Let a robot follow outputs (K, 2) that begin to act at instants (K,); fill in where it is, and its wheels' angles
+    at others (M,), (E,).
+    """
     b, p, waiting = bodies[0], builds[0], coming[0]
-    k = 0
-    for row in range(len(poses_ns)):
-        while k < len(at_ns) and at_ns[k] <= poses_ns[row]:
+    k = row = count = 0
+    while row < len(poses_ns) or count < len(counted_ns):
+        is_pose = count == len(counted_ns) or (row < len(poses_ns) and poses_ns[row] <= counted_ns[count])
+        until_ns = poses_ns[row] if is_pose else counted_ns[count]
+        while k < len(at_ns) and at_ns[k] <= until_ns:
             _pass_until(b, p, waiting, noise, at_ns[k])
             command(b, p, waiting, outputs[k, 0], outputs[k, 1], plant.NEVER_NS)
             k += 1
-        _pass_until(b, p, waiting, noise, poses_ns[row])
-        poses[row, 0], poses[row, 1], poses[row, 2] = b.x, b.y, b.psi
+        _pass_until(b, p, waiting, noise, until_ns)
+        if is_pose:
+            poses[row, 0], poses[row, 1], poses[row, 2] = b.x, b.y, b.psi
+            row += 1
+        else:
+            angles[count, 0], angles[count, 1] = b.left_angle, b.right_angle
+            count += 1
 
 
 @kernel

@@ -14,7 +14,7 @@ from robofleet import cli
 from robofleet.behaviours import described
 from robofleet.bus.keys import TICK, key
 from robofleet.bus.messages import TICK_RECORD
-from robofleet.calibration.robots import identified, inputs
+from robofleet.calibration.robots import inputs
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.shooting import Noise, Wheels
 from robofleet.calibration.store import CalibrationError, load, save
@@ -54,6 +54,9 @@ def true(seed: int) -> Wheels:
         tag_forward_m=OFFSET.forward_m,
         tag_left_m=OFFSET.left_m,
         tag_heading_rad=math.radians(OFFSET.heading_deg),
+        left_encoder=1.0,
+        right_encoder=1.0,
+        encoder_offset_s=0.0,
     )
 
 
@@ -140,12 +143,6 @@ def test_a_recording_that_says_too_little_is_refused(worn: RobotDrive) -> None:
     still = replace(worn, poses=np.tile(worn.poses[0], (len(worn.poses), 1)))
     with pytest.raises(CalibrationError, match=r"r1: it drove 0.00 m and turned 0.0 rad, .* with curves"):
         found_in(still)
-
-
-def test_counts_of_an_encoder_are_found() -> None:
-    angles = 0.002244 * np.array([[0, 5], [3, 9], [10, 10], [11, 30]])
-    assert identified.counts(angles) == pytest.approx(0.002244)
-    assert identified.counts(np.random.default_rng(1).normal(size=(40, 2))) == 0.0
 
 
 def test_a_simulated_robot_is_as_the_identified_one() -> None:

@@ -42,7 +42,7 @@ ALLOWED = {  # relative, or in the parameter's unit
     "left_radius_m": 0.01, "right_radius_m": 0.01, "wheel_base_m": 0.01, "motor_lag_s": 0.002, "delay_s": 0.002,
     "deadband_rad_s": 0.05,
 }  # fmt: skip
-ABSOLUTE = "motor_lag_s", "delay_s"
+ABSOLUTE = "motor_lag_s", "stop_lag_s", "delay_s", "encoder_offset_s"
 
 
 def main() -> None:
@@ -183,6 +183,9 @@ def true(config: Config, robot: Robot) -> dict[str, float]:
         "tag_forward_m": 0.0,
         "tag_left_m": 0.0,
         "tag_heading_rad": 0.0,
+        "left_encoder": 1.0,
+        "right_encoder": 1.0,
+        "encoder_offset_s": config.lockstep.bus_delay_s,  # stamps count from the tick whose command is applied
     }
 
 
