@@ -85,13 +85,12 @@ bool board_uart_write(const uint8_t *bytes, uint8_t length)
  */
 
 enum { LOG_BEGIN = 1 + BOARD_MEMORY_BYTES };
-enum log_step { LOG_IDLE, LOG_APPENDING, LOG_COPYING, LOG_NUMBERING };
+enum log_step { LOG_IDLE, LOG_APPENDING, LOG_COPYING, LOG_NUMBERING, LOG_ERASING }; /* what the flash does */
 
 static struct {
     uint8_t bytes[BOARD_MEMORY_BYTES];
     uint8_t sector;   /* the valid one */
     bool stale;       /* the other one is to be erased */
-    uint16_t number;  /* of the valid one */
     uint16_t next;    /* free word in it */
     uint32_t word;    /* that is being appended */
     enum log_step step;
@@ -135,9 +134,7 @@ void memory_log_start(void)
     log.step = LOG_IDLE;
     log.stale = true;
     log.sector = is_whole(second) && (!is_whole(first) || (int16_t)(second - first) > 0) ? 1u : 0u;
-    const uint32_t number = log.sector == 1u ? second : first;
-    log.number = (uint16_t)number;
-    log.next = is_whole(number) ? 1u : SECTOR_WORDS; /* neither is valid: the first start */
+    log.next = is_whole(first) || is_whole(second) ? 1u : SECTOR_WORDS; /* neither: the first start */
     while (log.next < SECTOR_WORDS) {
         const uint32_t word = flash_read(offset_of(log.sector, log.next));
         if (word == 0xFFFFFFFFu) {
@@ -156,33 +153,33 @@ static void append(void)
 
 bool board_eeprom_ready(void)
 {
-    if (flash_busy()) {
+    if (log.step != LOG_IDLE && flash_busy()) {
         return false;
     }
     if (log.step == LOG_COPYING) {
-        const uint32_t number = guarded((uint16_t)(log.number + 1u));
+        const uint32_t number = guarded((flash_read(offset_of(log.sector, 0u)) + 1u) & 0xFFFFu);
         log.step = LOG_NUMBERING;
         flash_program(offset_of(other_sector(), 0u), &number, 1u);
         return false;
     }
     if (log.step == LOG_NUMBERING) {
-        log.number++;
         log.sector = other_sector();
         log.next = LOG_BEGIN;
         log.stale = true;
         append();
         return false;
     }
-    if (log.step == LOG_APPENDING) {
-        log.step = LOG_IDLE;
-        take_word(flash_read(offset_of(log.sector, log.next))); /* a worn one is not what was written: memory.c sees it */
+    if (log.step == LOG_APPENDING) { /* one that is worn is not what was written: memory.c sees it */
+        take_word(flash_read(offset_of(log.sector, log.next)));
         log.next++;
     }
     if (log.stale) {
         log.stale = false;
+        log.step = LOG_ERASING;
         flash_erase(offset_of(other_sector(), 0u));
         return false;
     }
+    log.step = LOG_IDLE;
     return true;
 }
 
@@ -210,7 +207,7 @@ void board_eeprom_write(uint8_t address, uint8_t value)
 #ifdef __arm__
 /* --- Start. --- */
 
-extern uint32_t ram_begin[], ram_end[], ram_in_flash[], bss_end[], stack_end[]; /* of the linker script */
+extern uint32_t ram_begin[], ram_end[], ram_in_flash[], bss_end[]; /* of the linker script */
 
 static void run(void)
 {
@@ -231,24 +228,27 @@ static void run(void)
     }
 }
 
-/* The first instructions, in flash: nothing of the program is in RAM yet. */
-__attribute__((section(".start.code"), noreturn, used)) void start(void)
+/* In flash: nothing of the program is in RAM yet. */
+__attribute__((section(".start.code"), noreturn, used)) static void copy(void)
 {
-    __asm__ volatile("cpsid i" ::: "memory");
     for (uint32_t k = 0u; &ram_begin[k] < ram_end; k++) {
         ram_begin[k] = ram_in_flash[k];
     }
-    for (volatile uint32_t *word = ram_end; word < bss_end; word++) {
+    for (uint32_t *word = ram_end; word < bss_end; word++) {
         *word = 0u;
     }
     REG(0xE000ED08u) = (uint32_t)vectors;
+    __asm__ volatile("dsb\n isb" ::: "memory");
     void (*volatile in_ram)(void) = run;
     in_ram();
     __builtin_unreachable();
 }
 
-/* Where the core begins: its stack, its first instruction. */
-__attribute__((section(".start.head"), used)) static void *const head[] = {stack_end, start};
+/* The first instructions. */
+__attribute__((section(".start.first"), naked, used)) void start(void)
+{
+    __asm__ volatile("cpsid i\n ldr r0, =stack_end\n mov sp, r0\n ldr r0, =copy\n bx r0\n .ltorg");
+}
 
 void crashed(void)
 {

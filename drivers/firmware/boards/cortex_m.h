@@ -51,6 +51,9 @@ bool line_next(uint8_t *byte);
 void interrupt_enable(uint32_t number);
 void interrupt_pend(uint32_t number);
 
+/* The first instructions; where a boot loader goes on. */
+void start(void);
+
 /* A vector: the program is broken. The motors are off until the watchdog resets the board. */
 void crashed(void);
 
