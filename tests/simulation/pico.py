@@ -142,7 +142,7 @@ class Pico(RfpHost):
 
 @cache
 def image(board: str, *flags: str) -> Path:
-    """Return what stands in the flash of a Pico or a Teensy, as ``make BOARD RFP=FLAGS`` builds it, or skip the test."""
+    """Return what stands in a board's flash, as ``make BOARD RFP=FLAGS`` builds it; the ELF file is beside it."""
     if missing := [tool for tool in ("make", "arm-none-eabi-gcc") if shutil.which(tool) is None]:
         pytest.skip(f"NO ARM: no {' and no '.join(missing)} here: install Debian's gcc-arm-none-eabi and make")
 

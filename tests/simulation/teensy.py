@@ -1,7 +1,7 @@
 """A model of a GTernal's Teensy for the image that is flashed: unicorn's core, and of the chip what the image uses.
 
-The model knows of the chip what its manual says, as the firmware does. It holds the image against this, not against a
-chip. Interrupts come where the program waits for them. Only what is written to a register that stands here has an effect.
+The model knows of the chip what the firmware knows: the manual. So it finds a firmware that does not start, hangs or
+mixes up pins, not a mistake that both share. Interrupts come where the program waits for them.
 """
 
 import struct

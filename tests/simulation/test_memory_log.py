@@ -10,9 +10,11 @@ import pytest
 from robofleet.simulation.compiled_c import compiled
 from robofleet.simulation.firmware_library import FLAGS, SOURCES
 
-UNITS = (*(SOURCES / name for name in ("boards/cortex_m.c", "memory.c", "rfp.c")), Path(__file__).with_name("flash_host.c"))
+UNITS = (
+    *(SOURCES / name for name in ("boards/cortex_m.c", "memory.c", "rfp.c")),
+    Path(__file__).with_name("flash_host.c"),
+)
 SECTOR_WORDS, FOR_EVER = 1024, 2**31 - 1
-MEMORY_LOST = 5
 
 
 class Kept(ctypes.Structure):

@@ -32,8 +32,8 @@ from robofleet.drivers.rfp import Rfp
 from robofleet.simulation.avr.board import Reset
 from robofleet.simulation.firmwares.arduino_uno import ArduinoUnoFirmware, Gate
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
-from tests.simulation.test_arduino_uno import SLEEP, hang, latched_by_an_emergency_stop
 from tests.simulation.rfp_host import NO_LEASE
+from tests.simulation.test_arduino_uno import SLEEP, hang, latched_by_an_emergency_stop
 from tests.simulation.uno import UNO_SETTINGS, Uno, uno_behind_its_driver, uno_configured
 from tests.twins import TwinStand
 from tools.measure.program import program
