@@ -17,17 +17,17 @@ UNITS = (
 SECTOR_WORDS, FOR_EVER = 1024, 2**31 - 1
 
 
-class Kept(ctypes.Structure):
+class KeptState(ctypes.Structure):
     """``struct kept`` of memory.h."""
 
     _fields_ = (("latch", ctypes.c_uint8), ("latch_id", ctypes.c_uint32), ("boot_id", ctypes.c_uint32))
 
 
-class Memory(ctypes.Structure):
+class MemoryState(ctypes.Structure):
     """``struct memory`` of memory.h."""
 
     _fields_ = (
-        ("newest", Kept), ("wanted", Kept), ("sequence", ctypes.c_uint32), ("slot", ctypes.c_uint8),
+        ("newest", KeptState), ("wanted", KeptState), ("sequence", ctypes.c_uint32), ("slot", ctypes.c_uint8),
         ("bytes", ctypes.c_uint8 * 17), ("at", ctypes.c_uint8), ("pending", ctypes.c_bool), ("broken", ctypes.c_bool),
     )  # fmt: skip
 
@@ -37,7 +37,7 @@ class Chip:
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._c = library
-        library.memory_start.restype = Kept
+        library.memory_start.restype = KeptState
         self._words_left = ctypes.c_int32.in_dll(library, "words_left")
         self._torn = ctypes.c_uint32.in_dll(library, "torn")
         self.flash = (ctypes.c_uint32 * (2 * SECTOR_WORDS)).in_dll(library, "flash")
@@ -46,9 +46,9 @@ class Chip:
         self.flash[:] = [0xFFFFFFFF] * len(self.flash)
         self.worn[:] = [0] * len(self.worn)
         self.erased[:] = [0, 0]
-        self.memory = Memory()
+        self.memory = MemoryState()
 
-    def start(self) -> Kept:
+    def start(self) -> KeptState:
         self._words_left.value = FOR_EVER
         self._c.memory_log_start()
         return self._c.memory_start(ctypes.byref(self.memory))  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""The firmware of a Raspberry Pi Pico as it is flashed, in rp2040py: a permitted command drives it, and nothing else."""
+"""The firmware of a Raspberry Pi Pico as it is flashed, in rp2040py: permitted commands drive it, nothing else."""
 
 import pytest
 

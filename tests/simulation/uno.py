@@ -24,6 +24,8 @@ _MS = CLOCK_HZ // 1000
 class Uno(RfpHost):
     """One board; ``flags`` are built into its binary."""
 
+    board: Board
+
     def __init__(self, *flags: str, board: str = "uno", counts_per_turn: float = COUNTS_PER_TURN) -> None:
         """Switch it on, and let it begin; ``counts_per_turn`` is built in."""
         super().__init__(counts_per_turn)
