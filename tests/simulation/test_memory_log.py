@@ -123,3 +123,16 @@ def test_a_worn_flash_is_noticed(library: ctypes.CDLL) -> None:
     chip.worn[:] = [1 << 9] * len(chip.worn)
     chip.keep(4, 1)
     assert chip.memory.broken
+
+
+def test_a_sector_that_takes_no_number_is_not_used(library: ctypes.CDLL) -> None:
+    chip = Chip(library)
+    chip.start()
+    chip.keep(4, 1)
+    chip.worn[0] = 1 << 16  # of the sector that is not valid
+    chip.fill(12)
+    chip.start()
+    for number in (2, 3, 4):
+        chip.keep(3, number)
+    assert chip.memory.broken
+    assert chip.start().latch >= 3

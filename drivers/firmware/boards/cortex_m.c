@@ -84,7 +84,6 @@ bool board_uart_write(const uint8_t *bytes, uint8_t length)
  * and at each start; it stands 100,000 of these.
  */
 
-enum { LOG_BEGIN = 1 + BOARD_MEMORY_BYTES };
 enum log_step { LOG_IDLE, LOG_APPENDING, LOG_COPYING, LOG_NUMBERING, LOG_ERASING }; /* what the flash does */
 
 static struct {
@@ -163,13 +162,13 @@ bool board_eeprom_ready(void)
         return false;
     }
     if (log.step == LOG_NUMBERING) {
-        log.sector = other_sector();
-        log.next = LOG_BEGIN;
-        log.stale = true;
-        append();
-        return false;
+        memory_log_start(); /* what was copied is read again */
+        if (log.next < SECTOR_WORDS) {
+            append();
+            return false;
+        }
     }
-    if (log.step == LOG_APPENDING) { /* one that is worn is not what was written: memory.c sees it */
+    if (log.step == LOG_APPENDING) { /* a worn word is not what was written: memory.c sees it */
         take_word(flash_read(offset_of(log.sector, log.next)));
         log.next++;
     }

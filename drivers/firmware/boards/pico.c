@@ -289,10 +289,10 @@ void board_begin(void)
 {
     start_clocks();
     release(1u << 5 | 1u << 8 | 1u << 14 | 1u << 21 | 1u << 22); /* pins, pads, PWM, timer, UART */
+    start_flash();
     REG(0x40010008u) = 0x1FFFCu; /* what the watchdog resets: all but the oscillators */
     board_watchdog_kick();
     REG(WATCHDOG) = 1u << 30;
-    start_flash();
 
     REG(SIO + 0x24u) = 1u << PIN_ENABLE; /* an output, low */
     use(PIN_ENABLE, FUNCTION_SIO);

@@ -386,6 +386,7 @@ void board_begin(void)
 {
     read_reset_cause();
     start_clocks();
+    start_flash();
     start_watchdog();
     start_output(&standby);
     start_output(&motors_on);
@@ -400,7 +401,6 @@ void board_begin(void)
     start_pwm(PWM2, 0u);
     board_pwm(BOARD_LEFT, 0);
     board_pwm(BOARD_RIGHT, 0);
-    start_flash();
     start_uart();
     start_battery();
     start_timer();
