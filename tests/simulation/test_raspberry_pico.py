@@ -15,7 +15,7 @@ def latched_by_an_emergency_stop(pico: Pico) -> None:
     pico.command(0.0, 0.0, latch=EMERGENCY_STOP, limit=0)
 
 
-def test_its_boot_rom_accepts_the_second_stage() -> None:
+def test_the_second_stage_has_the_checksum_without_which_the_boot_rom_does_not_run_it() -> None:
     stage, crc = image("pico").read_bytes()[:256], 0xFFFFFFFF
     for byte in stage[:252]:  # CRC-32 without reflection, RP2040's data sheet, 2.8.1.3.1
         crc ^= byte << 24
