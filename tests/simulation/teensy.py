@@ -5,6 +5,7 @@ mixes up pins, not a mistake that both share. Interrupts come where the program 
 """
 
 import struct
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ BAUD = 500000
 COUNTS_PER_TURN = 2800.0
 POWER_ON, WATCHDOG = 1, 1 << 7  # resets, in the chip's register
 BATTERY = 2048  # of 4095, behind the divider
+WAIT = b"\x20\xbf"  # an instruction: wait for an event, once in each loop of the program
 ENTRY = 0x1004  # in the image: the address of the first instruction
 _FLASH, _FLASH_BYTES, _RAM, _RAM_BYTES = 0x60000000, 2**21, 0x20200000, 2**19
 _PERIPHERALS, _PERIPHERAL_BYTES, _CORE = 0x40000000, 0x500000, 0xE000E000
@@ -173,6 +175,7 @@ class Board:
 
     def _work(self) -> bool:
         """Serve what is due, and go on until the program waits; returns whether it does."""
+        from unicorn import UcError
         from unicorn import arm_const as arm
 
         if self._context is not None:
@@ -183,10 +186,11 @@ class Board:
                 handler = struct.unpack("<I", self.core.mem_read(vectors + 4 * (16 + line), 4))[0]
                 self.core.emu_start(handler | 1, _RETURN, count=_STUCK)
                 self.core.context_restore(self._context)
-        self.core.emu_start(self._at | 1, _RETURN, count=_STUCK)
+        with suppress(UcError):  # it does not know the instruction that waits
+            self.core.emu_start(self._at | 1, _RETURN, count=_STUCK)
         self._at = self.core.reg_read(arm.UC_ARM_REG_PC)
         self._context = self.core.context_save()
-        return bytes(self.core.mem_read(self._at - 2, 2)) == b"\x30\xbf"
+        return bytes(self.core.mem_read(self._at - 2, 2)) == WAIT
 
     def receive(self, data: bytes) -> None:
         """Put bytes on the line to it; they are there at once."""

@@ -6,7 +6,7 @@ from robofleet.drivers.rfp_frames import Hello, Identity
 from tests.simulation.pico import LOG, Pico, Reset, image
 from tests.simulation.rfp_host import EMERGENCY_STOP, LATCHED, NO_LEASE
 
-WAIT, LOOP = b"\x30\xbf", b"\xfe\xe7"  # instructions: wait for an interrupt, once in each loop; jump to yourself
+WAIT, LOOP = b"\x20\xbf", b"\xfe\xe7"  # instructions: wait for an event, once in each loop; jump to yourself
 POWER_ON, EXTERNAL, WATCHDOG = 1, 2, 8  # resets, on the line
 
 

@@ -7,9 +7,9 @@ import pytest
 from robofleet.drivers.rfp_frames import Hello, Identity
 from tests.simulation.pico import image
 from tests.simulation.rfp_host import EMERGENCY_STOP, LATCHED, NO_LEASE
-from tests.simulation.teensy import ENTRY, POWER_ON, WATCHDOG, Teensy
+from tests.simulation.teensy import ENTRY, POWER_ON, WAIT, WATCHDOG, Teensy
 
-WAIT, LOOP = b"\x30\xbf", b"\xfe\xe7"  # instructions: wait for an interrupt, once in each loop; jump to yourself
+LOOP = b"\xfe\xe7"  # an instruction: jump to yourself
 ON_THE_LINE = {POWER_ON: 1, WATCHDOG: 8}
 
 

@@ -219,11 +219,9 @@ static void run(void)
     board_enable_motors(true);
     for (;;) {
         robot_loop(&robot);
-        __asm__ volatile("cpsid i" ::: "memory");
         if (received.out == received.in) {
-            __asm__ volatile("wfi"); /* an interrupt ends it, and comes when they are on again: no byte is slept over */
+            __asm__ volatile("wfe"); /* an interrupt since the last time ends it at once: no byte is slept over */
         }
-        __asm__ volatile("cpsie i" ::: "memory");
     }
 }
 
