@@ -11,7 +11,8 @@ from robofleet.drivers.rfp_frames import Command, Hello, Identity, frame
 from robofleet.runs import check_drivers
 from robofleet.simulation.avr.board import Reset, image
 from robofleet.vehicles.interface import WheelSpeeds
-from tests.simulation.uno import EMERGENCY_STOP, LATCHED, NO_LEASE, OPEN, UNO_SETTINGS, Uno, uno_behind_its_driver
+from tests.simulation.rfp_host import EMERGENCY_STOP, LATCHED, NO_LEASE, OPEN
+from tests.simulation.uno import UNO_SETTINGS, Uno, uno_behind_its_driver
 from tests.twins import config_of
 
 SLEEP, LOOP = b"\x88\x95", b"\xff\xcf"  # instructions: sleep, once in each loop of the program; jump to yourself

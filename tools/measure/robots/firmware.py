@@ -2,6 +2,7 @@
 
     python -m tools.measure.robots.firmware deaths [--tries 100] [--slower 1]
     python -m tools.measure.robots.firmware silences [--tries 100]
+    python -m tools.measure.robots.firmware images [--tries 100]
     python -m tools.measure.robots.firmware noise [--minutes 10] [--share 0.01] [--seed 1]
     python -m tools.measure.robots.firmware latency [--tries 500]
     python -m tools.measure.robots.firmware resets [--tries 100]
@@ -11,6 +12,7 @@ The binary is the one that is flashed (drivers/firmware), in simavr; its driver 
 deaths: real processes at full speed, in real time; where a machine is too slow for that, in time that passes so many
   times slower. Times are the binary's own: from the issue of the newest nonce on.
 silences: the same in virtual time: the host falls silent at any moment; or its line is cut, in the middle of a frame.
+images: the same of the images of a Pico (in rp2040py) and a Teensy (on a model of its chip), without their driver.
 noise: virtual time. Of the bytes a share is changed, of the lines that share each is cut, doubled or late, both ways.
   A motion is wrong if the gate's target is neither zero nor what was commanded in the last 0.3 s.
 latency: virtual time, from a write of the driver to the motors' pins (from rest) or to the gate's target (in motion).
@@ -32,8 +34,11 @@ from robofleet.drivers.rfp import Rfp
 from robofleet.simulation.avr.board import Reset
 from robofleet.simulation.firmwares.arduino_uno import ArduinoUnoFirmware, Gate
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
+from tests.simulation.pico import Pico
+from tests.simulation.rfp_host import NO_LEASE
+from tests.simulation.teensy import Teensy
 from tests.simulation.test_arduino_uno import SLEEP, hang, latched_by_an_emergency_stop
-from tests.simulation.uno import NO_LEASE, UNO_SETTINGS, Uno, uno_behind_its_driver, uno_configured
+from tests.simulation.uno import UNO_SETTINGS, Uno, uno_behind_its_driver, uno_configured
 from tests.twins import TwinStand
 from tools.measure.program import program
 
@@ -93,6 +98,20 @@ def silences(tries: int) -> None:
                 gates.append(bench.firmware.gate)
                 bench.driver.read()
         _report(name, gates)
+
+
+def images(tries: int) -> None:
+    for host in (Pico(), Teensy()):
+        rng, gates = random.Random(1), []
+        for _ in range(tries):
+            host.drive(*FASTEST)
+            host.pass_ms(rng.randrange(20))
+            host.commands = None
+            host.pass_ms(330)
+            assert host.board.voltages == (0, 0)
+            health = host.health
+            gates.append(Gate(host.status.latch, STOP, health.target_after_ms, health.output_after_ms))
+        _report(type(host).__name__, gates)
 
 
 def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) -> Gate:
@@ -301,14 +320,14 @@ def _moves(uno: Uno) -> bool:
 
 def main() -> None:
     parser = program(__doc__, tries=100, slower=1.0, minutes=10.0, share=0.01, seed=1)
-    parser.add_argument("what", choices=("deaths", "silences", "noise", "latency", "resets"))
+    parser.add_argument("what", choices=("deaths", "silences", "images", "noise", "latency", "resets"))
     arguments = parser.parse_args()
     if arguments.what == "deaths":
         deaths(arguments.tries, arguments.slower)
     elif arguments.what == "noise":
         noise(arguments.minutes, arguments.share, arguments.seed)
     else:
-        {"silences": silences, "latency": latency, "resets": resets}[arguments.what](arguments.tries)
+        {"silences": silences, "images": images, "latency": latency, "resets": resets}[arguments.what](arguments.tries)
 
 
 if __name__ == "__main__":
