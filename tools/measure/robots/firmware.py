@@ -2,11 +2,12 @@
 
     python -m tools.measure.robots.firmware deaths [--tries 100] [--slower 1]
     python -m tools.measure.robots.firmware silences [--tries 100]
-    python -m tools.measure.robots.firmware noise [--minutes 10] [--share 0.01] [--seed 1]
+    python -m tools.measure.robots.firmware noise [--minutes 10] [--share 0.01] [--seed 1] [--board uno|host]
     python -m tools.measure.robots.firmware latency [--tries 500]
     python -m tools.measure.robots.firmware resets [--tries 100]
 
 The binary is the one that is flashed (drivers/firmware), in simavr; its driver is the real one, at a pseudo-terminal.
+Board ``host``: the same sources, compiled for this computer; many times faster.
 
 deaths: real processes at full speed, in real time; where a machine is too slow for that, in time that passes so many
   times slower. Times are the binary's own: from the issue of the newest nonce on.
@@ -26,12 +27,16 @@ import tempfile
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.drivers.rfp import Rfp
+from robofleet.drivers.rfp_frames import PER_RAD_S
 from robofleet.simulation.avr.board import Reset
 from robofleet.simulation.firmwares.arduino_uno import ArduinoUnoFirmware, Gate
+from robofleet.simulation.firmwares.rfp import RfpFirmware
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
+from tests.drivers.line_bench import COUNTS_PER_TURN, LineBench, rfp
 from tests.simulation.test_arduino_uno import SLEEP, hang, latched_by_an_emergency_stop
 from tests.simulation.uno import NO_LEASE, UNO_SETTINGS, Uno, uno_behind_its_driver, uno_configured
 from tests.twins import TwinStand
@@ -174,50 +179,77 @@ class Noise:
         return b"".join(lines)
 
 
-def noise(minutes: float, share: float, seed: int) -> None:
-    rng = random.Random(seed)
-    commanded: deque[tuple[int, WheelSpeeds]] = deque()
-    wrong = driven_ms = stopped_ms = failures = 0
-    with uno_behind_its_driver(MS) as bench:
-        firmware = bench.firmware
-        loop = firmware.loop
+def _target(firmware: ArduinoUnoFirmware | RfpFirmware) -> WheelSpeeds:
+    """Return what its gate lets through [rad/s]."""
+    if isinstance(firmware, ArduinoUnoFirmware):
+        return firmware.gate.target
+    gate = firmware.robot.gate
+    return WheelSpeeds(gate.target_left / PER_RAD_S, gate.target_right / PER_RAD_S)
 
-        def watched_loop(now_ns: int) -> bytes:
-            nonlocal wrong, driven_ms, stopped_ms
-            answer: bytes = loop(now_ns)
-            target = firmware.gate.target
-            while commanded and commanded[0][0] < now_ns - REMEMBERED_NS:
-                commanded.popleft()
-            stopped_ms += target == STOP
-            driven_ms += target != STOP
-            wrong += target != STOP and all(target != wheels for _, wheels in commanded)
-            return answer
+
+def _bench(board: str) -> tuple[LineBench, dict[str, Any]]:
+    """Return a bench with this board, and its driver's settings."""
+    if board == "uno":
+        return uno_behind_its_driver(MS), UNO_SETTINGS
+    return rfp(loop_ns=MS), {"counts_per_turn": COUNTS_PER_TURN}
+
+
+class Watch:
+    """Looks at a gate's target after each loop of its robot; give ``commanded`` what is written, and when."""
+
+    def __init__(self, bench: LineBench) -> None:
+        self.commanded: deque[tuple[int, WheelSpeeds]] = deque()
+        self._firmware, self._loop, self._looked_ns = bench.firmware, bench.firmware.loop, bench.now_ns
+        self._wrong = self._moving_ns = self._standing_ns = 0
+        bench.firmware.loop = self._looked_at
+
+    def _looked_at(self, now_ns: int) -> bytes:
+        answer: bytes = self._loop(now_ns)
+        target, passed_ns = _target(self._firmware), now_ns - self._looked_ns
+        self._looked_ns = now_ns
+        while self.commanded and self.commanded[0][0] < now_ns - REMEMBERED_NS:
+            self.commanded.popleft()
+        if target == STOP:
+            self._standing_ns += passed_ns
+        else:
+            self._moving_ns += passed_ns
+            self._wrong += all(target != wheels for _, wheels in self.commanded)
+        return answer
+
+    def __str__(self) -> str:
+        times = f"moving {self._moving_ns / S:.0f} s, standing {self._standing_ns / S:.0f} s"
+        return f"{self._wrong} looks at a wrong motion; {times}"
+
+
+def noise(minutes: float, share: float, seed: int, board: str) -> None:
+    rng = random.Random(seed)
+    failures = k = 0
+    made, settings = _bench(board)
+    with made as bench:
+        driver = bench.open(**settings)
+        to_robot, to_driver = (Noise(share, rng, lambda: bench.now_ns) for _ in range(2))
+        bench.to_robot, bench.to_driver = to_robot, to_driver
+        watch = Watch(bench)
+        said_ns = bench.now_ns
+        end_ns = bench.now_ns + round(minutes * 60 * S)
 
         def report() -> None:
             print(
-                f"share {share:g}: {to_robot.struck} lines to the robot and {to_driver.struck} to the driver struck; "
-                f"{wrong} ms of wrong motion; moving {driven_ms / 1000:.0f} s, standing {stopped_ms / 1000:.0f} s; "
-                f"{failures} new drivers",
+                f"{board}, share {share:g}, seed {seed}: {to_robot.struck} lines to the robot "
+                f"and {to_driver.struck} to the driver struck; {watch}; {failures} new drivers",
                 flush=True,
             )
 
-        firmware.loop = watched_loop
-        to_robot, to_driver = (Noise(share, rng, lambda: bench.now_ns) for _ in range(2))
-        driver = bench.open(**UNO_SETTINGS)
-        end_ns = bench.now_ns + round(minutes * 60 * S)
-        bench.to_robot, bench.to_driver = to_robot, to_driver
-        k = 0
-        said_ns = bench.now_ns
         while bench.now_ns < end_ns:
             if bench.now_ns >= said_ns + 60 * S:
                 said_ns = bench.now_ns
                 report()
             try:
                 if driver is None:
-                    driver = bench.open(**UNO_SETTINGS)
+                    driver = bench.open(**settings)
                 if k % 3 == 0:
                     wheels = WheelSpeeds(*(rng.randrange(-2000, 4600) / 512.0 for _ in range(2)))
-                    commanded.append((bench.now_ns, wheels))
+                    watch.commanded.append((bench.now_ns, wheels))
                     bench.write(*wheels)
                 bench.read()
             except DriverError:
@@ -227,7 +259,7 @@ def noise(minutes: float, share: float, seed: int) -> None:
             k += 1
             bench.let_pass(0.01)
             if late := to_robot.due():
-                bench.say(firmware.receive(late, bench.now_ns))
+                bench.say(bench.firmware.receive(late, bench.now_ns))
             if late := to_driver.due():
                 bench.line.write(late)
     report()
@@ -302,11 +334,12 @@ def _moves(uno: Uno) -> bool:
 def main() -> None:
     parser = program(__doc__, tries=100, slower=1.0, minutes=10.0, share=0.01, seed=1)
     parser.add_argument("what", choices=("deaths", "silences", "noise", "latency", "resets"))
+    parser.add_argument("--board", choices=("uno", "host"), default="uno")
     arguments = parser.parse_args()
     if arguments.what == "deaths":
         deaths(arguments.tries, arguments.slower)
     elif arguments.what == "noise":
-        noise(arguments.minutes, arguments.share, arguments.seed)
+        noise(arguments.minutes, arguments.share, arguments.seed, arguments.board)
     else:
         {"silences": silences, "latency": latency, "resets": resets}[arguments.what](arguments.tries)
 
