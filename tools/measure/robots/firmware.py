@@ -24,6 +24,7 @@ import random
 import signal
 import statistics
 import tempfile
+import traceback
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -116,7 +117,7 @@ def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) 
             if number is not None:
                 os.kill(driver, number)
             else:
-                stand.twin.close()
+                stand.unplugged.set()
             _wait(lambda: firmware.gate.target == STOP and firmware.gate.output_after_ms >= 0, clock)
             os.kill(driver, signal.SIGKILL)
             os.waitpid(driver, 0)
@@ -134,6 +135,8 @@ def _drive_for_ever(stand: TwinStand) -> None:
                 if k == 0:
                     driver.write(FASTEST)
                 stand.clock.sleep_until(stand.clock.now_ns() + 10 * MS)
+    except BaseException:  # a fork ends here, whatever happens
+        traceback.print_exc()
     finally:
         os._exit(1)
 
