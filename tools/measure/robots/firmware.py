@@ -69,7 +69,16 @@ class SlowClock(WallClock):
 
 def deaths(tries: int, slower: float) -> None:
     for name, number in (("kill -9", signal.SIGKILL), ("SIGSTOP", signal.SIGSTOP), ("cable cut", None)):
-        _report(name, [_death(number, random.Random(k), SlowClock(slower)) for k in range(tries)])
+        gates, repeated = [], 0
+        while len(gates) < tries:
+            gate = _death(number, random.Random(len(gates) + repeated), SlowClock(slower))
+            if gate is None:
+                repeated += 1
+            else:
+                gates.append(gate)
+        _report(name, gates)
+        if repeated:
+            print(f"{name}: {repeated} more whose driver was stopped too early by this machine: raise --slower")
 
 
 def _report(name: str, gates: list[Gate]) -> None:
@@ -101,8 +110,11 @@ def silences(tries: int) -> None:
         _report(name, gates)
 
 
-def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) -> Gate:
-    """Let a driver drive at full speed in a process of its own, and die; returns the gate when its wheels stand."""
+def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) -> Gate | None:
+    """Let a driver drive at full speed in a process of its own, and die; return the gate when its wheels stand.
+
+    None: it did not drive when it was to die, since this machine is too slow.
+    """
     with tempfile.TemporaryDirectory() as folder:
         stand = TwinStand(uno_configured(), Path(folder), clock)
         firmware = stand.twin._firmware  # what the binary knows of its stop
@@ -113,16 +125,19 @@ def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) 
                 _drive_for_ever(stand)
             _wait(lambda: firmware.gate.target != STOP, clock)
             stand.clock.sleep_until(stand.clock.now_ns() + round(rng.uniform(0.2, 0.3) * S))
-            assert firmware.gate.target != STOP
-            if number is not None:
-                os.kill(driver, number)
-            else:
+            drives = firmware.gate.target != STOP
+            if number is None:
                 stand.unplugged.set()
-            _wait(lambda: firmware.gate.target == STOP and firmware.gate.output_after_ms >= 0, clock)
+            else:
+                os.kill(driver, number)
+            stands = not drives or _wait(
+                lambda: firmware.gate.target == STOP and firmware.gate.output_after_ms >= 0, clock
+            )
             os.kill(driver, signal.SIGKILL)
             os.waitpid(driver, 0)
         stand.twin.close()
-        return firmware.gate
+        assert stands, "it drives on"
+        return firmware.gate if drives else None
 
 
 def _drive_for_ever(stand: TwinStand) -> None:
@@ -135,17 +150,17 @@ def _drive_for_ever(stand: TwinStand) -> None:
                 if k == 0:
                     driver.write(FASTEST)
                 stand.clock.sleep_until(stand.clock.now_ns() + 10 * MS)
-    except BaseException:  # a fork ends here, whatever happens
-        traceback.print_exc()
     finally:
+        traceback.print_exc()
         os._exit(1)
 
 
-def _wait(condition: Callable[[], bool], clock: SlowClock) -> None:
+def _wait(condition: Callable[[], bool], clock: SlowClock) -> bool:
+    """Wait until a condition holds, or patience ends; return whether it holds."""
     until_ns = clock.now_ns() + _PATIENCE_NS
-    while not condition():
-        assert clock.now_ns() < until_ns, "this machine is too slow: choose a larger --slower"
+    while not (met := condition()) and clock.now_ns() < until_ns:
         WALL.sleep_until(WALL.now_ns() + 5 * MS)
+    return met
 
 
 # --- noise ---
