@@ -69,7 +69,8 @@ class SlowClock(WallClock):
 
 def deaths(tries: int, slower: float) -> None:
     for name, number in (("kill -9", signal.SIGKILL), ("SIGSTOP", signal.SIGSTOP), ("cable cut", None)):
-        gates, repeated = [], 0
+        gates: list[Gate] = []
+        repeated = 0
         while len(gates) < tries:
             gate = _death(number, random.Random(len(gates) + repeated), SlowClock(slower))
             if gate is None:
