@@ -33,7 +33,6 @@ _S = 1_000_000_000
 
 SILENT_NS = 500 * _MS  # 25 statuses or 15 ticks: a process or its network; the gates closed after 120 ms
 TRACKER_SILENT_NS = 250 * _MS  # 7 images: every robot is driven by its wheels' word alone, some 50 mm by now
-STALE_TICKS = 15  # an image that knows no newer tick was held back: the controller does not use it
 _ARRIVALS = {
     Phase.POSITIONING: Event.AT_START,
     Phase.PARKING: Event.PARKED,
@@ -81,6 +80,7 @@ class MonitorSettings:
     arena: tuple[float, float]  # sides [m]; its centre is the origin
     max_speed: tuple[float, ...]  # [m/s]
     attended: bool  # the operator's terminal must give signs of life
+    stale_ticks: int  # by the wheels' word alone from an image's exposure on: its poses are as good as none
     elsewhere: frozenset[int] = frozenset()  # rows of robots whose drivers run on computers of their own
     floors: tuple[Solid, ...] = ()  # what lies outside a floor that is a polygon
 
@@ -204,7 +204,7 @@ def _controller(before: FleetView, settings: MonitorSettings, phase: Phase, view
 def _tracker(before: FleetView, settings: MonitorSettings, view: FleetView, *, checking: bool) -> Iterator[Happening]:
     if view.tracker_ns == NEVER:
         return
-    stale = view.image_tick != 0 and view.tick - view.image_tick > STALE_TICKS
+    stale = view.image_tick != 0 and view.tick - view.image_tick > settings.stale_ticks
     silent = view.now_ns - view.tracker_ns > TRACKER_SILENT_NS or stale
     if silent and not checking:  # the checks wait for images, and a probed robot stands without
         yield Happening(Event.TRACKER_SILENT)

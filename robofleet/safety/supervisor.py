@@ -157,7 +157,7 @@ CAUSES = {
     Event.CONTROLLER_SILENT: "the controller went silent",
     Event.CONTROLLER_RESTARTED: "the controller was restarted",
     Event.TICKS_OVERRUN: "the controller overran {detail:.0f} ticks in a row",
-    Event.TRACKER_SILENT: "the tracker went silent",
+    Event.TRACKER_SILENT: "the tracker went silent, or its poses are late",
     Event.TRACKER_RESTARTED: "the tracker was restarted",
     Event.OTHER_BUILD: "another version of robofleet or of the configuration runs here",
     Event.LEASE_LOST: "the driver does not answer to this run's controller",

@@ -20,7 +20,12 @@ S = 1000 * MS
 NOW = 1000 * S
 BUILD, SESSION = 77, 5
 SETTINGS = MonitorSettings(
-    build=BUILD, body_radius=(0.05, 0.06, 0.05), arena=(3.0, 2.0), max_speed=(0.5, 0.5, 0.5), attended=True
+    build=BUILD,
+    body_radius=(0.05, 0.06, 0.05),
+    arena=(3.0, 2.0),
+    max_speed=(0.5, 0.5, 0.5),
+    attended=True,
+    stale_ticks=15,
 )
 UNATTENDED = replace(SETTINGS, attended=False)
 ACTIVE = (Phase.ARMED, Phase.RUNNING, Phase.HOLD)
