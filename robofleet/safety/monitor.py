@@ -44,6 +44,7 @@ UNSEEN_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has
 LOST_NS = 2 * _S  # not a hand that passes: somebody must look
 LOWEST_BATTERY = 0.10  # of the charge: motors grow weak, and soon the driver's computer goes off
 STALLED_RAD_S = 2.0  # of a command: three times what a wheel of the worst shipped robot needs to start from rest
+SLOWER = 0.625  # than commanded, less TURNING_RAD_S, and it is stalled: a low battery takes a tenth
 STALLED_NS = _S  # a motor's lag (0.25 s), and a reading as old as one may be (0.5 s)
 INFEASIBLE_NS = 500 * _MS  # the filter finds answers again after some ticks, or something must be moved by hand
 LEAST_FREE_BYTES = 200_000_000  # minutes of recording, and what drivers must keep
@@ -298,7 +299,8 @@ def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each r
         # what becomes of its commands
         if driven and moving and r.filtered == _INFEASIBLE:
             n = _add(found, n, Event.FILTER_INFEASIBLE, k, 0.0)
-        if driven and moving and counts and _is_stalled(r):  # of one that counts nothing nobody knows it
+        stalled = _is_stalled(r.left_output, r.left_speed) or _is_stalled(r.right_output, r.right_speed)
+        if driven and moving and counts and stalled:  # of one that counts nothing nobody knows it
             n = _add(found, n, Event.WHEEL_STALLED, k, 0.0)
         if driven and moving and r.blocked != 0:
             n = _add(found, n, Event.DEADLOCKED, k, 0.0)
@@ -316,11 +318,10 @@ def _add(found, n, event, robot, detail):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_stalled(r):  # type: ignore[no-untyped-def]
-    """Whether a wheel stands that is told to turn."""
-    left = abs(r.left_output) >= STALLED_RAD_S and abs(r.left_speed) <= TURNING_RAD_S
-    right = abs(r.right_output) >= STALLED_RAD_S and abs(r.right_speed) <= TURNING_RAD_S
-    return left or right
+def _is_stalled(output, speed):  # type: ignore[no-untyped-def]
+    """Whether a wheel stands, or turns much slower than it is commanded to [rad/s]."""
+    ahead = speed if output > 0.0 else -speed
+    return abs(output) >= STALLED_RAD_S and ahead <= SLOWER * abs(output) - TURNING_RAD_S
 
 
 @kernel

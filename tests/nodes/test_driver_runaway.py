@@ -32,8 +32,8 @@ def test_it_is_latched_and_named_once(
     first = next(status for status in statuses if status.latch)
     assert 800 * MS <= first.stamp_ns - statuses[0].stamp_ns <= 850 * MS
     (line,) = capsys.readouterr().err.splitlines()
-    wheel = "left wheel turns by itself, at 6.1" if wheels[0] else "right wheel turns by itself, at -6.1"
-    assert line == f"r1: its {wheel} instead of 0.0 rad/s: switch off its power"
+    wheel, speed = ("left", FAST) if wheels[0] else ("right", -FAST)
+    assert line == f"r1: its {wheel} wheel turns by itself, at {speed} rad/s: switch off its power"
     assert stand.newest("r2").latch == Latch.NONE
 
 

@@ -121,11 +121,9 @@ def fail(l: Link) -> None:
 
 def runaway_complaint(l: Link) -> str:
     """Return what the log says of a robot of which a wheel turns by itself."""
-    if l.left_turning_since_ns <= l.right_turning_since_ns:
-        wheel, speed, output = "left", l.left_speed, l.left_output
-    else:
-        wheel, speed, output = "right", l.right_speed, l.right_output
-    return f"its {wheel} wheel turns by itself, at {speed:.1f} instead of {output:.1f} rad/s: switch off its power"
+    left = l.left_turning_since_ns <= l.right_turning_since_ns
+    wheel, speed = ("left", l.left_speed) if left else ("right", l.right_speed)
+    return f"its {wheel} wheel turns by itself, at {speed:.1f} rad/s: switch off its power"
 
 
 def put_command(i: Inputs, message: UnitCommand, wheels: WheelCommand) -> None:
