@@ -299,8 +299,7 @@ def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each r
         # what becomes of its commands
         if driven and moving and r.filtered == _INFEASIBLE:
             n = _add(found, n, Event.FILTER_INFEASIBLE, k, 0.0)
-        stalled = _is_stalled(r.left_output, r.left_speed) or _is_stalled(r.right_output, r.right_speed)
-        if driven and moving and counts and stalled:  # of one that counts nothing nobody knows it
+        if driven and moving and counts and _is_stalled(r):  # of one that counts nothing nobody knows it
             n = _add(found, n, Event.WHEEL_STALLED, k, 0.0)
         if driven and moving and r.blocked != 0:
             n = _add(found, n, Event.DEADLOCKED, k, 0.0)
@@ -318,10 +317,13 @@ def _add(found, n, event, robot, detail):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_stalled(output, speed):  # type: ignore[no-untyped-def]
-    """Whether a wheel stands, or turns much slower than it is commanded to [rad/s]."""
-    ahead = speed if output > 0.0 else -speed
-    return abs(output) >= STALLED_RAD_S and ahead <= SLOWER * abs(output) - TURNING_RAD_S
+def _is_stalled(r):  # type: ignore[no-untyped-def]
+    """Whether a wheel stands, or turns much slower than it is commanded."""
+    stalled = False
+    for output, speed in ((r.left_output, r.left_speed), (r.right_output, r.right_speed)):
+        ahead = speed if output > 0.0 else -speed
+        stalled = stalled or (abs(output) >= STALLED_RAD_S and ahead <= SLOWER * abs(output) - TURNING_RAD_S)
+    return stalled
 
 
 @kernel

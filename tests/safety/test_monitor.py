@@ -371,7 +371,7 @@ def test_a_filter_that_found_an_answer_in_between_is_given_its_time_again() -> N
 
 @pytest.mark.parametrize("wheel", ["left", "right"])
 def test_a_wheel_that_is_much_too_slow_is_told_after_a_second(wheel: str) -> None:
-    """Commanded 2 rad/s or more, and slower than five eighths of it less 0.5; of a robot whose encoders have counted."""
+    """Commanded 2 rad/s or more, and slower than five eighths of it, less 0.5; of a robot with encoders."""
     other = "right" if wheel == "left" else "left"
 
     def told_at(stalled_for_ms: int, output: float = -2.0, speed: float = 0.5, turned: float = 0.1) -> list[Happening]:
