@@ -245,13 +245,14 @@ int8_t gate_step(struct gate *g, const struct gate_limits *limits, const struct 
 
 static int8_t direction(int32_t output, int16_t measured)
 {
-    const int32_t beyond = (int32_t)measured * GATE_SPEED_TO_OUTPUT * 8;
+    const int32_t eighths = (int32_t)measured * GATE_SPEED_TO_OUTPUT * 8; /* of the speed [2^-16 rad/s] */
+    const int32_t allowed = output * RUNAWAY_FASTER;
     const int32_t turning = (int32_t)RUNAWAY_TURNING * GATE_SPEED_TO_OUTPUT * 8;
 
-    if (beyond > RUNAWAY_FASTER * (output > 0 ? output : 0) + turning) {
+    if (eighths > turning && eighths - turning > allowed) {
         return 1;
     }
-    return beyond < RUNAWAY_FASTER * (output < 0 ? output : 0) - turning ? -1 : 0;
+    return eighths < -turning && eighths + turning < allowed ? -1 : 0;
 }
 
 bool runaway_look(struct runaway *r, int32_t output, int16_t measured, uint32_t now)
