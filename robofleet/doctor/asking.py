@@ -4,8 +4,8 @@ A driver that is opened asks who is there and tells the robot to stand: no wheel
 says so: opening a port resets an Arduino, and what is no robot may take a question for a command.
 
 Without a configuration each kind is asked in turn, Create 2 first: it takes single bytes for commands, and nothing else
-is said to one that has answered. The next two act on whole lines of text alone. rfp is last: who speaks it tells what
-its firmware was built with, and at which rate depends on that too.
+is said to one that has answered. The next two act on whole lines of text alone. rfp is last: its firmware has
+one rate built in, so the usual ones are tried. A robot that does not fit the settings has answered all the same.
 """
 
 from collections.abc import Iterator, Sequence
