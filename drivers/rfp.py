@@ -34,7 +34,14 @@ from robofleet.drivers.rfp_frames import (
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.drivers.udp_port import SCHEME, UdpPort, host_and_port
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, RobotFault, WheelSpeeds
+from robofleet.vehicles.interface import (
+    DriverContext,
+    DriverError,
+    DriverReading,
+    MisfitError,
+    RobotFault,
+    WheelSpeeds,
+)
 
 _BOOT_NS = 6_000_000_000  # of patience: opening the port may reset the board; a lease of before lapses in a second
 _ASK_AGAIN_S = 0.2
@@ -199,7 +206,9 @@ class Rfp:
         """Refuse a firmware that was built for another robot."""
         board = _text(identity.board)
         if self._settings.board not in (None, board):
-            raise self._error(f"its board is {board!r}, not {self._settings.board!r}: mend settings.port or board")
+            raise MisfitError(
+                f"{self._name}: its board is {board!r}, not {self._settings.board!r}: mend settings.port or board"
+            )
         misfits = (
             ("counts a turn", built.counts_per_turn / 256.0, self._settings.counts_per_turn, _COUNTS_OFF),
             ("m of a wheel's radius", built.wheel_radius_um * 1e-6, drive.wheel_radius, _RADIUS_OFF),
@@ -210,8 +219,8 @@ class Rfp:
         for what, has, configured, off in misfits:
             # of a limit the firmware may have more than is configured
             if not has >= configured * (1.0 - (off or _ROUNDED)) or (off and has > configured * (1.0 + off)):
-                raise self._error(
-                    f"its firmware is built for {has:.4g} {what}, {configured:.4g} are configured: "
+                raise MisfitError(
+                    f"{self._name}: its firmware is built for {has:.4g} {what}, {configured:.4g} are configured: "
                     "flash drivers/firmware with these, or mend the configuration"
                 )
 

@@ -24,12 +24,17 @@ def config_of(*overrides: str, twin: str, vehicle: str = "gternal", faults: str 
 
 
 class TwinStand:
-    """r1's twin on a port in a folder, on a clock."""
+    """r1's twin on a port in a folder, on a clock.
+
+    Attributes:
+        unplugged: Set it, and a twin that is running cuts its line.
+    """
 
     def __init__(self, config: Config, folder: Path, clock: Clock) -> None:
         self.config, self.clock, self.port = config, clock, folder / "r1.tty"
         self.faults = Schedule(config, clock) if config.faults else None
         plant = slices.shared_plant(config, ["r1"], clock.now_ns())
+        self.unplugged = threading.Event()
         self.twin = Twin(config, "r1", str(self.port), clock.now_ns(), self.faults, plant=plant)
 
     def step(self) -> int:
@@ -50,6 +55,8 @@ class TwinStand:
 
         def go_on() -> None:
             while not ended.is_set():
+                if self.unplugged.is_set():
+                    self.twin.close()
                 wait_s = max(0.0, (self.step() - self.clock.now_ns()) * 1e-9)
                 readable = [] if self.twin.descriptor is None else [self.twin.descriptor]
                 select.select(readable, [], [], min(0.05, wait_s))

@@ -243,13 +243,27 @@ int8_t gate_step(struct gate *g, const struct gate_limits *limits, const struct 
     return granted;
 }
 
-bool runaway_look(struct runaway *r, bool commanded, int32_t fastest, uint32_t now)
+static int8_t direction(int32_t output, int16_t measured)
+{
+    const int32_t eighths = (int32_t)measured * GATE_SPEED_TO_OUTPUT * 8; /* of the speed [2^-16 rad/s] */
+    const int32_t allowed = output * RUNAWAY_FASTER;
+    const int32_t turning = (int32_t)RUNAWAY_TURNING * GATE_SPEED_TO_OUTPUT * 8;
+
+    if (eighths > turning && eighths - turning > allowed) {
+        return 1;
+    }
+    return eighths < -turning && eighths + turning < allowed ? -1 : 0;
+}
+
+bool runaway_look(struct runaway *r, int32_t output, int16_t measured, uint32_t now)
 {
     const bool continuous = r->looked <= now && now - r->looked <= RUNAWAY_LOOKED_WITHIN_MS;
+    const int8_t after = direction(output, measured);
 
-    if (commanded || fastest <= RUNAWAY_TURNING || !continuous) {
+    if (after == 0 || after == -r->direction || !continuous) {
         r->since = now;
     }
+    r->direction = after;
     r->looked = now;
     return now - r->since >= RUNAWAY_RESTS_WITHIN_MS;
 }

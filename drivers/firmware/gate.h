@@ -23,6 +23,7 @@
 #define GATE_SPEED_TO_OUTPUT INT32_C(128) /* 2^-9 rad/s in 2^-16 rad/s */
 
 #define RUNAWAY_TURNING 256     /* 0.5 rad/s */
+#define RUNAWAY_FASTER 11       /* eighths of what is commanded */
 #define RUNAWAY_RESTS_WITHIN_MS 800u
 #define RUNAWAY_LOOKED_WITHIN_MS 100u
 
@@ -103,10 +104,11 @@ struct gate {
     uint8_t status;    /* enum gate_status */
 };
 
-/* A wheel that turns though it is told to stand (robofleet/safety/runaway.py). */
+/* A wheel that turns by itself (robofleet/safety/runaway.py). */
 struct runaway {
     uint32_t since;
     uint32_t looked;
+    int8_t direction; /* 1, -1; 0: it obeys */
 };
 
 /* Let a gate begin at `now` >= GATE_VALID_MS with what was kept: nobody has the lease, the wheels stand. */
@@ -118,7 +120,7 @@ int8_t gate_step(struct gate *g, const struct gate_limits *limits, const struct 
 /* Whether the wheels are given zero. */
 bool gate_stands(const struct gate *g);
 
-/* Look at the faster wheel's measured speed [2^-9 rad/s, >= 0]; returns whether a wheel turns by itself. */
-bool runaway_look(struct runaway *r, bool commanded, int32_t fastest, uint32_t now);
+/* Look at a wheel's output [2^-16 rad/s] and its measured speed [2^-9 rad/s]; returns whether it turns by itself. */
+bool runaway_look(struct runaway *r, int32_t output, int16_t measured, uint32_t now);
 
 #endif

@@ -206,8 +206,12 @@ static void drive(struct robot *r, enum board_side side, bool due)
 /* The robot's own reason to stop, while it lasts; the gravest one. */
 static void judge(struct robot *r, bool blocked)
 {
-    const bool runs = runaway_look(&r->runaway, !gate_stands(&r->gate), fastest(r), r->now);
+    bool runs = false;
 
+    for (uint8_t side = 0; side < 2u; side++) {
+        struct wheel *w = &r->wheels[side];
+        runs = runaway_look(&w->runaway, output(r, side), w->speed, r->now) || runs;
+    }
     r->faults = (uint8_t)(board_faults() | (blocked ? FAULT_OVERCURRENT : 0));
     r->felt = (uint8_t)(r->faults | (r->gate.latch != LATCH_NONE ? r->felt : 0));
     if (runs) {

@@ -31,6 +31,7 @@ struct wheel {
     uint16_t window[ROBOT_WINDOW]; /* counts at the last ticks */
     int32_t error;                /* [2^-16 counts] */
     int16_t speed;                /* measured over the window [2^-9 rad/s] */
+    struct runaway runaway;
     uint32_t rolled;              /* when it turned last, or was not driven */
 };
 
@@ -38,7 +39,6 @@ struct robot {
     struct gate gate;
     struct memory memory;
     struct rfp_receiver receiver;
-    struct runaway runaway;
     struct wheel wheels[2];
     struct rfp_gains gains;
     uint32_t us;      /* of the board's clock: until then `now` counts */

@@ -4,7 +4,8 @@ A driver that is opened asks who is there and tells the robot to stand: no wheel
 says so: opening a port resets an Arduino, and what is no robot may take a question for a command.
 
 Without a configuration each kind is asked in turn, Create 2 first: it takes single bytes for commands, and nothing else
-is said to one that has answered. The other two act on whole lines of text alone.
+is said to one that has answered. The next two act on whole lines of text alone. rfp is last: its firmware has
+one rate built in, so the usual ones are tried. A robot that does not fit the settings has answered all the same.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,18 +21,20 @@ from robofleet.doctor.serial_ports import devices, holders
 from robofleet.nodes.unit import driver_settings
 from robofleet.nodes.unit.reconnecting_driver import in_words
 from robofleet.vehicles.differential_drive import DifferentialDrive
-from robofleet.vehicles.interface import DriverContext, DriverError
+from robofleet.vehicles.interface import DriverContext, DriverError, MisfitError
 
 ALL = "all"
-_KINDS: dict[str, dict[str, Any]] = {  # in this order; what the driver's settings need and an answer does not depend on
-    "create2": {},
-    "gternal": {},
-    "arduino_bridge": {"counts_per_turn": 1000.0},
-}
+_COUNTS = {"counts_per_turn": 1000.0}  # what settings need and an answer does not depend on
+_KINDS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("create2", {}),
+    ("gternal", {}),
+    ("arduino_bridge", _COUNTS),
+    *(("rfp", {**_COUNTS, "baud": baud}) for baud in (57600, 115200, 250000)),
+)
 _ANY_DRIVE = DifferentialDrive(
     wheel_radius=0.03, wheel_base=0.15, max_wheel_speed=1.0, max_speed=0.01, motor_lag=0.1, max_wheel_acceleration=1.0
 )
-_AT_MOST_S = 20.0  # the slowest driver gives a port six seconds
+_AT_MOST_S = 45.0  # the slower drivers give a port six seconds, rfp at each rate
 
 
 def ask(needs: Needs, requested: Sequence[str], at_most_s: float = _AT_MOST_S) -> list[Finding]:
@@ -59,7 +62,7 @@ def _contexts(needs: Needs, path: str) -> Iterator[tuple[str, DriverContext]]:
             robot = needs.config.robot(port.robot)
             yield robot.driver, driver_settings.context(needs.config, robot, clock.now_ns)
             return
-    for kind, settings in _KINDS.items():
+    for kind, settings in _KINDS:
         made = load("robofleet.drivers", kind).Settings.model_validate({"port": path, **settings})
         yield kind, DriverContext(robot="", drive=_ANY_DRIVE, simulation=None, now_ns=clock.now_ns, settings=made)
 
@@ -81,16 +84,16 @@ def _answer(path: str, contexts: Sequence[tuple[str, DriverContext]], silent: Fi
     for kind, context in contexts:
         try:
             load("robofleet.drivers", kind)(context).close()
-        except DriverError as error:
-            refusals.append(str(error).removeprefix(f"{path}: "))
         except Exception as error:  # noqa: BLE001 - a driver may be anybody's
-            refusals.append(in_words(error))
-        else:
-            return ok(
-                silent.name,
-                f"{kind} answers" + (f", which is {owner}" if owner else f": write `driver: {kind}` for it"),
-            )
+            if owner or not isinstance(error, MisfitError):
+                refusal = str(error).removeprefix(f"{path}: ") if isinstance(error, DriverError) else in_words(error)
+                refusals.append(refusal)
+                continue
+        baud = "" if kind != "rfp" else f" and `baud: {context.settings.baud}`"
+        end = f", which is {owner}" if owner else f": write `driver: {kind}`{baud} for it"
+        return ok(silent.name, f"{kind} answers{end}")
     says, _, cure = refusals[-1].partition(": ")
     if not owner and len(set(refusals)) > 1:
-        says, cure = f"none of {', '.join(_KINDS)} answers", "switch the robot on, and look at its cable"
+        kinds = ", ".join(dict(_KINDS))
+        says, cure = f"none of {kinds} answers", "switch the robot on, and look at its cable"
     return silent._replace(says=says, cure=cure)

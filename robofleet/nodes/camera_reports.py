@@ -1,5 +1,6 @@
 """What the supervisor hears of the cameras: their poses, and what their trackers tell."""
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +11,9 @@ from robofleet.bus.keys import NEWS, POSES, key
 from robofleet.bus.messages import FLEET_POSES, TRACKER_NEWS, TrackerNews
 from robofleet.config import slices
 from robofleet.config.tree import Config
+from robofleet.core.clock import S
 from robofleet.core.kernels import kernel
-from robofleet.safety.monitor import LOST_NS, STALE_TICKS, TRACKER_SILENT_NS, UNSEEN_NS
+from robofleet.safety.monitor import LOST_NS, TRACKER_SILENT_NS, UNSEEN_NS
 from robofleet.safety.supervisor import NOBODY, Event, Happening
 from robofleet.safety.view import NEVER, FleetView
 from robofleet.tracking.events import TrackerEvent
@@ -48,12 +50,20 @@ _TAG_NEWS = {
 }
 
 
+def stale_ticks(config: Config) -> int:
+    """Return for how many ticks an image may be used: its poses' stated latency, and as long as a silence may last."""
+    tracker = config.tracker
+    stated_s = {"truth": tracker.truth.delay_s, "mocap": tracker.mocap.latency_s}.get(tracker.source, 0.0)
+    return math.ceil((stated_s + TRACKER_SILENT_NS / S) / config.controller.tick_s)
+
+
 class _Camera:
     """What is known of one camera; its robots are in the bodies' order."""
 
     def __init__(self, config: Config, bus: Bus, name: str, robots: int) -> None:
         self.poses = Inbox(bus.newest(POSES, name), FLEET_POSES.view)
         self.news = bus.stream(key(config.arena.name, NEWS, name), capacity=_NEWS_CAPACITY)
+        self._stale_ticks = stale_ticks(config)
         self.heard_ns = NEVER
         self.epoch = self.seq = self.build = self.tick = 0
         self.exposure_ns = 0  # of the newest image
@@ -80,7 +90,7 @@ class _Camera:
         """Return why it gives no poses that can be used; None where it does."""
         if self.troubles:
             return next(iter(self.troubles.values()))
-        stale = self.tick != 0 and tick - self.tick > STALE_TICKS
+        stale = self.tick != 0 and tick - self.tick > self._stale_ticks
         return Event.TRACKER_SILENT if now_ns - self.heard_ns > TRACKER_SILENT_NS or stale else None
 
 

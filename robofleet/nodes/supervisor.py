@@ -28,6 +28,7 @@ from robofleet.core.clock import MS, Clock, S
 from robofleet.core.compiling import Say, told
 from robofleet.core.kernels import kernel
 from robofleet.nodes import fleet_view
+from robofleet.nodes.camera_reports import stale_ticks
 from robofleet.nodes.fleet_view import FleetListener
 from robofleet.nodes.handing import Handing
 from robofleet.nodes.rescues import Words
@@ -100,7 +101,7 @@ class Supervisor:
         elsewhere = frozenset(row for row, robot in enumerate(robots) if config.unit_of[robot.id] in daemons)
         self._monitoring = MonitorSettings(
             build=build, body_radius=radii, arena=arena, max_speed=speeds, attended=attended, elsewhere=elsewhere,
-            floors=tuple(solid for solid in every if solid.floor),
+            floors=tuple(solid for solid in every if solid.floor), stale_ticks=stale_ticks(config),
         )  # fmt: skip
         self._arming = ArmingSettings(
             build,

@@ -33,7 +33,6 @@ _S = 1_000_000_000
 
 SILENT_NS = 500 * _MS  # 25 statuses or 15 ticks: a process or its network; the gates closed after 120 ms
 TRACKER_SILENT_NS = 250 * _MS  # 7 images: every robot is driven by its wheels' word alone, some 50 mm by now
-STALE_TICKS = 15  # an image that knows no newer tick was held back: the controller does not use it
 _ARRIVALS = {
     Phase.POSITIONING: Event.AT_START,
     Phase.PARKING: Event.PARKED,
@@ -45,6 +44,7 @@ UNSEEN_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has
 LOST_NS = 2 * _S  # not a hand that passes: somebody must look
 LOWEST_BATTERY = 0.10  # of the charge: motors grow weak, and soon the driver's computer goes off
 STALLED_RAD_S = 2.0  # of a command: three times what a wheel of the worst shipped robot needs to start from rest
+SLOWER = 0.625  # than commanded, less TURNING_RAD_S, and it is stalled: a low battery takes a tenth
 STALLED_NS = _S  # a motor's lag (0.25 s), and a reading as old as one may be (0.5 s)
 INFEASIBLE_NS = 500 * _MS  # the filter finds answers again after some ticks, or something must be moved by hand
 LEAST_FREE_BYTES = 200_000_000  # minutes of recording, and what drivers must keep
@@ -81,6 +81,7 @@ class MonitorSettings:
     arena: tuple[float, float]  # sides [m]; its centre is the origin
     max_speed: tuple[float, ...]  # [m/s]
     attended: bool  # the operator's terminal must give signs of life
+    stale_ticks: int  # by the wheels' word alone from an image's exposure on: its poses are as good as none
     elsewhere: frozenset[int] = frozenset()  # rows of robots whose drivers run on computers of their own
     floors: tuple[Solid, ...] = ()  # what lies outside a floor that is a polygon
 
@@ -204,7 +205,7 @@ def _controller(before: FleetView, settings: MonitorSettings, phase: Phase, view
 def _tracker(before: FleetView, settings: MonitorSettings, view: FleetView, *, checking: bool) -> Iterator[Happening]:
     if view.tracker_ns == NEVER:
         return
-    stale = view.image_tick != 0 and view.tick - view.image_tick > STALE_TICKS
+    stale = view.image_tick != 0 and view.tick - view.image_tick > settings.stale_ticks
     silent = view.now_ns - view.tracker_ns > TRACKER_SILENT_NS or stale
     if silent and not checking:  # the checks wait for images, and a probed robot stands without
         yield Happening(Event.TRACKER_SILENT)
@@ -317,10 +318,12 @@ def _add(found, n, event, robot, detail):  # type: ignore[no-untyped-def]
 
 @kernel
 def _is_stalled(r):  # type: ignore[no-untyped-def]
-    """Whether a wheel stands that is told to turn."""
-    left = abs(r.left_output) >= STALLED_RAD_S and abs(r.left_speed) <= TURNING_RAD_S
-    right = abs(r.right_output) >= STALLED_RAD_S and abs(r.right_speed) <= TURNING_RAD_S
-    return left or right
+    """Whether a wheel stands, or turns much slower than it is commanded."""
+    stalled = False
+    for output, speed in ((r.left_output, r.left_speed), (r.right_output, r.right_speed)):
+        ahead = speed if output > 0.0 else -speed
+        stalled = stalled or (abs(output) >= STALLED_RAD_S and ahead <= SLOWER * abs(output) - TURNING_RAD_S)
+    return stalled
 
 
 @kernel

@@ -1,9 +1,10 @@
-"""A wheel that turns by itself: its output is zero, and it does not come to rest. Pure.
+"""A wheel that turns by itself: faster than it is commanded, or the other way, for longer than any lag. Pure.
 
 Encoders tell it at the driver, poses at the supervisor where a robot has none. Both wait, since three things look like
-it for a while: a wheel that comes to rest (a motor's lag, 0.25 s from top speed), a reading that is old because the
-line was cut (0.5 s, then the driver says so), and a hand that nudges a robot. What turned all the time, without one
-moment of rest, is none of these. Who pushes a robot on for longer is taken for a motor: nobody can tell.
+it for a while: a wheel that slows down (a motor's lag, 0.25 s from top speed), a reading that is old because the
+line was cut (0.5 s, then the driver says so), and a hand that nudges a robot. What was too fast all the time, the same
+way, is none of these. A wheel that is slower than commanded does not turn by itself: it saturates, sticks, or stalls.
+Who pushes a robot on for longer is taken for a motor: nobody can tell.
 """
 
 import math
@@ -13,6 +14,7 @@ from robofleet.safety.view import NEVER, RobotView
 
 _MS = 1_000_000
 
+FASTER = 1.375  # than commanded, with TURNING_RAD_S: the wiggle lets an encoder pass that counts 1.35 times too much
 TURNING_RAD_S = 0.5  # 8 mm/s of the smallest wheels; a count that flickers, in means over 0.1 s, is a third of it
 RESTS_WITHIN_NS = 800 * _MS  # a lag from top speed, and a reading as old as one may be
 HEARD_WITHIN_NS = 100 * _MS  # 10 loops of a driver: who did not look did not see the wheel all the time
@@ -23,20 +25,25 @@ ROLLED_M = 0.005  # in a window, of the body's middle or its edge: 20 mm/s, ten 
 _SIDEWAYS_M, _SIDEWAYS = 0.003, 0.2  # a wheel rolls along its robot's heading; a hand that carries a robot does not
 
 
-def turning_since_ns(since_ns: int, looked_ns: int, commanded: bool, measured: float, now_ns: int) -> int:
-    """Return since when a wheel turns that is commanded to stand; the present where none does [driver's clock, ns].
+def direction(output: float, measured: float) -> int:
+    """Return which way a wheel turns that does not obey, 1 or -1; 0 if it does, as commanded and measured [rad/s]."""
+    if measured > FASTER * max(0.0, output) + TURNING_RAD_S:
+        return 1
+    return -1 if measured < FASTER * min(0.0, output) - TURNING_RAD_S else 0
+
+
+def turning_since_ns(since_ns: int, looked_ns: int, before: int, after: int, now_ns: int) -> int:
+    """Return since when a wheel turns by itself; the present where it does not [driver's clock, ns].
 
     Args:
         since_ns: What was returned when that was looked at last.
         looked_ns: When it was.
-        commanded: Whether a wheel is commanded to turn.
-        measured: Speed of the faster wheel, as measured [rad/s].
+        before: Its direction then.
+        after: Its direction now.
         now_ns: The present.
     """
     continuous = looked_ns <= now_ns <= looked_ns + HEARD_WITHIN_NS
-    if commanded or not abs(measured) > TURNING_RAD_S or not continuous:
-        return now_ns
-    return since_ns
+    return since_ns if after and after != -before and continuous else now_ns
 
 
 def runs(since_ns: int, now_ns: int) -> bool:

@@ -92,7 +92,7 @@ class Event(IntEnum):
     UNREACHABLE = 47
     RUNAWAY = 48  # a wheel turns that is told to stand
     STOPPED_AT_GATE = 49  # an emergency stop that the supervisor had not heard of
-    WHEEL_STALLED = 93  # a wheel stands that is told to turn
+    WHEEL_STALLED = 93  # a wheel stands, or turns much slower than it is commanded
     # a bystander: a robot that this run does not drive
     BYSTANDER_LOST = 65  # not seen for 2 s: nobody knows where an obstacle is
     BYSTANDER_MOVED = 66  # carried somewhere else: distance [m]
@@ -157,7 +157,7 @@ CAUSES = {
     Event.CONTROLLER_SILENT: "the controller went silent",
     Event.CONTROLLER_RESTARTED: "the controller was restarted",
     Event.TICKS_OVERRUN: "the controller overran {detail:.0f} ticks in a row",
-    Event.TRACKER_SILENT: "the tracker went silent",
+    Event.TRACKER_SILENT: "the tracker went silent, or its poses are late",
     Event.TRACKER_RESTARTED: "the tracker was restarted",
     Event.OTHER_BUILD: "another version of robofleet or of the configuration runs here",
     Event.LEASE_LOST: "the driver does not answer to this run's controller",
@@ -179,7 +179,7 @@ CAUSES = {
     Event.CHARGING: "it is at its charger",
     Event.UNREACHABLE: "its driver has lost the connection to it (unplugged?)",
     Event.RUNAWAY: "a wheel turns by itself",
-    Event.WHEEL_STALLED: "a wheel does not turn, though it is told to",
+    Event.WHEEL_STALLED: "a wheel does not turn as it is commanded",
     Event.BATTERY_LOW: "the battery is low ({percent:.0f} %)",
     Event.TAG_LATE: "it is not seen",
     Event.TAG_LOST: "the tracker lost the robot",

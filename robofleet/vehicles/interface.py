@@ -259,6 +259,10 @@ class DriverError(RobofleetError):
     """Raised where a robot cannot be driven. The message says what is wrong and how to mend it."""
 
 
+class MisfitError(DriverError):
+    """Raised where a robot answers its driver, and is not the one that is configured."""
+
+
 class Driver(Protocol):
     """One robot. Found by the entry-point group ``robofleet.drivers``, or as ``module:Class`` in the config.
 

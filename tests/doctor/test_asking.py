@@ -17,7 +17,7 @@ from robofleet.vehicles.interface import DriverContext
 from tests.twins import TwinStand, config_of
 
 LAB = Path(__file__).parents[2] / "configs" / "lab.yaml"
-KINDS = {"gternal": "gternal", "create2": "create2", "arduino_bridge": "arduino"}
+KINDS = {"gternal": "gternal", "create2": "create2", "arduino_bridge": "arduino", "rfp": "rfp"}
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,9 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, TwinSt
 def test_every_kind_is_known_by_its_answer_and_stands(twins: dict[str, TwinStand]) -> None:
     before = [stand.twin.truth()[:3] for stand in twins.values()]
     found = asking.ask(Needs(), [str(stand.port) for stand in twins.values()])
-    assert [finding.says for finding in found] == [f"{kind} answers: write `driver: {kind}` for it" for kind in twins]
+    *texts, rfp = [finding.says for finding in found]
+    assert texts == [f"{kind} answers: write `driver: {kind}` for it" for kind in list(twins)[:-1]]
+    assert rfp == "rfp answers: write `driver: rfp` and `baud: 57600` for it"
     assert {finding.mark for finding in found} == {Mark.OK}
     assert [stand.twin.truth()[:3] for stand in twins.values()] == before
 

@@ -128,7 +128,8 @@ class LineBench:
             if self.now_ns == self._loop_ns:
                 self._loop_ns += self._period_ns
                 self.say(self.firmware.loop(self.now_ns))
-                self.line.write(self.babble)
+                if self.babble:
+                    self.line.write(self.babble)
 
     def skip(self, seconds: float) -> None:
         """Let time pass in which nothing happens."""
@@ -168,7 +169,7 @@ def arduino() -> LineBench:
     return LineBench(ArduinoBridge, ArduinoBridgeFirmware, GTERNAL, IDEAL, MS, encoders)
 
 
-def rfp(firmware: Any = RfpFirmware) -> LineBench:
+def rfp(firmware: Any = RfpFirmware, loop_ns: int = 5 * MS) -> LineBench:
     """Return a bench whose wheels turn as its gate lets them, at once."""
     encoders = replace(IDEAL, speed_quantum=math.tau / COUNTS_PER_TURN / 0.005, loop_period=0.005)
-    return LineBench(Rfp, firmware, GTERNAL, IDEAL, 5 * MS, encoders)
+    return LineBench(Rfp, firmware, GTERNAL, IDEAL, loop_ns, encoders)

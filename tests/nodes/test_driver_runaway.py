@@ -32,7 +32,8 @@ def test_it_is_latched_and_named_once(
     first = next(status for status in statuses if status.latch)
     assert 800 * MS <= first.stamp_ns - statuses[0].stamp_ns <= 850 * MS
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == "r1: a wheel turns by itself, 6.1 rad/s with an output of zero: switch off its power"
+    wheel, speed = ("left", FAST) if wheels[0] else ("right", -FAST)
+    assert line == f"r1: its {wheel} wheel turns by itself, at {speed} rad/s: switch off its power"
     assert stand.newest("r2").latch == Latch.NONE
 
 
@@ -63,12 +64,12 @@ def test_a_reading_of_a_robot_that_is_gone_says_nothing(
     assert stand.newest("r1").latch == Latch.DRIVER_FAILED
 
 
-RUNS = "{kind: motor_runs, robot: r2, wheel: left, speed_rad_s: 6.1, at_s: %s, duration_s: 6.0}"
+RUNS = "{kind: motor_runs, robot: r2, wheel: left, speed_rad_s: %s, at_s: %s, duration_s: 6.0}"
 
 
-def played(platoon_of: Make, at: float | None, request: bytes | None) -> tuple[Lockstep, float]:
+def played(platoon_of: Make, at: float | None, request: bytes | None, speed: float = FAST) -> tuple[Lockstep, float]:
     """Return a lockstep run in which r2's left wheel runs away, and how long until that was the run's cause [s]."""
-    fault = RUNS % ("null" if at is None else at)
+    fault = RUNS % (speed, "null" if at is None else at)
     config: Config = platoon_of("tracker.source=truth", f"faults=[{fault}]")
     run = Lockstep(config)
     if at is not None:
@@ -102,4 +103,13 @@ def test_it_ends_in_an_emergency_stop_from_hold_and_from_idle(
     run.request(b"reset")
     run.advance(1.0)
     assert run.status.phase is Phase.IDLE
+    run.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [-3.0, 11.0])
+def test_it_ends_in_an_emergency_stop_while_its_robot_drives(platoon_of: Make, speed: float) -> None:
+    run, after_s = played(platoon_of, 3.0, None, speed)
+    assert (run.status.phase, run.status.robot) == (Phase.ESTOP, 1)
+    assert after_s < 2.0
     run.close()

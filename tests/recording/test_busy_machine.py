@@ -62,7 +62,8 @@ def test_the_report_and_the_table_say_it(busy: Recording, figures: Make, tmp_pat
 
 def test_a_stop_that_load_explains_says_so_instead_of_pointing_to_a_log() -> None:
     assert state_words(HELD, BUSY_NOW, ROBOTS).advice == (
-        "the tracker went silent (this machine was busy: load 6.1 on 2 cores, the tracker was late by 250 ms): "
+        "the tracker went silent, or its poses are late "
+        "(this machine was busy: load 6.1 on 2 cores, the tracker was late by 250 ms): "
         "end other programs that keep this machine busy"
     )
     assert state_words(HELD, BUSY_NOW, ROBOTS).goes_on
@@ -70,7 +71,8 @@ def test_a_stop_that_load_explains_says_so_instead_of_pointing_to_a_log() -> Non
 
 @pytest.mark.parametrize("message", [None, BUSY_NOW._replace(cause=Event.NOTHING, goes_on=0)])
 def test_a_stop_that_load_does_not_explain_is_told_as_ever(message: BusyMachine | None) -> None:
-    assert state_words(HELD, message, ROBOTS).advice == "the tracker went silent: its log is in the run's folder"
+    why = "the tracker went silent, or its poses are late"
+    assert state_words(HELD, message, ROBOTS).advice == f"{why}: its log is in the run's folder"
     assert not state_words(HELD, message, ROBOTS).goes_on
     by_hand = HELD._replace(cause=Event.POSE_JUMPED, robot=1)
     assert state_words(by_hand, BUSY_NOW, ROBOTS).advice == "r2: it was moved by hand: put it back at its start"

@@ -306,14 +306,17 @@ def test_a_runaway_wheel_is_judged_as_in_python(library: Any) -> None:
     found = 0
     for _ in range(200):
         now = since = looked = 1000
+        direction, way = 0, source.choice((1, -1))
         in_c = ffi.new("struct runaway *", {"since": now, "looked": now})
         for _ in range(60):
             now = max(0, now + source.choice((0, 5, 20, 20, 40, 100, 101, -3) if source.random() < 0.1 else (20, 40)))
-            fastest, commanded = source.choice((0, 256, 257, 257, 900, 900, 900, 900)), source.random() < 0.02
-            fastest = 900 if source.random() < 0.9 else fastest
-            since = runaway.turning_since_ns(since * MS, looked * MS, commanded, fastest * SPEED, now * MS) // MS
+            measured = way * (900 if source.random() < 0.95 else source.choice((0, 256, 257, -257, -900, 611, 612)))
+            output = way * source.choice((0, 0, 20000, 33152, 59913, 59914) if source.random() < 0.99 else (60000, -99))
+            before, direction = direction, runaway.direction(output * OUTPUT, measured * SPEED)
+            since = runaway.turning_since_ns(since * MS, looked * MS, before, direction, now * MS) // MS
             looked = now
-            runs = c.runaway_look(in_c, commanded, fastest, now)
-            assert (in_c.since, in_c.looked, runs) == (since, now, runaway.runs(since * MS, now * MS))
+            runs = c.runaway_look(in_c, output, measured, now)
+            judged = in_c.direction, in_c.since, in_c.looked, runs
+            assert judged == (direction, since, now, runaway.runs(since * MS, now * MS))
             found += runs
     assert found > 100

@@ -40,7 +40,9 @@ def test_rows_are_the_robots_that_they_were_made_of() -> None:
 def test_who_is_too_close_is_what_comparing_all_would_say(seed: int) -> None:
     rng = random.Random(seed)
     robots, radii = drawn(rng), tuple(rng.choice((0.02, 0.05, 0.09)) for _ in range(N))
-    settings = MonitorSettings(build=0, body_radius=radii, arena=(2.0, 2.0), max_speed=(0.3,) * N, attended=False)
+    settings = MonitorSettings(
+        build=0, body_radius=radii, arena=(2.0, 2.0), max_speed=(0.3,) * N, attended=False, stale_ticks=8
+    )
     _, happenings = monitor.watch(MonitorState(), settings, Phase.RUNNING, FleetView(NOW, robots))
     close = [
         Happening(Event.TOO_CLOSE, a, b)

@@ -1,13 +1,21 @@
-"""A wheel that turns though it is told to stand: by its encoders and by poses, each threshold from both sides."""
+"""A wheel that turns by itself: by its encoders and by poses, each threshold from both sides."""
 
 import math
 from collections.abc import Callable, Iterable
-from itertools import pairwise
+from itertools import pairwise, repeat
 
 import pytest
 
 from robofleet.safety import runaway
-from robofleet.safety.runaway import RESTS_WITHIN_NS, ROLLED_M, TURNING_RAD_S, WINDOW_NS, Rolling, turning_since_ns
+from robofleet.safety.runaway import (
+    FASTER,
+    ROLLED_M,
+    TURNING_RAD_S,
+    WINDOW_NS,
+    Rolling,
+    direction,
+    turning_since_ns,
+)
 from robofleet.safety.view import RobotView
 
 MS = 1_000_000
@@ -18,12 +26,14 @@ FAST = 6.1
 Pose = tuple[float, float, float]
 
 
-def looked(speeds: Iterable[float], *, commanded: bool = False, every_ns: int = LOOP_NS) -> list[bool]:
-    """Return whether a wheel runs by itself, at each look."""
-    since_ns, found = NOW, []
-    for k, speed in enumerate(speeds):
+def looked(speeds: Iterable[float], outputs: Iterable[float] | None = None, every_ns: int = LOOP_NS) -> list[bool]:
+    """Return whether a wheel runs by itself, at each look; without ``outputs`` it is commanded to stand."""
+    since_ns, before, found = NOW, 0, []
+    for k, (speed, output) in enumerate(zip(speeds, repeat(0.0) if outputs is None else outputs, strict=False)):
         looked_ns, now_ns = NOW + k * every_ns, NOW + (k + 1) * every_ns
-        since_ns = turning_since_ns(since_ns, looked_ns, commanded, speed, now_ns)
+        after = direction(output, speed)
+        since_ns = turning_since_ns(since_ns, looked_ns, before, after, now_ns)
+        before = after
         found.append(runaway.runs(since_ns, now_ns))
     return found
 
@@ -40,8 +50,36 @@ def test_a_wheel_that_is_no_faster_than_that_is_at_rest(speed: float) -> None:
     assert not any(looked([speed] * 1000))
 
 
-def test_a_wheel_that_is_told_to_turn_may() -> None:
-    assert not any(looked([FAST] * 1000, commanded=True))
+@pytest.mark.parametrize("output", [FAST, -FAST, 0.3, 12.5])
+@pytest.mark.parametrize("share", [0.0, 0.2, 1.0, FASTER])
+def test_a_wheel_that_turns_as_commanded_or_slower_may(output: float, share: float) -> None:
+    assert not any(looked([share * output] * 1000, repeat(output)))
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("output", [0.0, 0.1, 4.0, 12.5])
+def test_a_wheel_that_is_much_faster_than_commanded_or_turns_the_other_way_is_named(output: float, way: float) -> None:
+    just = FASTER * output + TURNING_RAD_S
+    assert not any(looked([way * just] * 1000, repeat(way * output)))
+    assert looked([way * (just + 1e-6)] * 100, repeat(way * output)).index(True) == 79
+    assert looked([-way * (TURNING_RAD_S + 1e-6)] * 100, repeat(way * output)).index(True) == 79
+
+
+def test_a_wheel_that_swings_to_and_fro_is_not_named() -> None:
+    """A control loop that is unstable, against a motor's lag: always the other way, never for long."""
+    assert not any(looked(([9.0] * 70 + [-9.0] * 70) * 10, ([-9.0] * 70 + [9.0] * 70) * 10))
+
+
+@pytest.mark.parametrize("lag_s", [0.03, 0.1, 0.15])
+@pytest.mark.parametrize("slope", [2.0, 5.0, 10.0, 20.0, 40.0, 100.0, 300.0])
+def test_a_wheel_that_lags_behind_while_it_brakes_is_not_named(lag_s: float, slope: float) -> None:
+    """From 12.5 rad/s to zero and on to 12.5 backward, first order, 50 ms late, counting in steps of 0.8 rad/s."""
+    outputs = [max(-12.5, 12.5 - max(0.0, 0.01 * k - 0.5) * slope) for k in range(2000)]
+    speed, speeds = 12.5, []
+    for k in range(2000):
+        speed += (outputs[max(0, k - 5)] - speed) * (1.0 - math.exp(-0.01 / lag_s))
+        speeds.append(0.8 * round(speed / 0.8))
+    assert not any(looked(speeds, outputs))
 
 
 def test_one_moment_of_rest_begins_anew() -> None:
@@ -57,20 +95,13 @@ def test_who_did_not_look_did_not_see_it_turn_all_the_time(pause_ns: int, named:
 
 def test_a_clock_that_is_set_back_begins_anew() -> None:
     since_ns = NOW - 790 * MS
-    assert turning_since_ns(since_ns, NOW, False, FAST, NOW - 1) == NOW - 1
-    assert turning_since_ns(since_ns, NOW, False, FAST, NOW) == since_ns
+    assert turning_since_ns(since_ns, NOW, 1, 1, NOW - 1) == NOW - 1
+    assert turning_since_ns(since_ns, NOW, 1, 1, NOW) == since_ns
 
 
 def test_a_wheel_that_comes_to_rest_after_driving_is_not_named() -> None:
-    since_ns = now = NOW
-    for _ in range(100):
-        now += LOOP_NS
-        since_ns = turning_since_ns(since_ns, now - LOOP_NS, True, FAST, now)
-    for k in range(200):  # a lag of 50 ms, from 12.5 rad/s
-        now += LOOP_NS
-        since_ns = turning_since_ns(since_ns, now - LOOP_NS, False, 12.5 * math.exp(-k / 5), now)
-        assert not runaway.runs(since_ns, now)
-    assert now - since_ns < RESTS_WITHIN_NS
+    speeds = [12.5] * 100 + [12.5 * math.exp(-k / 5) for k in range(200)]  # a lag of 50 ms
+    assert not any(looked(speeds, [12.5] * 100 + [0.0] * 200))
 
 
 def seen(poses: Iterable[Pose], every_ns: int = WINDOW_NS, **changes: float) -> list[bool]:

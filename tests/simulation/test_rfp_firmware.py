@@ -280,7 +280,9 @@ def test_the_board_tells_its_battery_and_currents(bench: Bench) -> None:
 def test_after_49_days_its_clock_begins_anew_and_nothing_of_before_counts(bench: Bench) -> None:
     boot_id = bench.robot.gate.boot_id
     bench.robot.now = bench.robot.gate.at = bench.robot.tick = 2**32 - 40
-    bench.robot.status = bench.robot.health = bench.robot.runaway.looked = 2**32 - 40
+    bench.robot.status = bench.robot.health = 2**32 - 40
+    for wheel in bench.robot.wheels:
+        wheel.runaway.looked = 2**32 - 40
     bench.let_pass(20)
     bench.drive(4.0, 4.0, 20)
     bench.let_pass(100)

@@ -188,11 +188,14 @@ def played(fleet: Config, patch: Patch, faults: tuple[dict[str, Any], ...], *act
     return [violation.invariant for violation in play(fleet, 3).violations]
 
 
-def test_a_wheel_that_turns_by_itself_must_be_named(fleet: Config, monkeypatch: Patch) -> None:
-    hold = Act(0.9, b"estop")
-    assert played(fleet, monkeypatch, (RUNS,), hold) == []
+@pytest.mark.parametrize(("acts", "speed_rad_s"), [((Act(0.9, b"estop"),), 6.1), ((), -6.1)], ids=["stands", "drives"])
+def test_a_wheel_that_turns_by_itself_must_be_named(
+    fleet: Config, monkeypatch: Patch, acts: tuple[Act, ...], speed_rad_s: float
+) -> None:
+    faults = ({**RUNS, "speed_rad_s": speed_rad_s},)
+    assert played(fleet, monkeypatch, faults, *acts) == []
     monkeypatch.setattr(runaway, "RESTS_WITHIN_NS", 100 * S)
-    assert "a wheel turns by itself and is not named" in played(fleet, monkeypatch, (RUNS,), hold)
+    assert "a wheel turns by itself and is not named" in played(fleet, monkeypatch, faults, *acts)
 
 
 def test_a_wheel_that_stands_must_hold_the_run(fleet: Config, monkeypatch: Patch) -> None:

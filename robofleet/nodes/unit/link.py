@@ -51,7 +51,10 @@ class Link:
     retry: bool = False  # it failed in the last loop: what it was commanded may not have reached it
     latch: int = Latch.NONE  # its own reason to stop, while it lasts
     felt: int = 0  # faults since the gate was latched
-    turning_since_ns: int
+    left_direction: int = 0  # of a wheel that turns by itself, as safety.runaway judges it
+    right_direction: int = 0
+    left_turning_since_ns: int
+    right_turning_since_ns: int
     looked_ns: int  # when that was looked at last
     runaway: int = 0  # 1: since this look a wheel turns by itself; 2: it did before
     # What its wheels were given.
@@ -79,7 +82,8 @@ class Link:
 def new_link(g: GateState, now_ns: int) -> Link:
     """Return the link of a robot whose gate begins with what was stored."""
     return Link(
-        turning_since_ns=now_ns, looked_ns=now_ns, reported_latch=g.latch, reported_latch_id=g.latch_id,
+        left_turning_since_ns=now_ns, right_turning_since_ns=now_ns, looked_ns=now_ns,
+        reported_latch=g.latch, reported_latch_id=g.latch_id,
         stored_epoch=g.epoch, stored_latch=g.latch, stored_latch_id=g.latch_id,
     )  # fmt: skip
 
@@ -92,16 +96,21 @@ def look(g: GateState, l: Link, now_ns: int) -> bool:
     """
     if not l.failed:
         l.felt = l.faults | (l.felt if g.latch else 0)
-    fastest = 0.0 if l.failed else max(abs(l.left_speed), abs(l.right_speed))
-    stands = g.output_left == 0.0 and g.output_right == 0.0
-    l.turning_since_ns = runaway.turning_since_ns(l.turning_since_ns, l.looked_ns, not stands, fastest, now_ns)
-    l.looked_ns = now_ns
-    if not runaway.runs(l.turning_since_ns, now_ns):
+    left = 0 if l.failed else runaway.direction(g.output_left, l.left_speed)
+    right = 0 if l.failed else runaway.direction(g.output_right, l.right_speed)
+    l.left_turning_since_ns = runaway.turning_since_ns(
+        l.left_turning_since_ns, l.looked_ns, l.left_direction, left, now_ns
+    )
+    l.right_turning_since_ns = runaway.turning_since_ns(
+        l.right_turning_since_ns, l.looked_ns, l.right_direction, right, now_ns
+    )
+    l.left_direction, l.right_direction, l.looked_ns = left, right, now_ns
+    if not runaway.runs(min(l.left_turning_since_ns, l.right_turning_since_ns), now_ns):
         l.runaway = 0
     else:
         l.runaway = 2 if l.runaway else 1
     l.latch = _reason_to_stop(l)
-    return stands and g.status != GateStatus.OPEN
+    return g.output_left == 0.0 and g.output_right == 0.0 and g.status != GateStatus.OPEN
 
 
 def fail(l: Link) -> None:
@@ -112,8 +121,9 @@ def fail(l: Link) -> None:
 
 def runaway_complaint(l: Link) -> str:
     """Return what the log says of a robot of which a wheel turns by itself."""
-    fastest = max(abs(l.left_speed), abs(l.right_speed))
-    return f"a wheel turns by itself, {fastest:.1f} rad/s with an output of zero: switch off its power"
+    left = l.left_turning_since_ns <= l.right_turning_since_ns
+    wheel, speed = ("left", l.left_speed) if left else ("right", l.right_speed)
+    return f"its {wheel} wheel turns by itself, at {speed:.1f} rad/s: switch off its power"
 
 
 def put_command(i: Inputs, message: UnitCommand, wheels: WheelCommand) -> None:

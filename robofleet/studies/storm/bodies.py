@@ -15,6 +15,8 @@ from robofleet.config.tree import Config
 from robofleet.core.arrays import Array, Flags
 from robofleet.core.clock import S
 from robofleet.safety.latches import Latch
+from robofleet.safety.runaway import direction
+from robofleet.simulation.faults import Injection
 from robofleet.studies.storm.gates import intervals
 from robofleet.studies.storm.ledger import GateDecision, Span, Violation
 from robofleet.vehicles.interface import STOP
@@ -23,6 +25,7 @@ _GRID_STEP_NS = 10_000_000  # a robot goes 2 mm in it
 _REST_RAD_S = 0.02  # of a wheel; friction holds it soon after
 _STANDING_M_S = 1e-3
 _NAMED_WITHIN_NS = 1_200_000_000  # of a wheel that turns by itself: 0.8 s, and its lag up and down
+_FLICKER_RAD_S = 0.5  # of a measured speed: two counts of the shipped robots' encoders
 _COMMANDED_RAD_S = 2.0  # no wheel stays at rest then
 _HELD_WITHIN_NS = 1_500_000_000  # of a wheel that stands: 1 s, and the hold's way to the gate and down the ramp
 
@@ -63,24 +66,32 @@ def rolling_on(
 
 
 def unnamed(
-    robot: str, decisions: Sequence[GateDecision], runaways: Sequence[Span], outages: Sequence[Span]
+    robot: str, decisions: Sequence[GateDecision], runaways: Sequence[Injection], outages: Sequence[Span]
 ) -> list[Violation]:
-    """Find wheels that turned by themselves for a second, with an output of zero, and whose gates were not latched.
+    """Find wheels that turned by themselves for a second, faster than their output, and whose gates were not latched.
 
     ``outages``: when nobody looked at them, or their motors stood.
     """
     at_ns = np.array([decision.true_ns for decision in decisions], dtype=np.float64)
-    standing = np.array([decision.state.output == STOP for decision in decisions], dtype=np.bool_)
     found = []
-    for start_ns, end_ns in _together(at_ns, standing, runaways, math.inf):
-        named_ns = start_ns + _NAMED_WITHIN_NS
-        watched = all(out.end_ns + S < start_ns or out.start_ns > named_ns for out in outages)
-        if named_ns >= end_ns or not watched:
-            continue
-        newest = decisions[int(np.searchsorted(at_ns, named_ns, side="right")) - 1]
-        if newest.state.latch != Latch.RUNAWAY:
-            numbers = f"{Latch(newest.state.latch).name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after its output was zero"
-            found.append(Violation("a wheel turns by itself and is not named", named_ns / S, robot, numbers))
+    for runs in runaways:
+        wheel, speed = runs.fault.wheel, runs.fault.speed_rad_s
+        same = (other for other in runaways if other is not runs and other.fault.wheel == wheel)
+        unsure = [*outages, *(Span(other.start_ns, other.end_ns) for other in same)]
+        surely = speed - math.copysign(_FLICKER_RAD_S, speed)
+        disobeys = [
+            decision.state.output == STOP or direction(getattr(decision.state.output, wheel), surely) != 0
+            for decision in decisions
+        ]
+        for start_ns, end_ns in _together(at_ns, np.array(disobeys), [Span(runs.start_ns, runs.end_ns)], math.inf):
+            named_ns = start_ns + _NAMED_WITHIN_NS
+            watched = all(out.end_ns + S < start_ns or out.start_ns > named_ns for out in unsure)
+            if named_ns >= end_ns or not watched:
+                continue
+            newest = decisions[int(np.searchsorted(at_ns, named_ns, side="right")) - 1]
+            if newest.state.latch != Latch.RUNAWAY:
+                numbers = f"{Latch(newest.state.latch).name}, {_NAMED_WITHIN_NS / 1e6:.0f} ms after it did not obey"
+                found.append(Violation("a wheel turns by itself and is not named", named_ns / S, robot, numbers))
     return found
 
 

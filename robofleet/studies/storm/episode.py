@@ -3,7 +3,7 @@
 import gc
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, redirect_stderr
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from robofleet.operator.estop import EmergencyStop
 from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.distances import least_room_m
 from robofleet.safety.supervisor import Event, Phase
+from robofleet.simulation.faults import Injection
 from robofleet.simulation.faulty_disk import FaultyLog
 from robofleet.studies.storm.bodies import apart, at_goals, rolling_on, unheld, unnamed
 from robofleet.studies.storm.fleet import States, moved_unasked, unanswered, without_cause
@@ -244,9 +245,9 @@ class _Player:
             unreached = out_of_reach(self._faults, robot.id)
             unheard += unreached
             self._found += unlatched(robot.id, ledger.decisions[robot.id], requested_stops, unreached)
-            runaways = self._acting("motor_runs", robot=robot.id)
+            runaways = self._faults.of("motor_runs", robot=robot.id)
             if row < len(config.members):  # a hand moves bystanders
-                self._found += rolling_on(robot, audit.standing, sent_ns[-1], truths[-1], runaways)
+                self._found += rolling_on(robot, audit.standing, sent_ns[-1], truths[-1], _spans(runaways))
             stuck = self._acting("motor_stuck", robot=robot.id)
             self._found += unnamed(robot.id, ledger.decisions[robot.id], runaways, outages + stuck)
             unseen = outages + unreached + self._outages("supervisor")
@@ -274,4 +275,8 @@ class _Player:
         return self._acting("killed", "stopped", "clock_step", process=process)
 
     def _acting(self, *kinds: str, **keys: str) -> list[Span]:
-        return [Span(fault.start_ns, fault.end_ns) for fault in self._faults.of(*kinds, **keys)]
+        return _spans(self._faults.of(*kinds, **keys))
+
+
+def _spans(injections: Iterable[Injection]) -> list[Span]:
+    return [Span(injection.start_ns, injection.end_ns) for injection in injections]

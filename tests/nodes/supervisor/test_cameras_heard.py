@@ -187,5 +187,10 @@ def _border(hall: Hall) -> float:
 def _settings(hall: Hall) -> monitor.MonitorSettings:
     n = len(hall.config.bodies)
     return monitor.MonitorSettings(
-        build=1, body_radius=(0.05,) * n, arena=hall.config.arena.size_m, max_speed=(0.2,) * n, attended=False
+        build=1,
+        body_radius=(0.05,) * n,
+        arena=hall.config.arena.size_m,
+        max_speed=(0.2,) * n,
+        attended=False,
+        stale_ticks=8,
     )

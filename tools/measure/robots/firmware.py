@@ -3,11 +3,12 @@
     python -m tools.measure.robots.firmware deaths [--tries 100] [--slower 1]
     python -m tools.measure.robots.firmware silences [--tries 100]
     python -m tools.measure.robots.firmware images [--tries 100]
-    python -m tools.measure.robots.firmware noise [--minutes 10] [--share 0.01] [--seed 1]
+    python -m tools.measure.robots.firmware noise [--minutes 10] [--share 0.01] [--seed 1] [--board uno|host]
     python -m tools.measure.robots.firmware latency [--tries 500]
     python -m tools.measure.robots.firmware resets [--tries 100]
 
 The binary is the one that is flashed (drivers/firmware), in simavr; its driver is the real one, at a pseudo-terminal.
+Board ``host``: the same sources, compiled for this computer; many times faster.
 
 deaths: real processes at full speed, in real time; where a machine is too slow for that, in time that passes so many
   times slower. Times are the binary's own: from the issue of the newest nonce on.
@@ -25,15 +26,20 @@ import random
 import signal
 import statistics
 import tempfile
+import traceback
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.drivers.rfp import Rfp
+from robofleet.drivers.rfp_frames import PER_RAD_S
 from robofleet.simulation.avr.board import Reset
 from robofleet.simulation.firmwares.arduino_uno import ArduinoUnoFirmware, Gate
+from robofleet.simulation.firmwares.rfp import RfpFirmware
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
+from tests.drivers.line_bench import COUNTS_PER_TURN, LineBench, rfp
 from tests.simulation.pico import Pico
 from tests.simulation.rfp_host import NO_LEASE
 from tests.simulation.teensy import Teensy
@@ -68,7 +74,17 @@ class SlowClock(WallClock):
 
 def deaths(tries: int, slower: float) -> None:
     for name, number in (("kill -9", signal.SIGKILL), ("SIGSTOP", signal.SIGSTOP), ("cable cut", None)):
-        _report(name, [_death(number, random.Random(k), SlowClock(slower)) for k in range(tries)])
+        gates: list[Gate] = []
+        repeated = 0
+        while len(gates) < tries:
+            gate = _death(number, random.Random(len(gates) + repeated), SlowClock(slower))
+            if gate is None:
+                repeated += 1
+            else:
+                gates.append(gate)
+        _report(name, gates)
+        if repeated:
+            print(f"{name}: {repeated} more whose driver was stopped too early by this machine: raise --slower")
 
 
 def _report(name: str, gates: list[Gate]) -> None:
@@ -114,8 +130,11 @@ def images(tries: int) -> None:
         _report(type(host).__name__, gates)
 
 
-def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) -> Gate:
-    """Let a driver drive at full speed in a process of its own, and die; returns the gate when its wheels stand."""
+def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) -> Gate | None:
+    """Let a driver drive at full speed in a process of its own, and die; return the gate when its wheels stand.
+
+    None: it did not drive when it was to die, since this machine is too slow.
+    """
     with tempfile.TemporaryDirectory() as folder:
         stand = TwinStand(uno_configured(), Path(folder), clock)
         firmware = stand.twin._firmware  # what the binary knows of its stop
@@ -126,16 +145,19 @@ def _death(number: signal.Signals | None, rng: random.Random, clock: SlowClock) 
                 _drive_for_ever(stand)
             _wait(lambda: firmware.gate.target != STOP, clock)
             stand.clock.sleep_until(stand.clock.now_ns() + round(rng.uniform(0.2, 0.3) * S))
-            assert firmware.gate.target != STOP
-            if number is not None:
-                os.kill(driver, number)
+            drives = firmware.gate.target != STOP
+            if number is None:
+                stand.unplugged.set()
             else:
-                stand.twin.close()
-            _wait(lambda: firmware.gate.target == STOP and firmware.gate.output_after_ms >= 0, clock)
+                os.kill(driver, number)
+            stands = not drives or _wait(
+                lambda: firmware.gate.target == STOP and firmware.gate.output_after_ms >= 0, clock
+            )
             os.kill(driver, signal.SIGKILL)
             os.waitpid(driver, 0)
         stand.twin.close()
-        return firmware.gate
+        assert stands, "it drives on"
+        return firmware.gate if drives else None
 
 
 def _drive_for_ever(stand: TwinStand) -> None:
@@ -149,14 +171,16 @@ def _drive_for_ever(stand: TwinStand) -> None:
                     driver.write(FASTEST)
                 stand.clock.sleep_until(stand.clock.now_ns() + 10 * MS)
     finally:
+        traceback.print_exc()
         os._exit(1)
 
 
-def _wait(condition: Callable[[], bool], clock: SlowClock) -> None:
+def _wait(condition: Callable[[], bool], clock: SlowClock) -> bool:
+    """Wait until a condition holds, or patience ends; return whether it holds."""
     until_ns = clock.now_ns() + _PATIENCE_NS
-    while not condition():
-        assert clock.now_ns() < until_ns, "this machine is too slow: choose a larger --slower"
+    while not (met := condition()) and clock.now_ns() < until_ns:
         WALL.sleep_until(WALL.now_ns() + 5 * MS)
+    return met
 
 
 # --- noise ---
@@ -193,50 +217,77 @@ class Noise:
         return b"".join(lines)
 
 
-def noise(minutes: float, share: float, seed: int) -> None:
-    rng = random.Random(seed)
-    commanded: deque[tuple[int, WheelSpeeds]] = deque()
-    wrong = driven_ms = stopped_ms = failures = 0
-    with uno_behind_its_driver(MS) as bench:
-        firmware = bench.firmware
-        loop = firmware.loop
+def _target(firmware: ArduinoUnoFirmware | RfpFirmware) -> WheelSpeeds:
+    """Return what its gate lets through [rad/s]."""
+    if isinstance(firmware, ArduinoUnoFirmware):
+        return firmware.gate.target
+    gate = firmware.robot.gate
+    return WheelSpeeds(gate.target_left / PER_RAD_S, gate.target_right / PER_RAD_S)
 
-        def watched_loop(now_ns: int) -> bytes:
-            nonlocal wrong, driven_ms, stopped_ms
-            answer: bytes = loop(now_ns)
-            target = firmware.gate.target
-            while commanded and commanded[0][0] < now_ns - REMEMBERED_NS:
-                commanded.popleft()
-            stopped_ms += target == STOP
-            driven_ms += target != STOP
-            wrong += target != STOP and all(target != wheels for _, wheels in commanded)
-            return answer
+
+def _bench(board: str) -> tuple[LineBench, dict[str, Any]]:
+    """Return a bench with this board, and its driver's settings."""
+    if board == "uno":
+        return uno_behind_its_driver(MS), UNO_SETTINGS
+    return rfp(loop_ns=MS), {"counts_per_turn": COUNTS_PER_TURN}
+
+
+class Watch:
+    """Looks at a gate's target after each loop of its robot; give ``commanded`` what is written, and when."""
+
+    def __init__(self, bench: LineBench) -> None:
+        self.commanded: deque[tuple[int, WheelSpeeds]] = deque()
+        self._firmware, self._loop, self._looked_ns = bench.firmware, bench.firmware.loop, bench.now_ns
+        self._wrong = self._moving_ns = self._standing_ns = 0
+        bench.firmware.loop = self._looked_at
+
+    def _looked_at(self, now_ns: int) -> bytes:
+        answer: bytes = self._loop(now_ns)
+        target, passed_ns = _target(self._firmware), now_ns - self._looked_ns
+        self._looked_ns = now_ns
+        while self.commanded and self.commanded[0][0] < now_ns - REMEMBERED_NS:
+            self.commanded.popleft()
+        if target == STOP:
+            self._standing_ns += passed_ns
+        else:
+            self._moving_ns += passed_ns
+            self._wrong += all(target != wheels for _, wheels in self.commanded)
+        return answer
+
+    def __str__(self) -> str:
+        times = f"moving {self._moving_ns / S:.0f} s, standing {self._standing_ns / S:.0f} s"
+        return f"{self._wrong} looks at a wrong motion; {times}"
+
+
+def noise(minutes: float, share: float, seed: int, board: str) -> None:
+    rng = random.Random(seed)
+    failures = k = 0
+    made, settings = _bench(board)
+    with made as bench:
+        driver = bench.open(**settings)
+        to_robot, to_driver = (Noise(share, rng, lambda: bench.now_ns) for _ in range(2))
+        bench.to_robot, bench.to_driver = to_robot, to_driver
+        watch = Watch(bench)
+        said_ns = bench.now_ns
+        end_ns = bench.now_ns + round(minutes * 60 * S)
 
         def report() -> None:
             print(
-                f"share {share:g}: {to_robot.struck} lines to the robot and {to_driver.struck} to the driver struck; "
-                f"{wrong} ms of wrong motion; moving {driven_ms / 1000:.0f} s, standing {stopped_ms / 1000:.0f} s; "
-                f"{failures} new drivers",
+                f"{board}, share {share:g}, seed {seed}: {to_robot.struck} lines to the robot "
+                f"and {to_driver.struck} to the driver struck; {watch}; {failures} new drivers",
                 flush=True,
             )
 
-        firmware.loop = watched_loop
-        to_robot, to_driver = (Noise(share, rng, lambda: bench.now_ns) for _ in range(2))
-        driver = bench.open(**UNO_SETTINGS)
-        end_ns = bench.now_ns + round(minutes * 60 * S)
-        bench.to_robot, bench.to_driver = to_robot, to_driver
-        k = 0
-        said_ns = bench.now_ns
         while bench.now_ns < end_ns:
             if bench.now_ns >= said_ns + 60 * S:
                 said_ns = bench.now_ns
                 report()
             try:
                 if driver is None:
-                    driver = bench.open(**UNO_SETTINGS)
+                    driver = bench.open(**settings)
                 if k % 3 == 0:
                     wheels = WheelSpeeds(*(rng.randrange(-2000, 4600) / 512.0 for _ in range(2)))
-                    commanded.append((bench.now_ns, wheels))
+                    watch.commanded.append((bench.now_ns, wheels))
                     bench.write(*wheels)
                 bench.read()
             except DriverError:
@@ -246,7 +297,7 @@ def noise(minutes: float, share: float, seed: int) -> None:
             k += 1
             bench.let_pass(0.01)
             if late := to_robot.due():
-                bench.say(firmware.receive(late, bench.now_ns))
+                bench.say(bench.firmware.receive(late, bench.now_ns))
             if late := to_driver.due():
                 bench.line.write(late)
     report()
@@ -321,11 +372,12 @@ def _moves(uno: Uno) -> bool:
 def main() -> None:
     parser = program(__doc__, tries=100, slower=1.0, minutes=10.0, share=0.01, seed=1)
     parser.add_argument("what", choices=("deaths", "silences", "images", "noise", "latency", "resets"))
+    parser.add_argument("--board", choices=("uno", "host"), default="uno")
     arguments = parser.parse_args()
     if arguments.what == "deaths":
         deaths(arguments.tries, arguments.slower)
     elif arguments.what == "noise":
-        noise(arguments.minutes, arguments.share, arguments.seed)
+        noise(arguments.minutes, arguments.share, arguments.seed, arguments.board)
     else:
         {"silences": silences, "images": images, "latency": latency, "resets": resets}[arguments.what](arguments.tries)
 
