@@ -1,65 +1,123 @@
 #include "flash_log.h"
 
-#define ERASED UINT32_MAX
+#include "board.h"
 
-static uint32_t guarded(uint32_t low)
+enum { WORDS = FLASH_SECTOR_BYTES / 4 };
+enum log_step { LOG_IDLE, LOG_APPENDING, LOG_COPYING, LOG_NUMBERING, LOG_ERASING }; /* what the flash does */
+
+static struct {
+    uint8_t bytes[BOARD_MEMORY_BYTES];
+    uint8_t sector;   /* the valid one */
+    bool stale;       /* the other one is to be erased */
+    uint16_t next;    /* free word in it */
+    uint32_t word;    /* that is being appended */
+    enum log_step step;
+} log;
+
+static uint32_t guarded(uint32_t half)
 {
-    return (low & 0xFFFFu) | ~low << 16;
+    return half | ~half << 16;
 }
 
-static bool whole(uint32_t word)
+static bool is_whole(uint32_t word)
 {
-    return ((word ^ word >> 16) & 0xFFFFu) == 0xFFFFu;
+    return word == guarded(word & 0xFFFFu);
 }
 
-static void append(struct flash_log *l, uint8_t address, uint8_t value)
+static uint32_t offset_of(uint8_t sector, uint16_t word)
 {
-    l->flash->write(l->next, guarded(address | (uint32_t)value << 8));
-    l->next++;
+    return sector * (uint32_t)FLASH_SECTOR_BYTES + word * 4u;
 }
 
-static void take(struct flash_log *l, uint32_t word)
+static uint8_t other_sector(void)
 {
-    const uint8_t address = (uint8_t)word;
-    if (whole(word) && address < BOARD_MEMORY_BYTES) {
-        l->bytes[address] = (uint8_t)(word >> 8);
+    return (uint8_t)(1u - log.sector);
+}
+
+static void take_word(uint32_t word)
+{
+    if (is_whole(word) && (word & 0xFFu) < BOARD_MEMORY_BYTES) {
+        log.bytes[word & 0xFFu] = (uint8_t)(word >> 8);
     }
 }
 
-void flash_log_start(struct flash_log *l, const struct flash *flash)
+void flash_log_start(void)
 {
-    const uint32_t first = flash->read(0u);
-    const uint32_t second = flash->read(FLASH_LOG_WORDS);
-    const bool second_is_newest = whole(second) && (!whole(first) || (int16_t)(second - first) > 0);
-    const uint32_t from = second_is_newest ? FLASH_LOG_WORDS : 0u;
-    const uint32_t to = FLASH_LOG_WORDS - from;
-    const uint32_t number = flash->read(from);
+    const uint32_t first = flash_read(offset_of(0u, 0u));
+    const uint32_t second = flash_read(offset_of(1u, 0u));
 
-    *l = (struct flash_log){.flash = flash, .next = to + 1u, .end = to + FLASH_LOG_WORDS};
     for (uint8_t k = 0u; k < BOARD_MEMORY_BYTES; k++) {
-        l->bytes[k] = 0xFFu;
+        log.bytes[k] = 0xFFu;
     }
-    if (whole(number)) {
-        for (uint32_t k = 1u; k < FLASH_LOG_WORDS && flash->read(from + k) != ERASED; k++) {
-            take(l, flash->read(from + k));
+    log.step = LOG_IDLE;
+    log.stale = true;
+    log.sector = is_whole(second) && (!is_whole(first) || (int16_t)(second - first) > 0) ? 1u : 0u;
+    log.next = is_whole(first) || is_whole(second) ? 1u : WORDS; /* neither: the first start */
+    while (log.next < WORDS) {
+        const uint32_t word = flash_read(offset_of(log.sector, log.next));
+        if (word == 0xFFFFFFFFu) {
+            break;
+        }
+        take_word(word);
+        log.next++;
+    }
+}
+
+static void append(void)
+{
+    log.step = LOG_APPENDING;
+    flash_program(offset_of(log.sector, log.next), &log.word, 1u);
+}
+
+bool board_eeprom_ready(void)
+{
+    if (log.step != LOG_IDLE && flash_busy()) {
+        return false;
+    }
+    if (log.step == LOG_COPYING) {
+        const uint32_t number = guarded((flash_read(offset_of(log.sector, 0u)) + 1u) & 0xFFFFu);
+        log.step = LOG_NUMBERING;
+        flash_program(offset_of(other_sector(), 0u), &number, 1u);
+        return false;
+    }
+    if (log.step == LOG_NUMBERING) {
+        flash_log_start(); /* what was copied is read again */
+        if (log.next < WORDS) {
+            append();
+            return false;
         }
     }
-    flash->erase(to);
+    if (log.step == LOG_APPENDING) { /* a worn word is not what was written: memory.c sees it */
+        take_word(flash_read(offset_of(log.sector, log.next)));
+        log.next++;
+    }
+    if (log.stale) {
+        log.stale = false;
+        log.step = LOG_ERASING;
+        flash_erase(offset_of(other_sector(), 0u));
+        return false;
+    }
+    log.step = LOG_IDLE;
+    return true;
+}
+
+uint8_t board_eeprom_read(uint8_t address)
+{
+    return log.bytes[address];
+}
+
+void board_eeprom_write(uint8_t address, uint8_t value)
+{
+    uint32_t copy[BOARD_MEMORY_BYTES];
+
+    log.word = guarded(address | (uint32_t)value << 8);
+    if (log.next < WORDS) {
+        append();
+        return;
+    }
     for (uint8_t k = 0u; k < BOARD_MEMORY_BYTES; k++) {
-        append(l, k, l->bytes[k]);
+        copy[k] = guarded(k | (uint32_t)log.bytes[k] << 8);
     }
-    flash->write(to, guarded(number + 1u));
-}
-
-uint8_t flash_log_read(const struct flash_log *l, uint8_t address)
-{
-    return l->bytes[address];
-}
-
-void flash_log_write(struct flash_log *l, uint8_t address, uint8_t value)
-{
-    if (l->next < l->end) {
-        append(l, address, value);
-        take(l, l->flash->read(l->next - 1u)); /* a word that is worn is not what was written: memory.c sees it */
-    }
+    log.step = LOG_COPYING;
+    flash_program(offset_of(other_sector(), 1u), copy, BOARD_MEMORY_BYTES);
 }

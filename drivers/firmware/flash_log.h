@@ -1,34 +1,32 @@
-/* A board's memory as a log in flash, for boards that stand still while they erase it.
+/* board_eeprom_* as a log in flash, for boards that have flash only (flash_log.c); and what such a board gives to it.
  *
- * A word of the log is a byte of the memory: address, value, and the complement of both; a torn one does not count. The
- * flash has two halves; the first word of each is its number, in the same way. Each start copies the bytes to the half
- * that is not the newest: it is erased before, and gets its number last. So nothing is erased while wheels may turn.
+ * A word of the log is a byte of the memory: address, value, and the complement of both. One that was torn does not
+ * count. A sector's first word is its number in the same way; the higher one is valid. When it is full, all bytes go to
+ * the other sector, that sector's number last, and it is erased. So a sector is erased once in a thousand written bytes
+ * and at each start; it stands 100,000 of these.
  */
 #ifndef ROBOFLEET_FLASH_LOG_H
 #define ROBOFLEET_FLASH_LOG_H
 
-#include "board.h"
+#include <stdbool.h>
+#include <stdint.h>
 
-#define FLASH_LOG_WORDS 4096u /* of a half: for 240 latches in one run; each more is a worn memory (memory.c) */
+#ifndef FLASH_SECTOR_BYTES
+#define FLASH_SECTOR_BYTES 4096
+#endif
 
-/* A board's flash, in words of 4 bytes; an erased one is 0xFFFFFFFF. */
-struct flash {
-    uint32_t (*read)(uint32_t word);
-    void (*write)(uint32_t word, uint32_t value);
-    void (*erase)(uint32_t word); /* the half that begins there */
-};
+/* --- From the board. --- */
 
-struct flash_log {
-    const struct flash *flash;
-    uint8_t bytes[BOARD_MEMORY_BYTES];
-    uint32_t next; /* word that is written next */
-    uint32_t end;
-};
+/* A flash of two sectors; offsets in bytes. Programming (a page of 256 bytes at most) and erasing begin, and end when
+ * it is not busy any more. */
+bool flash_busy(void);
+uint32_t flash_read(uint32_t offset);
+void flash_program(uint32_t offset, const uint32_t *words, uint32_t count);
+void flash_erase(uint32_t offset);
 
-void flash_log_start(struct flash_log *l, const struct flash *flash);
+/* --- For the board. --- */
 
-/* As board_eeprom_read and board_eeprom_write. */
-uint8_t flash_log_read(const struct flash_log *l, uint8_t address);
-void flash_log_write(struct flash_log *l, uint8_t address, uint8_t value);
+/* Read the log; before board_eeprom_*. */
+void flash_log_start(void);
 
 #endif

@@ -11,8 +11,8 @@ from robofleet.core.errors import RobofleetError
 from robofleet.simulation.compiled_c import compiled
 
 SOURCES = Path(__file__).parents[1] / "drivers" / "firmware"
-UNITS = ("gate.c", "rfp.c", "memory.c", "robot.c", "board_host.c", "udp.c", "flash_log.c")
-_HEADERS = ("robot.h", "board_host.h", "udp.h", "flash_log.h")  # they include the others
+UNITS = ("gate.c", "rfp.c", "memory.c", "robot.c", "board_host.c", "udp.c")
+_HEADERS = ("robot.h", "board_host.h", "udp.h")  # they include the others
 FLAGS: tuple[str, ...] = ("-std=c11", "-O2", "-Wall", "-Wextra", "-Werror")
 
 

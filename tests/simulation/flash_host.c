@@ -1,5 +1,8 @@
-/* A flash of two sectors whose power can fail in the middle of a write, for the memory's log of boards/cortex_m.c. */
-#include "cortex_m.h"
+/* A flash of two sectors whose power can fail in the middle of a write, for flash_log.c. */
+#include "board.h"
+#include "flash_log.h"
+
+enum { SECTOR_WORDS = FLASH_SECTOR_BYTES / 4 };
 
 uint32_t flash[2 * SECTOR_WORDS];
 uint32_t worn[2 * SECTOR_WORDS]; /* bits that are 1 for ever */
@@ -42,7 +45,7 @@ void flash_program(uint32_t offset, const uint32_t *words, uint32_t count)
 void flash_erase(uint32_t offset)
 {
     busy = 3u;
-    erased[offset / SECTOR_BYTES]++;
+    erased[offset / FLASH_SECTOR_BYTES]++;
     if (words_left <= 0) {
         return;
     }
@@ -50,10 +53,6 @@ void flash_erase(uint32_t offset)
     for (uint32_t k = 0u; k < SECTOR_WORDS; k++) { /* one that fails has reached some cells, and the first word not */
         flash[offset / 4u + k] |= !failed ? 0xFFFFFFFFu : k % 2u == 0u ? 0u : torn;
     }
-}
-
-void board_send(void)
-{
 }
 
 void board_watchdog_kick(void)

@@ -7,11 +7,10 @@
 #define ROBOFLEET_CORTEX_M_H
 
 #include "../config.h"
+#include "../flash_log.h"
 #include "../robot.h"
 
 #define REG(address) (*(volatile uint32_t *)(address))
-
-enum { SECTOR_BYTES = 4096, SECTOR_WORDS = SECTOR_BYTES / 4 };
 
 typedef void (*vector)(void);
 
@@ -28,13 +27,6 @@ void board_send(void);
 
 /* The interrupts, the core's first. One of them comes every millisecond. */
 extern const vector vectors[];
-
-/* A flash of two sectors; offsets in bytes. Programming (a page of 256 bytes at most) and erasing begin, and end when
- * it is not busy any more. */
-bool flash_busy(void);
-uint32_t flash_read(uint32_t offset);
-void flash_program(uint32_t offset, const uint32_t *words, uint32_t count);
-void flash_erase(uint32_t offset);
 
 /* --- For the board. --- */
 
@@ -56,8 +48,5 @@ void start(void);
 
 /* A vector: the program is broken. The motors are off until the watchdog resets the board. */
 void crashed(void);
-
-/* Read the memory's log; part of the start, and of tests. */
-void memory_log_start(void);
 
 #endif

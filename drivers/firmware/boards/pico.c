@@ -177,7 +177,7 @@ void board_enable_motors(bool enabled)
 /* --- Flash, by its commands: the program does not stand in it. --- */
 
 #define SSI 0x18000000u
-#define FLASH_LOG (2u * 1024u * 1024u - 2u * SECTOR_BYTES)
+#define FLASH_LOG (2u * 1024u * 1024u - 2u * FLASH_SECTOR_BYTES)
 
 static void select(bool on)
 {

@@ -434,7 +434,7 @@ __attribute__((section(".flash_configuration"), used)) static const uint32_t fla
     [0x080 / 4] = SEQUENCE(COMMAND | 0x03, ADDRESS),
     [0x084 / 4] = READ,
     [0x1C0 / 4] = 256u,
-    [0x1C4 / 4] = SECTOR_BYTES,
+    [0x1C4 / 4] = FLASH_SECTOR_BYTES,
 };
 
 extern uint8_t image_bytes[];

@@ -1,4 +1,4 @@
-"""The memory of a Pico and a Teensy, a log in flash, compiled for this computer: what a loss of power leaves of it."""
+"""The memory of a board that has flash only, a log, compiled for this computer: what a loss of power leaves of it."""
 
 import ctypes
 import shutil
@@ -11,7 +11,7 @@ from robofleet.simulation.compiled_c import compiled
 from robofleet.simulation.firmware_library import FLAGS, SOURCES
 
 UNITS = (
-    *(SOURCES / name for name in ("boards/cortex_m.c", "memory.c", "rfp.c")),
+    *(SOURCES / name for name in ("flash_log.c", "memory.c", "rfp.c")),
     Path(__file__).with_name("flash_host.c"),
 )
 SECTOR_WORDS, FOR_EVER = 1024, 2**31 - 1
@@ -50,7 +50,7 @@ class Chip:
 
     def start(self) -> KeptState:
         self._words_left.value = FOR_EVER
-        self._c.memory_log_start()
+        self._c.flash_log_start()
         return self._c.memory_start(ctypes.byref(self.memory))  # type: ignore[no-any-return]
 
     def fill(self, free: int) -> None:
@@ -76,11 +76,11 @@ def library() -> ctypes.CDLL:
         pytest.skip("NO C COMPILER: apt install gcc")
 
     def make(folder: Path) -> None:
-        command = ["cc", *FLAGS, f"-I{SOURCES}/boards", *map(str, UNITS), "-o", str(folder / "memory_log.so")]
-        subprocess.run(command, check=True)
+        target = ["-o", str(folder / "flash_log.so")]
+        subprocess.run(["cc", *FLAGS, "-fPIC", "-shared", f"-I{SOURCES}", *map(str, UNITS), *target], check=True)
 
     content = [file.read_bytes() for file in (*UNITS, *sorted(SOURCES.rglob("*.h")))]
-    return ctypes.CDLL(str(compiled("memory_log", content, make) / "memory_log.so"))
+    return ctypes.CDLL(str(compiled("flash_log", content, make) / "flash_log.so"))
 
 
 @pytest.mark.slow_after_first
