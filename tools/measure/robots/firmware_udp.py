@@ -94,7 +94,7 @@ def deaths(tries: int) -> None:
                 after.append((driver._health.target_after_ms, driver._health.output_after_ms))
                 driver.close()
         finally:
-            robot.kill()
+            robot.close()
     for name, times in zip(("target", "output"), zip(*after, strict=True), strict=True):
         print(f"zero {name}: {min(times)} to {max(times)} ms after the newest nonce, {tries} tries")
 
