@@ -255,6 +255,7 @@ def refused(url: str, pass_time: Callable[[], None] = lambda: None) -> str:
     ("host", "why"),
     [
         ("nobody.invalid", "the name nobody.invalid does not resolve"),
+        ("r1..lab", "the name r1..lab does not resolve"),
         ("255.255.255.255", "this address is not one robot's"),
         ("127.0.0.1", "no program listens at this port"),
     ],
