@@ -45,7 +45,7 @@ class UdpPort:
         try:
             self._socket.setblocking(False)
             self._socket.connect(socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4])
-        except socket.gaierror as error:
+        except (socket.gaierror, UnicodeError) as error:
             self._socket.close()
             raise DriverError(
                 f"{url}: the name {host} does not resolve: write the robot's address, or mend the network's names"

@@ -45,7 +45,7 @@ WRITTEN = {  # by a measurement, or by the reader whom the text tells what to wr
 }  # fmt: skip
 SHELL = {  # what a system has; a path of the project that it is given must be there
     "cd", "cp", "export", "git", "grep", "install", "ls", "mkdir", "mutmut", "rm", "sed", "source", "sudo", "systemctl",
-    "tar", "udevadm", "usermod", "apt", "jupyter", "make", "arduino-cli",
+    "tar", "udevadm", "usermod", "apt", "jupyter", "make", "arduino-cli", "idf.py",
 }  # fmt: skip
 PROGRAMS = {*SHELL, "robofleet", "python", "python3", "pip", "pytest", "ruff", "mypy", "lint-imports", "calibrate.py"}
 MISTAKEN = "lab/lesson/exercise1.yaml"  # its reader finds the mistakes
@@ -143,7 +143,7 @@ def understand(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         module(arguments[1], arguments[2:], monkeypatch)
     elif name in {"python", "python3"} and arguments:
         script(arguments[0], arguments[1:], monkeypatch)
-    elif name == "calibrate.py" or name.endswith(".py"):
+    elif name.endswith(".py") and name not in SHELL:
         script(f"tools/{name}" if name == "calibrate.py" else name, arguments, monkeypatch)
     elif name == "pip" and arguments[0] == "wheel":
         assert (ROOT / arguments[-1] / "pyproject.toml").is_file()

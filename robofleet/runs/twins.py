@@ -29,8 +29,7 @@ class Twins:
         plant = slices.shared_plant(config, [robot.id for robot in config.twins], now_ns)
         try:
             for robot in config.twins:
-                port, others = driver_settings.port(config, robot), partial(self._others, robot.id)
-                assert port is not None, "a twin's driver has a port"
+                port, others = driver_settings.port_of_twin(config, robot), partial(self._others, robot.id)
                 self._twins[robot.id] = Twin(config, robot.id, port, now_ns, faults, others, plant)
         except BaseException:
             self.close()

@@ -42,6 +42,7 @@ class Robot:
 
     def __init__(self, folder: Path) -> None:
         self.port, self._memory = free_port(), folder / "memory"
+        self._drivers: list[Rfp] = []
         self.start()
 
     def start(self) -> None:
@@ -60,14 +61,21 @@ class Robot:
         context = DriverContext(
             robot="r1", drive=DRIVE, simulation=None, now_ns=WallClock().now_ns, settings=settings
         )  # fmt: skip
-        return Rfp(context)
+        self._drivers.append(Rfp(context))
+        return self._drivers[-1]
+
+    def close(self) -> None:
+        for driver in self._drivers:
+            driver.close()
+        self.kill()
 
 
 @pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Robot]:
+def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
+    monkeypatch.setattr("robofleet.drivers.rfp._SILENT_NS", 60 * S)  # a busy machine lets a process wait
     robot = Robot(tmp_path)
     yield robot
-    robot.kill()
+    robot.close()
 
 
 def until(done: Callable[[], bool]) -> None:
@@ -112,7 +120,6 @@ def test_a_robot_that_was_switched_off_keeps_its_latch_and_its_driver_says_that_
     driver.close()
     driver = robot.driver()
     assert driver.read().faults == RobotFault.OWN << Latch.ROBOT_FAULT
-    driver.close()
 
 
 # Robot and driver in virtual time.
@@ -248,6 +255,7 @@ def refused(url: str, pass_time: Callable[[], None] = lambda: None) -> str:
     ("host", "why"),
     [
         ("nobody.invalid", "the name nobody.invalid does not resolve"),
+        ("r1..lab", "the name r1..lab does not resolve"),
         ("255.255.255.255", "this address is not one robot's"),
         ("127.0.0.1", "no program listens at this port"),
     ],

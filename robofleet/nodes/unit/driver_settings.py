@@ -19,8 +19,6 @@ from robofleet.vehicles.interface import DriverContext, SimulatedDriver, World
 def of(config: Config, robot: Robot) -> Any:
     """Return a robot's settings, with its twin's port where it has one; None where its driver takes none.
 
-    A twin on a network has the configured port.
-
     Raises:
         PluginError: there is no such driver.
         ValidationError: the settings are wrong.
@@ -28,9 +26,14 @@ def of(config: Config, robot: Robot) -> Any:
     kind = getattr(load("robofleet.drivers", robot.driver), "Settings", None)
     if kind is None:
         return None
-    own = robot.twin is None or str(robot.settings.get("port", "")).startswith(SCHEME)
-    port = {} if own else {"port": str(twin_port(config.arena.name, robot.id))}
+    port = {} if robot.twin is None else {"port": port_of_twin(config, robot)}
     return kind.model_validate(robot.settings | port)
+
+
+def port_of_twin(config: Config, robot: Robot) -> str:
+    """Return the port at which a robot's twin answers: on a network the configured one, else a path."""
+    own = str(robot.settings.get("port", ""))
+    return own if own.startswith(SCHEME) else str(twin_port(config.arena.name, robot.id))
 
 
 def context(config: Config, robot: Robot, now_ns: Callable[[], int], world: World | None = None) -> DriverContext:

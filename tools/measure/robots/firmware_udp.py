@@ -54,11 +54,11 @@ def lines(tries: int) -> None:
 
 
 def _measure(name: str, port: Any, line: Any, tries: int) -> None:
-    there, back = [], []
+    out, back = [], []
     for _ in range(tries):
-        there.append(_took_us(lambda: port.write(_COMMAND), line.read, lambda: line.descriptor))
+        out.append(_took_us(lambda: port.write(_COMMAND), line.read, lambda: line.descriptor))
         back.append(_took_us(lambda: line.write(_STATUS), port.read, lambda: port.descriptor))
-    for way, times in (("to the robot", there), ("from the robot", back)):
+    for way, times in (("to the robot", out), ("from the robot", back)):
         cuts = statistics.quantiles(times, n=100)
         print(f"{name}, {way}: median {cuts[49]:.0f} us, p99 {cuts[98]:.0f} us")
 
@@ -94,7 +94,7 @@ def deaths(tries: int) -> None:
                 after.append((driver._health.target_after_ms, driver._health.output_after_ms))
                 driver.close()
         finally:
-            robot.kill()
+            robot.close()
     for name, times in zip(("target", "output"), zip(*after, strict=True), strict=True):
         print(f"zero {name}: {min(times)} to {max(times)} ms after the newest nonce, {tries} tries")
 
