@@ -214,7 +214,11 @@ def _bench(board: str) -> tuple[LineBench, dict[str, Any]]:
 
 
 class Watch:
-    """Looks at a gate's target after each loop of its robot, and whenever it has received something; give ``commanded`` what is written, and when."""
+    """Looks at a gate's target after each loop of its robot, and whenever that has received something.
+
+    Attributes:
+        commanded: What was written to the robot, and when; whoever writes fills it.
+    """
 
     def __init__(self, bench: LineBench) -> None:
         self.commanded: deque[tuple[int, WheelSpeeds]] = deque()
