@@ -169,7 +169,7 @@ def arduino() -> LineBench:
     return LineBench(ArduinoBridge, ArduinoBridgeFirmware, GTERNAL, IDEAL, MS, encoders)
 
 
-def rfp(firmware: Any = RfpFirmware, loop_ns: int = 5 * MS) -> LineBench:
+def rfp(firmware: Any = RfpFirmware) -> LineBench:
     """Return a bench whose wheels turn as its gate lets them, at once."""
     encoders = replace(IDEAL, speed_quantum=math.tau / COUNTS_PER_TURN / 0.005, loop_period=0.005)
-    return LineBench(Rfp, firmware, GTERNAL, IDEAL, loop_ns, encoders)
+    return LineBench(Rfp, firmware, GTERNAL, IDEAL, 5 * MS, encoders)

@@ -229,11 +229,15 @@ def _bench(board: str) -> tuple[LineBench, dict[str, Any]]:
     """Return a bench with this board, and its driver's settings."""
     if board == "uno":
         return uno_behind_its_driver(MS), UNO_SETTINGS
-    return rfp(loop_ns=MS), {"counts_per_turn": COUNTS_PER_TURN}
+    return rfp(), {"counts_per_turn": COUNTS_PER_TURN}
 
 
 class Watch:
-    """Looks at a gate's target after each loop of its robot; give ``commanded`` what is written, and when."""
+    """Looks at a gate's target after each loop of its robot, and whenever that has received something.
+
+    Attributes:
+        commanded: What was written to the robot, and when; whoever writes fills it.
+    """
 
     def __init__(self, bench: LineBench) -> None:
         self.commanded: deque[tuple[int, WheelSpeeds]] = deque()
