@@ -178,7 +178,7 @@ def turn(lanes: Array, plan: Array, wheel: int, command: int) -> None:
             duration, plan[_DECAY + i], plan[_STOP_DECAY + i],
         )  # fmt: skip
         rolled = lanes[wheel + _GAIN + i] * mean
-        if duration == 0.0:
+        if duration == 0.0:  # chosen before it is stored: a store on condition takes long
             (angle, speed, counted), rolled = before, 0.0
         lanes[wheel + _ANGLE + i], lanes[wheel + _SPEED + i], lanes[wheel + _COUNTED + i] = angle, speed, counted
         lanes[wheel + _ROLLED + i] = rolled
