@@ -50,7 +50,7 @@ NOISE = {  # of poses and wheels, where nobody identified the robot: of the simu
     "noise_position_mm": 0.01, "noise_heading_deg": 0.03, "wander_slip": 4e-4, "wander_way": 3e-4,
     "noise_stamp_ms": 0.02, "wander_wheel": 1e-3,
 }  # fmt: skip
-_ROUNDING = 1e-9
+_ROUNDING = 1e-11  # variance in units of the prior
 _SIMULATED = [row for row, name in enumerate(PARAMETERS) if name not in ENCODERS]
 _STATUS_S = 0.02  # from one reading of encoders to the next
 
