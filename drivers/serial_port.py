@@ -50,7 +50,14 @@ class SerialPort:
         self.descriptor = self._serial.fileno()
 
     def duration_ns(self, data: bytes) -> int:
-        """Return how long the line is busy with a write [ns]."""
+        """Tell how long a write keeps the line busy.
+
+        Args:
+            data: What is written.
+
+        Returns:
+            The time [ns].
+        """
         return len(data) * _BITS_A_BYTE * 1_000_000_000 // self._baud
 
     def read(self) -> bytes:

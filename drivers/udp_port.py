@@ -62,7 +62,14 @@ class UdpPort:
         return _LOST.get(self._trouble or 0, "is the robot on, and in reach of its Wi-Fi?")
 
     def duration_ns(self, data: bytes) -> int:
-        """Return how long the line is busy with a write [ns]."""
+        """Tell how long a write keeps the line busy.
+
+        Args:
+            data: What is written.
+
+        Returns:
+            The time [ns].
+        """
         return _PAUSE_NS
 
     def read(self) -> bytes:
