@@ -1,6 +1,7 @@
 """A run in lockstep and what was said in it, as a recorder hears it."""
 
 import resource
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,13 +50,18 @@ def index(file: Path) -> tuple[Summary, dict[str, int]]:
 
 @contextmanager
 def room_for(bytes_of_a_file: int) -> Iterator[None]:
-    """Let no file become longer: the kernel then writes a part of what is asked for, and refuses the rest."""
+    """Let no file become longer: the kernel then writes a part of what is asked for, and refuses the rest.
+
+    Python would keep the byte code of a module that is imported meanwhile in part, for whoever imports it later.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    kept, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_of_a_file, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        sys.dont_write_bytecode = kept
 
 
 def write(log: RunLog, messages: Messages) -> None:
