@@ -12,7 +12,7 @@ from robofleet.bus.messages import UNIT_TRUTH
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.arrays import Array, Instants
-from robofleet.core.kernels import kernel
+from robofleet.core.kernels import kernel, kernel_of_plain
 from robofleet.vehicles import differential_drive
 
 _HISTORY = 32  # true samples a robot, 10 ms apart
@@ -20,7 +20,7 @@ NOBODY = -1  # as a row: a robot of which nothing is kept
 _FAR = 1e9  # [m, rad] beyond any arena and heading: such a truth is none
 _GOES_ON_NS = 100_000_000  # after its newest sample a robot is taken to go on; then its driver is gone
 
-_arc = kernel(differential_drive.arc)
+_arc = kernel_of_plain(differential_drive.arc)
 
 
 class World:
