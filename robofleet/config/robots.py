@@ -85,9 +85,8 @@ class Robot(Model):
     settings: Annotated[dict[Text, JsonValue], Field(max_length=MANY)] = Field(default={})
     """Settings of its driver, for example the serial port. ``drivers/README.md`` lists them."""
     twin: Named | None = None
-    """Firmware twin that answers on the serial port in the robot's place: an entry point of ``robofleet.twins``, or
-    ``module:Class``. The run makes its port, which replaces ``settings.port``, unless that is ``udp://127.0.0.1:PORT``.
-    null: none."""
+    """Firmware twin that answers in the robot's place: an entry point of ``robofleet.twins``, or ``module:Class``. The
+    run makes its port, unless ``settings.port`` is ``udp://127.0.0.1:PORT``. null: none."""
     reality: Literal["real", "simulated"] = "real"
     """``real``: the robot stands in the arena, and the camera sees it. ``simulated``: no camera sees it; the tracker
     adds its pose to those of the others."""

@@ -49,12 +49,12 @@ def test_any_calibration_comes_back_as_it_was(
 
 
 def test_a_folder_that_refuses_leaves_the_earlier_one_in_place(tmp_path: Path) -> None:
-    file = tmp_path / "ceiling.yaml"
-    save(file, camera(100.0))
+    file, before = tmp_path / "ceiling.yaml", camera(100.0)
+    save(file, before)
     (tmp_path / "earlier").write_text("a file where the folder of the earlier ones would be")
     with pytest.raises(CalibrationError, match=r"ceiling\.yaml: cannot be written"):
         save(file, camera(101.0))
-    assert load(file, CameraModel) == camera(100.0)
+    assert load(file, CameraModel) == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ceiling.yaml", "earlier"]
     with pytest.raises(CalibrationError, match="cannot be written"):
         Report("page").write(tmp_path / "earlier" / "page.html")
