@@ -76,7 +76,7 @@ class Rfp:
         counts_per_turn: _Positive
         """Encoder counts in one turn of a wheel, gear included, as built in (``RFP_COUNTS_PER_TURN``)."""
         board: Annotated[str, Field(min_length=1, max_length=12)] | None = None
-        """The board that it must be: ``uno``, ``mega``, ``pico``, ``teensy`` or one of yours; null: any."""
+        """The board that it must be: ``uno``, ``mega``, ``pico``, ``teensy``, ``esp32`` or one of yours; null: any."""
         gains: Annotated[tuple[_Gain, _Gain, _Gain] | None, Field(strict=False)] = None
         """kp, ki, kff of the wheels' speed loops, sent at opening; null: those that are built in."""
         battery_v: Annotated[tuple[_Positive, _Positive] | None, Field(strict=False)] = None

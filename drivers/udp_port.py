@@ -8,6 +8,7 @@ import socket
 from robofleet.vehicles.interface import DriverError
 
 SCHEME = "udp://"
+LOOPBACK = f"{SCHEME}127.0.0.1:"  # where twins answer: nobody else reaches them
 _URL = re.compile(rf"{SCHEME}([\w.-]+):(\d{{1,5}})", re.ASCII)
 _MOST_DATAGRAMS_AT_ONCE = 256
 _MOST_BYTES = 2048

@@ -7,7 +7,7 @@ from robofleet.config import slices
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.plugins import load
-from robofleet.drivers.udp_port import SCHEME
+from robofleet.drivers.udp_port import LOOPBACK
 from robofleet.simulation.faults import Schedule
 from robofleet.simulation.faulty_line import Ledger, TwinTroubles
 from robofleet.simulation.firmware import Firmware, Hardware
@@ -27,7 +27,7 @@ _BUFFER_BYTES = 64  # that wait for a firmware that hangs
 
 
 class Twin:
-    """One robot's twin, switched on at ``now_ns`` with its port at ``port``, a path or ``udp://HOST:PORT``.
+    """One robot's twin, switched on at ``now_ns`` with its port at ``port``, a path or ``udp://127.0.0.1:PORT``.
 
     The caller's clock is its time.
     """
@@ -56,7 +56,7 @@ class Twin:
         self._loop_period_ns = round(s.imperfections.loop_period * S)
         self._loop_ns = now_ns + self._loop_period_ns
         self._now_ns = now_ns
-        self._network = port.startswith(SCHEME)  # which has no baud rate, and resets no board
+        self._network = port.startswith(LOOPBACK)  # which has no baud rate, and resets no board
         baud = _NETWORK_BAUD if self._network else self._firmware.baud
         self._to_robot, self._to_host = Wire(baud), Wire(baud)
         self._waiting = b""  # for a firmware that hangs

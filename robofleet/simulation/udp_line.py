@@ -1,14 +1,14 @@
-"""The robot's end of a network: the socket part of this project's firmware (``udp.c``), at a port of this computer."""
+"""The robot's end of a network: the socket part of this project's firmware (``udp.c``), at a port of 127.0.0.1."""
 
-import socket
 from collections.abc import Callable
 
 from robofleet.core.errors import RobofleetError
-from robofleet.drivers.udp_port import host_and_port
+from robofleet.drivers.udp_port import LOOPBACK, host_and_port
 from robofleet.simulation.firmware_library import firmware_library
 
 _MOST_BYTES = 128  # UDP_BYTES
-_OWN = "a twin needs a free port of this computer: write udp://127.0.0.1:PORT"
+_OWN = f"a twin needs a free port of this computer: write {LOOPBACK}PORT"
+_LOOPBACK = 0x7F000001
 
 
 class UdpLineError(RobofleetError):
@@ -20,11 +20,7 @@ class UdpLine:
 
     def __init__(self, url: str, now_us: Callable[[], int]) -> None:
         self._url, self._now_us = url, now_us
-        host, self._port = host_and_port(url)
-        try:
-            self._address = int.from_bytes(socket.inet_aton(socket.gethostbyname(host)))
-        except OSError as error:
-            raise UdpLineError(f"{url}: {_OWN}") from error
+        _, self._port = host_and_port(url)
         self._ffi, self._c = firmware_library({})
         self._udp = self._ffi.new("struct udp *", {"descriptor": -1})
         self._bytes = self._ffi.new("uint8_t[]", _MOST_BYTES)
@@ -42,7 +38,7 @@ class UdpLine:
 
     def plug(self) -> None:
         """Let the robot be on the network."""
-        if self._udp.descriptor < 0 and not self._c.udp_open(self._udp, self._address, self._port):
+        if self._udp.descriptor < 0 and not self._c.udp_open(self._udp, _LOOPBACK, self._port):
             raise UdpLineError(f"{self._url}: {_OWN}")
 
     def unplug(self) -> None:

@@ -11,6 +11,7 @@ from random import Random
 
 import pytest
 
+from robofleet.bus.arena_file import twin_port
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS, S, SimulatedClock, WallClock
 from robofleet.doctor.needs import Needs
@@ -298,6 +299,15 @@ def test_a_twin_on_a_network_has_the_configured_port_for_itself() -> None:
     config = load_config(PLATOON, [f"robots.{k}.{key}={value}" for k in (0, 1) for key, value in keys.items()])
     assert driver_settings.port(config, config.robots[0]) == "udp://127.0.0.1:4210"
     assert [*complaints(config)] == [("robots.1.settings.port", "r1 has this port: each robot needs its own")]
+
+
+@pytest.mark.parametrize("address", ["192.168.1.21:4210", "0.0.0.0:4210", "r1:4210"])
+def test_a_twin_of_a_robot_elsewhere_listens_to_no_network(address: str) -> None:
+    settings = f"{{port: 'udp://{address}', counts_per_turn: 2248}}"
+    keys = {"driver": "rfp", "vehicle": "rfp", "twin": "rfp", "settings": settings}
+    config = load_config(PLATOON, [f"robots.0.{key}={value}" for key, value in keys.items()])
+    assert driver_settings.port(config, config.robots[0]) == str(twin_port("platoon", "r1"))
+    assert [*complaints(config)] == []
 
 
 def test_a_robot_on_a_network_needs_no_serial_port() -> None:

@@ -12,7 +12,7 @@ from robofleet.config.faults import Complaint, plain_words
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.plugins import load
-from robofleet.drivers.udp_port import SCHEME
+from robofleet.drivers.udp_port import LOOPBACK
 from robofleet.vehicles.interface import DriverContext, SimulatedDriver, World
 
 
@@ -31,9 +31,9 @@ def of(config: Config, robot: Robot) -> Any:
 
 
 def port_of_twin(config: Config, robot: Robot) -> str:
-    """Return the port at which a robot's twin answers: on a network the configured one, else a path."""
+    """Return the port at which a robot's twin answers: a path, or the configured UDP port of this computer alone."""
     own = str(robot.settings.get("port", ""))
-    return own if own.startswith(SCHEME) else str(twin_port(config.arena.name, robot.id))
+    return own if own.startswith(LOOPBACK) else str(twin_port(config.arena.name, robot.id))
 
 
 def context(config: Config, robot: Robot, now_ns: Callable[[], int], world: World | None = None) -> DriverContext:
