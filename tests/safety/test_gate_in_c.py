@@ -320,3 +320,14 @@ def test_a_runaway_wheel_is_judged_as_in_python(library: Any) -> None:
             assert judged == (direction, since, now, runaway.runs(since * MS, now * MS))
             found += runs
     assert found > 100
+
+
+def test_at_the_limit_of_what_obeys_both_judge_a_wheel_alike(library: Any) -> None:
+    ffi, c = library
+    for output in (-99, 99, *range(-40 * 1024, 41 * 1024, 1024)):
+        for turning in (-256, 256):
+            limit = 11 * output // 1024 + turning
+            for measured in (turning - 1, turning, turning + 1, limit - 1, limit, limit + 1):
+                in_c = ffi.new("struct runaway *")
+                c.runaway_look(in_c, output, measured, 1000)
+                assert in_c.direction == runaway.direction(output * OUTPUT, measured * SPEED), (output, measured)

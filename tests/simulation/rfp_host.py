@@ -3,13 +3,26 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-from robofleet.drivers.rfp_frames import Command, Health, Lease, Message, Permission, Receiver, Status, frame, message
+from robofleet.drivers.rfp_frames import (
+    Command,
+    Health,
+    Hello,
+    Identity,
+    Lease,
+    Message,
+    Permission,
+    Receiver,
+    Status,
+    frame,
+    message,
+)
 
 EMERGENCY_STOP = 2  # as a latch
 OPEN, NO_COMMAND, NO_ENABLE, LATCHED, NO_LEASE = range(5)  # the gate's states
 _SESSION = 7
+Received = TypeVar("Received", Status, Health, Identity)
 _COMMAND_MS = 20
 
 
@@ -42,14 +55,21 @@ class RfpHost(ABC):
 
     @property
     def status(self) -> Status:
-        newest = self.newest[Status]
-        assert isinstance(newest, Status)
-        return newest
+        return self._newest(Status)
 
     @property
     def health(self) -> Health:
-        newest = self.newest[Health]
-        assert isinstance(newest, Health)
+        return self._newest(Health)
+
+    def identity(self) -> Identity:
+        """Ask the board who it is."""
+        self.say(Hello())
+        self.pass_ms(20)
+        return self._newest(Identity)
+
+    def _newest(self, kind: type[Received]) -> Received:
+        newest = self.newest[kind]
+        assert isinstance(newest, kind)
         return newest
 
     def say(self, *messages: Message) -> None:

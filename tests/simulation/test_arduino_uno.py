@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from robofleet.core.clock import MS
-from robofleet.drivers.rfp_frames import Command, Hello, Identity, frame
+from robofleet.drivers.rfp_frames import Command, frame
 from robofleet.runs import check_drivers
 from robofleet.simulation.avr.board import Reset, image
 from robofleet.vehicles.interface import WheelSpeeds
@@ -64,10 +64,7 @@ def test_at_20000_counts_a_second_it_is_small_and_no_loop_takes_a_millisecond(bo
 
 def test_it_says_who_it_is() -> None:
     uno = Uno("-DRFP_BUILD='\"robot 7\"'")
-    uno.say(Hello())
-    uno.pass_ms(50)
-    identity = uno.newest[Identity]
-    assert isinstance(identity, Identity)
+    identity = uno.identity()
     assert (identity.board.rstrip(b"\0"), identity.build.rstrip(b"\0")) == (b"uno", b"robot 7")
     assert identity.reset == Reset.POWER_ON
 

@@ -2,7 +2,6 @@
 
 import pytest
 
-from robofleet.drivers.rfp_frames import Hello, Identity
 from tests.simulation.pico import BAUD, COUNTS_PER_TURN, LOG, Pico, Reset, image
 from tests.simulation.rfp_host import EMERGENCY_STOP, LATCHED, NO_LEASE
 
@@ -26,10 +25,7 @@ def test_the_second_stage_has_the_checksum_without_which_the_boot_rom_does_not_r
 
 def test_it_says_who_it_is() -> None:
     pico = Pico()
-    pico.say(Hello())
-    pico.pass_ms(20)
-    identity = pico.newest[Identity]
-    assert isinstance(identity, Identity)
+    identity = pico.identity()
     assert identity.board.rstrip(b"\0") == b"pico"
     assert identity.reset == POWER_ON
 

@@ -4,7 +4,6 @@ import struct
 
 import pytest
 
-from robofleet.drivers.rfp_frames import Hello, Identity
 from tests.simulation.pico import image
 from tests.simulation.rfp_host import EMERGENCY_STOP, LATCHED, NO_LEASE
 from tests.simulation.teensy import BAUD, COUNTS_PER_TURN, ENTRY, POWER_ON, WAIT, WATCHDOG, Teensy
@@ -25,11 +24,7 @@ def test_its_boot_rom_finds_what_it_looks_for() -> None:
 @pytest.mark.slow
 def test_it_says_who_it_is_and_how_full_its_battery_is() -> None:
     teensy = Teensy()
-    teensy.say(Hello())
-    teensy.pass_ms(20)
-    identity = teensy.newest[Identity]
-    assert isinstance(identity, Identity)
-    assert identity.board.rstrip(b"\0") == b"teensy"
+    assert teensy.identity().board.rstrip(b"\0") == b"teensy"
     assert teensy.health.reset == ON_THE_LINE[POWER_ON]
     assert teensy.health.battery_mv == pytest.approx(2200, abs=2)
 

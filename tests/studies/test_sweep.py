@@ -214,9 +214,8 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text(text)
     code, _, err = sweep("s.yaml", "--out", "out")
-    errors = [
-        line for line in err.splitlines() if not line.startswith("checks: ")
-    ]  # what a slow machine has done so far
+    # Where a machine is slow, lines say how far the checks are.
+    errors = [line for line in err.splitlines() if not line.startswith("checks: ")]
     assert (code, len(errors)) == (2, 1), err
     assert errors[0].startswith(message)
     assert not Path("out").exists()

@@ -71,18 +71,7 @@ class Encoders:
 
 @kernel
 def _filter(  # type: ignore[no-untyped-def]
-    expected,
-    at_s,
-    angles,
-    variance,
-    stamp_s,
-    wander,
-    begins,
-    chosen,
-    kept,
-    residuals,
-    gate,
-    outliers,
+    expected, at_s, angles, variance, stamp_s, wander, begins, chosen, kept, residuals, gate, outliers
 ):
     """Carry along by how much each wheel's counted angle differs from the expected one; fill in whitened residuals.
 

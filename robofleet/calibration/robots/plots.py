@@ -18,10 +18,8 @@ _LAGS = 20
 def motion_figure(found: Identification, shots: Shots) -> Figure:
     """Draw the observed and the predicted speed and turning of some busy seconds."""
     h = np.diff(shots.at_s)
-    seen, model = (
-        relative(shots.poses[:-1], shots.poses[1:]) / h[:, None],
-        shots.motion(found.wheels).steps / h[:, None],
-    )
+    seen = relative(shots.poses[:-1], shots.poses[1:]) / h[:, None]
+    model = shots.motion(found.wheels).steps / h[:, None]
     c, s = math.cos(found.wheels.tag_heading_rad), math.sin(found.wheels.tag_heading_rad)
     # the tag's way is that of the centre, and of its arm while the robot turns
     along = c * seen[:, 0] - s * seen[:, 1] + seen[:, 2] * found.wheels.tag_left_m
