@@ -48,6 +48,12 @@ def firmware_library(built_in: Mapping[str, object], sources: Path = SOURCES, *f
     return Library(ffi, ffi.dlopen(str(target / "firmware")))
 
 
+def files() -> list[Path]:
+    """Return the files that decide an image: all but guides and what was built."""
+    found = (file for file in sorted(SOURCES.rglob("*")) if file.is_file() and file.suffix != ".md")
+    return [file for file in found if "build" not in file.relative_to(SOURCES).parts]
+
+
 def robot_program(built_in: Mapping[str, object]) -> Path:
     """Return a robot that is a process of its own, at a UDP port (``boards/host_udp.c``); as ``firmware_library``."""
     return _made("robot", SOURCES, FLAGS, built_in, "boards/host_udp.c") / "robot"

@@ -62,6 +62,26 @@ def test_at_20000_counts_a_second_it_is_small_and_no_loop_takes_a_millisecond(bo
         assert ram + stack <= 1200
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("board", ["uno", "mega"])
+def test_its_motors_turn_both_ways_and_brake_between_the_pulses_and_at_rest(board: str) -> None:
+    uno = Uno(board=board)
+    assert uno.board.voltages == (0, 0)
+    braked = {uno.board.brakes}
+    uno.drive(9.0, -4.0)
+    braked.add(uno.board.brakes)
+    left, right = uno.board.voltages
+    assert left > 0 > right
+    uno.commands = -4.0, 9.0
+    uno.pass_ms(300, lambda: braked.add(uno.board.brakes))
+    left, right = uno.board.voltages
+    assert right > 0 > left
+    uno.commands = None
+    uno.pass_ms(300, lambda: braked.add(uno.board.brakes))
+    assert uno.board.voltages == (0, 0)
+    assert braked == {(True, True)}
+
+
 def test_it_says_who_it_is() -> None:
     uno = Uno("-DRFP_BUILD='\"robot 7\"'")
     identity = uno.identity()

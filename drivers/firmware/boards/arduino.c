@@ -1,4 +1,4 @@
-/* Arduino Uno and Mega with an L298 and two quadrature encoders, wired as for ros_arduino_bridge (README.md).
+/* Arduino Uno and Mega with an L298 or TB6612 and two quadrature encoders, wired as for ros_arduino_bridge (README.md).
  *
  * Timers make the motors' PWM (490 Hz, phase correct, as Arduino's own on pins 9 and 10) and the clock. Every edge of an
  * encoder is an interrupt. The microcontroller sleeps between interrupts.
@@ -16,25 +16,14 @@ enum { BUFFER = 128, BUFFER_MASK = BUFFER - 1 };        /* bytes of the line, ea
 enum { BAUD_DIVISOR = (F_CPU / 4 / RFP_BAUD - 1) / 2 }; /* at double speed, rounded */
 enum { TICKS = 250, TICK_US = 4 };                      /* of the clock's timer in a millisecond: 16 MHz / 64 */
 
-/* Let a timer's output make a pin high for so much of 255; 0: the pin's own level, which is low. */
-#define PWM(mode, bit, compare, level) \
-    do { \
-        if (level) { \
-            (compare) = (level); \
-            (mode) |= _BV(bit); \
-        } else { \
-            (mode) &= (uint8_t)~_BV(bit); /* the pin is low then */ \
-        } \
-    } while (0)
-
-/* Arduino's numbers of the pins stand at the right. */
+/* Arduino's numbers of the pins stand at the right. A motor's pin is low for so much of 255 as its register says. */
 #if defined(__AVR_ATmega328P__)
 const char board_name[] = "uno";
 enum { LEFT_ENABLE = _BV(5), RIGHT_ENABLE = _BV(4) };                        /* 13, 12 */
-#define LEFT_FORWARD(level) PWM(TCCR1A, COM1B1, OCR1B, level)                /* 10 */
-#define LEFT_BACKWARD(level) PWM(TCCR0A, COM0A1, OCR0A, level)               /* 6 */
-#define RIGHT_FORWARD(level) PWM(TCCR1A, COM1A1, OCR1A, level)               /* 9 */
-#define RIGHT_BACKWARD(level) PWM(TCCR0A, COM0B1, OCR0B, level)              /* 5 */
+#define LEFT_FORWARD OCR1B                                                   /* 10 */
+#define LEFT_BACKWARD OCR0A                                                  /* 6 */
+#define RIGHT_FORWARD OCR1A                                                  /* 9 */
+#define RIGHT_BACKWARD OCR0B                                                 /* 5 */
 #define LEFT_AB (PIND >> 2 & 3)                                              /* 2, 3 */
 #define RIGHT_AB (PINC >> 4 & 3)                                             /* A4, A5 */
 #define LEFT_ISR ISR(PCINT2_vect)
@@ -52,9 +41,9 @@ static void start_pins_and_timers(void)
     DDRD = _BV(5) | _BV(6);
     PORTD = _BV(2) | _BV(3); /* the encoders' pull-ups */
     PORTC = _BV(4) | _BV(5);
-    TCCR0A = _BV(WGM00);
+    TCCR0A = _BV(WGM00) | _BV(COM0A1) | _BV(COM0A0) | _BV(COM0B1) | _BV(COM0B0);
     TCCR0B = _BV(CS01) | _BV(CS00);
-    TCCR1A = _BV(WGM10);
+    TCCR1A = _BV(WGM10) | _BV(COM1A1) | _BV(COM1A0) | _BV(COM1B1) | _BV(COM1B0);
     TCCR1B = _BV(CS11) | _BV(CS10);
     OCR2A = TICKS - 1;
     TCCR2A = _BV(WGM21);
@@ -67,10 +56,10 @@ static void start_pins_and_timers(void)
 #elif defined(__AVR_ATmega2560__)
 const char board_name[] = "mega";
 enum { LEFT_ENABLE = _BV(7), RIGHT_ENABLE = _BV(6) };                        /* 13, 12 */
-#define LEFT_FORWARD(level) PWM(TCCR2A, COM2A1, OCR2A, level)                /* 10 */
-#define LEFT_BACKWARD(level) PWM(TCCR4A, COM4A1, OCR4A, level)               /* 6 */
-#define RIGHT_FORWARD(level) PWM(TCCR2A, COM2B1, OCR2B, level)               /* 9 */
-#define RIGHT_BACKWARD(level) PWM(TCCR3A, COM3A1, OCR3A, level)              /* 5 */
+#define LEFT_FORWARD OCR2A                                                   /* 10 */
+#define LEFT_BACKWARD OCR4A                                                  /* 6 */
+#define RIGHT_FORWARD OCR2B                                                  /* 9 */
+#define RIGHT_BACKWARD OCR3A                                                 /* 5 */
 #define LEFT_AB (PINE >> 4 & 3)                                              /* 2, 3 */
 #define RIGHT_AB (PIND >> 2 & 3)                                             /* 19, 18 */
 #define LEFT_ISR ISR(INT5_vect, ISR_ALIASOF(INT4_vect)); ISR(INT4_vect)
@@ -89,9 +78,9 @@ static void start_pins_and_timers(void)
     DDRE = _BV(3);
     PORTE = _BV(4) | _BV(5); /* the encoders' pull-ups */
     PORTD = _BV(2) | _BV(3);
-    TCCR2A = _BV(WGM20);
+    TCCR2A = _BV(WGM20) | _BV(COM2A1) | _BV(COM2A0) | _BV(COM2B1) | _BV(COM2B0);
     TCCR2B = _BV(CS22);
-    TCCR3A = TCCR4A = _BV(WGM30);
+    TCCR3A = TCCR4A = _BV(WGM30) | _BV(COM3A1) | _BV(COM3A0);
     TCCR3B = TCCR4B = _BV(CS31) | _BV(CS30);
     OCR0A = TICKS - 1;
     TCCR0A = _BV(WGM01);
@@ -267,22 +256,20 @@ bool board_uart_write(const uint8_t *bytes, uint8_t length)
     return true;
 }
 
-/* --- Motors: one input of the L298 gets PWM, the other one is low. --- */
+/* --- Motors: one input is high, the other one low for as long as the motor drives. Else both are high: it brakes. --- */
 
 void board_pwm(enum board_side side, int16_t duty)
 {
-    const bool forward = duty > 0;
-    const uint16_t size = (uint16_t)(forward ? duty : -duty);
+    const uint16_t size = (uint16_t)(duty < 0 ? -duty : duty);
     const uint8_t level = (uint8_t)((size - (size >> 8)) >> 2); /* of 255 */
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
-    {
-        if (side == BOARD_LEFT) {
-            LEFT_FORWARD(forward ? level : 0);
-            LEFT_BACKWARD(forward ? 0 : level);
-        } else {
-            RIGHT_FORWARD(forward ? level : 0);
-            RIGHT_BACKWARD(forward ? 0 : level);
-        }
+    const uint8_t forward = duty < 0 ? level : 0; /* how long this input is low */
+    const uint8_t backward = duty < 0 ? 0 : level;
+    if (side == BOARD_LEFT) {
+        LEFT_FORWARD = forward;
+        LEFT_BACKWARD = backward;
+    } else {
+        RIGHT_FORWARD = forward;
+        RIGHT_BACKWARD = backward;
     }
 }
 

@@ -1,4 +1,4 @@
-/* An Arduino with ros_arduino_bridge's wiring around simavr's ATmega: UART, L298, two quadrature encoders, EEPROM.
+/* An Arduino with ros_arduino_bridge's wiring around simavr's ATmega: UART, bridges, two quadrature encoders, EEPROM.
  *
  * board.py compiles it against libsimavr. Times are cycles of the microcontroller (16 MHz).
  */
@@ -14,7 +14,7 @@
 
 DEFINE_FIFO(uint16_t, uart_fifo);
 
-enum { LINE_BYTES = 4096, UART_DEPTH = 2, MCUSR = 0x54, PORF = 1, BORF = 4, CLEAR_ON_MATCH = 2 };
+enum { LINE_BYTES = 4096, UART_DEPTH = 2, MCUSR = 0x54, PORF = 1, BORF = 4, SET_ON_MATCH = 3 };
 enum { EEPROM_BYTES = 1024, EECR = 0x3f, EEPE = 2, EEARL = 0x41, EEARH = 0x42, EEPROM_CYCLES = 54400 /* 3.4 ms */ };
 
 struct pin {
@@ -283,19 +283,27 @@ uint32_t board_transmitted(struct board *b, uint8_t *bytes, uint32_t room) {
     return count;
 }
 
+/* How long a pin is high, of 255. */
 static int level(const struct board *b, const struct pin *pin) {
     const uint8_t *data = b->avr->data;
     if (!(data[pin->ddr] >> pin->bit & 1))
-        return 0;                                      /* an input: the L298 pulls it down */
-    if (pin->tccr && (data[pin->tccr] >> pin->shift & 3) == CLEAR_ON_MATCH)
-        return data[pin->ocr];
+        return 0;                                      /* an input: it is pulled down */
+    if (pin->tccr && (data[pin->tccr] >> pin->shift & 3) == SET_ON_MATCH)
+        return 255 - data[pin->ocr];
     return data[pin->out] >> pin->bit & 1 ? 255 : 0;
 }
 
-/* What the L298 puts on a motor, -255..255. */
+/* What the bridge, an L298 or a TB6612, puts on a motor, -255..255. */
 int board_voltage(const struct board *b, int side) {
     const struct wheel *w = &b->wiring->wheels[side];
     return level(b, &w->enable) ? level(b, &w->forward) - level(b, &w->backward) : 0;
+}
+
+/* Whether it brakes a motor while it does not drive it: an input is high all the time. While both are low, a TB6612 lets
+ * it coast. */
+int board_brakes(const struct board *b, int side) {
+    const struct wheel *w = &b->wiring->wheels[side];
+    return level(b, &w->enable) && (level(b, &w->forward) == 255 || level(b, &w->backward) == 255);
 }
 
 uint64_t board_cycle(struct board *b) { return now(b); }

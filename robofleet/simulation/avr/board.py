@@ -1,4 +1,4 @@
-"""An emulated Arduino: simavr's microcontroller with an L298 and two encoders on its pins. It runs the flashed binary.
+"""An emulated Arduino: simavr's microcontroller, two bridges and two encoders on its pins. It runs the flashed binary.
 
 Shim and binary are compiled at their first use, by this computer's compilers.
 """
@@ -14,12 +14,12 @@ from functools import cache
 from pathlib import Path
 
 from robofleet.core.errors import RobofleetError
+from robofleet.simulation import firmware_library
 from robofleet.simulation.compiled_c import compiled
 
 CLOCK_HZ = 16_000_000
-FULL_VOLTAGE = 255  # of what the L298 can put on a motor
+FULL_VOLTAGE = 255  # that a bridge can put on a motor
 _SHIM = Path(__file__).with_name("board.c")
-_FIRMWARE = Path(__file__).parents[2] / "drivers" / "firmware"
 _MCUS = {"uno": b"atmega328p", "mega": b"atmega2560"}
 _MOST_BYTES_AT_ONCE = 4096
 _DONE, _CRASHED = 6, 7  # simavr: the program ended, or did what no program may do
@@ -83,8 +83,13 @@ class Board:
 
     @property
     def voltages(self) -> tuple[int, int]:
-        """What the L298 puts on the motors, left and right, mean over a period of the PWM: +-``FULL_VOLTAGE``."""
+        """What the bridges put on the motors, left and right, mean over a period of the PWM: +-``FULL_VOLTAGE``."""
         return self._c.board_voltage(self._board, 0), self._c.board_voltage(self._board, 1)
+
+    @property
+    def brakes(self) -> tuple[bool, bool]:
+        """Whether the bridges, L298 or TB6612, brake the motors, left and right, while they do not drive them."""
+        return bool(self._c.board_brakes(self._board, 0)), bool(self._c.board_brakes(self._board, 1))
 
     def run(self, cycles: int, left_counts: int = 0, right_counts: int = 0) -> None:
         """Let it run; its encoders count meanwhile, at even distances. Forward is +."""
@@ -115,9 +120,8 @@ def image(name: str, *flags: str) -> Path:
     """
     if missing := [tool for tool in ("make", "avr-gcc") if shutil.which(tool) is None]:
         raise NoAvrError(f"NO AVR: no {' and no '.join(missing)} here: install Debian's gcc-avr, avr-libc and make")
-    sources = sorted(file for file in _FIRMWARE.rglob("*") if file.suffix in (".c", ".h") or file.name == "Makefile")
-    make = ["make", "-sC", str(_FIRMWARE), name, f"RFP={' '.join(flags)}"]
-    return _built(f"{name}.elf", sources, flags, lambda folder: [*make, f"BUILD={folder}"])
+    make = ["make", "-sC", str(firmware_library.SOURCES), name, f"RFP={' '.join(flags)}"]
+    return _built(f"{name}.elf", firmware_library.files(), flags, lambda folder: [*make, f"BUILD={folder}"])
 
 
 @cache
@@ -152,7 +156,7 @@ def _library() -> ctypes.CDLL:
     c.board_receive.argtypes = [board, ctypes.c_char_p, ctypes.c_uint32]
     c.board_transmitted.argtypes = [board, ctypes.c_void_p, ctypes.c_uint32]
     c.board_reset.argtypes = [board, ctypes.c_uint8, ctypes.c_uint32]
-    c.board_voltage.argtypes = [board, ctypes.c_int]
+    c.board_voltage.argtypes = c.board_brakes.argtypes = [board, ctypes.c_int]
     return c
 
 
