@@ -81,11 +81,11 @@ class Ledger:
     That firmware is a second one of the same kind, on ``spare``. So the count knows no protocol; a stop is never wrong.
     """
 
-    def __init__(self, hardware: Hardware, spare: Hardware, healthy: Firmware) -> None:
+    def __init__(self, firmware: Firmware, hardware: Hardware, healthy: Firmware, spare: Hardware) -> None:
         self.wrong = 0
         self.furthest = 0.0  # of a wrong target from everything that was sent, of one wheel [rad/s]
         self.longest_ns = 0  # that a wrong target was kept
-        self._hardware, self._spare, self._healthy = hardware, spare, healthy
+        self._firmware, self._hardware, self._healthy, self._spare = firmware, hardware, healthy, spare
         self._sent: dict[WheelSpeeds, int] = {}  # when the healthy one aimed at it last [ns]
         self._target = STOP
         self._wrong_since_ns: int | None = None
@@ -107,20 +107,26 @@ class Ledger:
 
     def look(self, now_ns: int) -> None:
         """Judge what the robot aims at now."""
-        target = self._hardware.command
+        target = _target(self._firmware, self._hardware)
         if self._wrong_since_ns is not None:
             self.longest_ns = max(self.longest_ns, now_ns - self._wrong_since_ns)
         if target == STOP or target in self._sent:
             self._wrong_since_ns = None
         elif target != self._target:
             self.wrong += 1
-            self._wrong_since_ns = now_ns
+            if self._wrong_since_ns is None:
+                self._wrong_since_ns = now_ns
             self.furthest = max(self.furthest, min(_apart(target, wheels) for wheels in (*self._sent, STOP)))
         self._target = target
 
     def _note(self, now_ns: int) -> None:
-        self._sent[self._spare.command] = now_ns
+        self._sent[_target(self._healthy, self._spare)] = now_ns
         self._sent = {wheels: at_ns for wheels, at_ns in self._sent.items() if at_ns >= now_ns - _REMEMBERED_NS}
+
+
+def _target(firmware: Firmware, hardware: Hardware) -> WheelSpeeds:
+    target: WheelSpeeds = getattr(firmware, "target", hardware.command)
+    return target
 
 
 def _apart(first: WheelSpeeds, other: WheelSpeeds) -> float:

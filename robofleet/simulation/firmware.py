@@ -49,6 +49,7 @@ class Firmware(Protocol):
     baud: int
     watchdog_s: float | None  # without a word for so long it stops its motors; None: it never does by itself
     # ``refusal()``, a static method, if it has one: why it cannot run on this computer; None: it can
+    # ``target``, WheelSpeeds, if it has it: what it lets through [rad/s]; else its hardware's command is that
     # ``reports``, a RobotFault, if it has one: what it says of what its hardware feels; faults of touch need it
 
     def opened(self, now_ns: int) -> None:

@@ -67,7 +67,7 @@ class SerialLine:
 
     def write(self, data: bytes) -> None:
         """Send to the host; what it has no room for is lost, as is all while it has not opened the port."""
-        if self._master is not None and self.open:
+        if data and self._master is not None and self.open:
             with suppress(BlockingIOError):
                 os.write(self._master, data)
 

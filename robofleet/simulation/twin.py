@@ -61,7 +61,9 @@ class Twin:
         self._to_robot, self._to_host = Wire(baud), Wire(baud)
         self._waiting = b""  # for a firmware that hangs
         self._troubles = TwinTroubles(faults, robot)
-        self.ledger = Ledger(self.hardware, spare, make(spare)) if self._troubles.to_robot.injections else None
+        self.ledger = (
+            Ledger(self._firmware, self.hardware, make(spare), spare) if self._troubles.to_robot.injections else None
+        )
         self._line = UdpLine(port, lambda: self._now_ns // 1000 % 2**32) if self._network else SerialLine(Path(port))
 
     @property

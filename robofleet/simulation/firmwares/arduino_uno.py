@@ -9,6 +9,7 @@ import struct
 from typing import NamedTuple
 
 from robofleet.core.clock import S
+from robofleet.drivers.rfp_frames import PER_RAD_S
 from robofleet.simulation.avr.board import CLOCK_HZ, FULL_VOLTAGE, Board, NoAvrError, Reset, address, image
 from robofleet.simulation.firmware import Hardware
 from robofleet.vehicles.interface import STOP, WheelSpeeds
@@ -16,7 +17,6 @@ from robofleet.vehicles.interface import STOP, WheelSpeeds
 _BAUD = 250000
 _BOOT_NS = 1_000_000_000  # the boot loader waits for a new program for so long
 _GATE = struct.Struct("<IHBIIIIIhhIIhhhiiIIIii")  # struct gate of drivers/firmware/gate.h; an AVR aligns nothing
-_PER_RAD_S = 512.0  # of its speeds
 _NO_LOAD = 1.4  # assumed: a motor's speed without load at full voltage, relative to the robot's top speed
 
 
@@ -58,7 +58,12 @@ class ArduinoUnoFirmware:
         """Its gate, as it stands in the binary's memory."""
         values = _GATE.unpack_from(self.board.memory, self._gate)
         left, right, target_after_ms, output_after_ms = values[13], values[14], values[20], values[21]
-        return Gate(values[2], WheelSpeeds(left / _PER_RAD_S, right / _PER_RAD_S), target_after_ms, output_after_ms)
+        return Gate(values[2], WheelSpeeds(left / PER_RAD_S, right / PER_RAD_S), target_after_ms, output_after_ms)
+
+    @property
+    def target(self) -> WheelSpeeds:
+        """What its gate lets through [rad/s]."""
+        return self.gate.target
 
     def opened(self, now_ns: int) -> None:
         """Reset, as a host does that opens the port."""

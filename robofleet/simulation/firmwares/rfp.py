@@ -6,6 +6,7 @@ emulated motors in ``arduino_uno.py``.
 
 import math
 
+from robofleet.drivers.rfp_frames import PER_RAD_S
 from robofleet.simulation.firmware import Hardware
 from robofleet.simulation.firmware_library import NoCompilerError, firmware_library
 from robofleet.vehicles.interface import STOP, RobotFault, WheelSpeeds
@@ -49,6 +50,12 @@ class RfpFirmware:
         except NoCompilerError as error:
             return str(error)
         return None
+
+    @property
+    def target(self) -> WheelSpeeds:
+        """What its gate lets through [rad/s]."""
+        gate = self.robot.gate
+        return WheelSpeeds(gate.target_left / PER_RAD_S, gate.target_right / PER_RAD_S)
 
     def opened(self, now_ns: int) -> None:
         """Reset, as a host does that opens the port."""

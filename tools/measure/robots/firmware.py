@@ -34,10 +34,8 @@ from typing import Any
 
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.drivers.rfp import Rfp
-from robofleet.drivers.rfp_frames import PER_RAD_S
 from robofleet.simulation.avr.board import Reset
 from robofleet.simulation.firmwares.arduino_uno import ArduinoUnoFirmware, Gate
-from robofleet.simulation.firmwares.rfp import RfpFirmware
 from robofleet.vehicles.interface import STOP, DriverError, WheelSpeeds
 from tests.drivers.line_bench import COUNTS_PER_TURN, LineBench, rfp
 from tests.simulation.pico import Pico
@@ -217,14 +215,6 @@ class Noise:
         return b"".join(lines)
 
 
-def _target(firmware: ArduinoUnoFirmware | RfpFirmware) -> WheelSpeeds:
-    """Return what its gate lets through [rad/s]."""
-    if isinstance(firmware, ArduinoUnoFirmware):
-        return firmware.gate.target
-    gate = firmware.robot.gate
-    return WheelSpeeds(gate.target_left / PER_RAD_S, gate.target_right / PER_RAD_S)
-
-
 def _bench(board: str) -> tuple[LineBench, dict[str, Any]]:
     """Return a bench with this board, and its driver's settings."""
     if board == "uno":
@@ -247,7 +237,7 @@ class Watch:
 
     def _looked_at(self, now_ns: int) -> bytes:
         answer: bytes = self._loop(now_ns)
-        target, passed_ns = _target(self._firmware), now_ns - self._looked_ns
+        target, passed_ns = self._firmware.target, now_ns - self._looked_ns
         self._looked_ns = now_ns
         while self.commanded and self.commanded[0][0] < now_ns - REMEMBERED_NS:
             self.commanded.popleft()
