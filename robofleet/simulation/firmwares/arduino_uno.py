@@ -4,7 +4,6 @@ The plant's wheel-speed loops are the motors here: their setpoint is the voltage
 without load. The binary's own loop closes around them.
 """
 
-import math
 import struct
 from typing import NamedTuple
 
@@ -12,7 +11,8 @@ from robofleet.core.clock import S
 from robofleet.drivers.rfp_frames import PER_RAD_S
 from robofleet.simulation.avr.board import CLOCK_HZ, FULL_VOLTAGE, Board, NoAvrError, Reset, address, image
 from robofleet.simulation.firmware import Hardware
-from robofleet.vehicles.interface import STOP, WheelSpeeds
+from robofleet.simulation.firmwares.rfp import built_in
+from robofleet.vehicles.interface import WheelSpeeds
 
 _BAUD = 250000
 _BOOT_NS = 1_000_000_000  # the boot loader waits for a new program for so long
@@ -37,7 +37,8 @@ class ArduinoUnoFirmware:
 
     def __init__(self, hardware: Hardware) -> None:
         self._hardware = hardware
-        binary = image("uno", *flags(hardware))
+        values = (f"-DRFP_{name}={float(value):.9g}" for name, value in built_in(hardware).items())
+        binary = image("uno", f"-DRFP_BAUD={_BAUD}L", *values)
         self.board = Board("uno", binary, _BAUD)
         self._gate = address(binary, "robot")
         self._counts = hardware.counts
@@ -86,7 +87,7 @@ class ArduinoUnoFirmware:
         if self._start_ns is None:
             self._start_ns = now_ns
         cycles = (now_ns - self._start_ns) * CLOCK_HZ // S - self.board.cycle
-        if now_ns < self._ready_ns:
+        if now_ns < self._ready_ns:  # its boot loader is not emulated: its cycles stand still
             self._start_ns += cycles * S // CLOCK_HZ
             cycles = 0
         counts = self._hardware.counts
@@ -95,17 +96,4 @@ class ArduinoUnoFirmware:
         self.board.run(max(0, cycles), *turned)
         per_unit = _NO_LOAD * self._hardware.drive.max_wheel_speed / FULL_VOLTAGE
         left, right = self.board.voltages
-        self._hardware.command = WheelSpeeds(left * per_unit, right * per_unit) if left or right else STOP
-
-
-def flags(hardware: Hardware) -> list[str]:
-    """Return what is built into the firmware of a robot, as drivers/firmware/config.h names it."""
-    drive = hardware.drive
-    built_in = {
-        "COUNTS_PER_TURN": math.tau / hardware.radians_per_count,
-        "WHEEL_RADIUS_M": drive.wheel_radius,
-        "MAX_WHEEL_RAD_S": drive.max_wheel_speed,
-        "MAX_SPEED_M_S": drive.max_speed,
-        "MAX_ACCELERATION_RAD_S2": drive.max_wheel_acceleration,
-    }
-    return [f"-DRFP_BAUD={_BAUD}L", *(f"-DRFP_{name}={float(value):.9g}" for name, value in built_in.items())]
+        self._hardware.command = WheelSpeeds(left * per_unit, right * per_unit)

@@ -26,15 +26,8 @@ class RfpFirmware:
     reports = RobotFault.BUMPED | RobotFault.CLIFF | RobotFault.WHEEL_DROPPED
 
     def __init__(self, hardware: Hardware) -> None:
-        drive = hardware.drive
         self._hardware = hardware
-        self._ffi, self._c = firmware_library(
-            {
-                "COUNTS_PER_TURN": math.tau / hardware.radians_per_count, "WHEEL_RADIUS_M": drive.wheel_radius,
-                "MAX_WHEEL_RAD_S": drive.max_wheel_speed, "MAX_SPEED_M_S": drive.max_speed,
-                "MAX_ACCELERATION_RAD_S2": drive.max_wheel_acceleration, "BUILD": '"twin"',
-            }
-        )  # fmt: skip
+        self._ffi, self._c = firmware_library({**built_in(hardware), "BUILD": '"twin"'})
         self.board, self.robot = self._ffi.new("struct host *"), self._ffi.new("struct robot *")
         self._ffi.memmove(self.board.eeprom, b"\xff" * len(self.board.eeprom), len(self.board.eeprom))
         self.board.writes_left = 2**31 - 1
@@ -86,10 +79,7 @@ class RfpFirmware:
             before = self.board.sent
             self._c.robot_loop(self.robot)
         gate = self.robot.gate
-        standing = gate.output_left == gate.output_right == 0
-        self._hardware.command = (
-            STOP if standing else WheelSpeeds(gate.output_left * _OUTPUT, gate.output_right * _OUTPUT)
-        )
+        self._hardware.command = WheelSpeeds(gate.output_left * _OUTPUT, gate.output_right * _OUTPUT)
         sent, self.board.sent = bytes(self._ffi.buffer(self.board.to_host, self.board.sent)), 0
         return sent
 
@@ -107,6 +97,18 @@ class RfpFirmware:
         self.board.reset, self.board.received, self.board.arrived, self.board.sent = reset, 0, 0, 0
         self._c.robot_start(self.robot)
         self._hardware.command = STOP
+
+
+def built_in(hardware: Hardware) -> dict[str, float]:
+    """Return what is built into the firmware of a robot, as drivers/firmware/config.h names it."""
+    drive = hardware.drive
+    return {
+        "COUNTS_PER_TURN": math.tau / hardware.radians_per_count,
+        "WHEEL_RADIUS_M": drive.wheel_radius,
+        "MAX_WHEEL_RAD_S": drive.max_wheel_speed,
+        "MAX_SPEED_M_S": drive.max_speed,
+        "MAX_ACCELERATION_RAD_S2": drive.max_wheel_acceleration,
+    }
 
 
 def _us(now_ns: int) -> int:

@@ -262,7 +262,7 @@ def noise(minutes: float, share: float, seed: int, board: str) -> None:
         to_robot, to_driver = (Noise(share, rng, lambda: bench.now_ns) for _ in range(2))
         bench.to_robot, bench.to_driver = to_robot, to_driver
         watch = Watch(bench)
-        said_ns = bench.now_ns
+        reported_ns = bench.now_ns
         end_ns = bench.now_ns + round(minutes * 60 * S)
 
         def report() -> None:
@@ -273,8 +273,8 @@ def noise(minutes: float, share: float, seed: int, board: str) -> None:
             )
 
         while bench.now_ns < end_ns:
-            if bench.now_ns >= said_ns + 60 * S:
-                said_ns = bench.now_ns
+            if bench.now_ns >= reported_ns + 60 * S:
+                reported_ns = bench.now_ns
                 report()
             try:
                 if driver is None:
