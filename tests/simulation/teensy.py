@@ -6,12 +6,11 @@ mixes up pins, not a mistake that both share. Interrupts come where the program 
 
 import struct
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.simulation.pico import image
+from tests.simulation.pico import flashed
 from tests.simulation.rfp_host import RfpHost
 
 BAUD = 500000
@@ -34,8 +33,8 @@ _STUCK = 3_000_000  # instructions without waiting
 class Board:
     """One Teensy, just switched on."""
 
-    def __init__(self, image: Path) -> None:
-        self.program = image.read_bytes()
+    def __init__(self, program: bytes) -> None:
+        self.program = program
         self.flash = bytearray(self.program.ljust(_FLASH_BYTES, b"\xff"))
         self.levels: dict[int, int] = {}
         self.resets = 0
@@ -221,8 +220,23 @@ class Teensy(RfpHost):
     def __init__(self) -> None:
         super().__init__(COUNTS_PER_TURN)
         pytest.importorskip("unicorn", reason="NO TEENSY: no emulator here: pip install unicorn")
-        self.board = Board(image("teensy", BAUD, COUNTS_PER_TURN))
+        self.board = Board(program())
         self.pass_ms(120)
 
     def run_board(self, ms: int, left_counts: int, right_counts: int) -> None:
         self.board.run(ms - self.board.now_us // 1000, left_counts, right_counts)
+
+
+def program() -> bytes:
+    """Return what the loader writes to a Teensy's flash, from the first byte on."""
+    image, upper = b"", 0
+    for line in flashed("teensy.hex", BAUD, COUNTS_PER_TURN).decode().splitlines():  # Intel's format
+        size, address, kind = struct.unpack_from(">BHB", record := bytes.fromhex(line[1:]))
+        assert sum(record) % 256 == 0
+        match kind:
+            case 0:
+                assert upper + address == _FLASH + len(image)  # no gap
+                image += record[4 : 4 + size]
+            case 4:
+                upper = int.from_bytes(record[4:6]) << 16
+    return image

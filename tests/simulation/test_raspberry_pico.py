@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.simulation.pico import BAUD, COUNTS_PER_TURN, LOG, Pico, Reset, image
+from tests.simulation.pico import BAUD, COUNTS_PER_TURN, LOG, Pico, Reset, flashed, from_uf2
 from tests.simulation.rfp_host import EMERGENCY_STOP, LATCHED, NO_LEASE
 
 WAIT, LOOP = b"\x20\xbf", b"\xfe\xe7"  # instructions: wait for an event, once in each loop; jump to yourself
@@ -15,7 +15,7 @@ def latched_by_an_emergency_stop(pico: Pico) -> None:
 
 
 def test_the_second_stage_has_the_checksum_without_which_the_boot_rom_does_not_run_it() -> None:
-    stage, crc = image("pico", BAUD, COUNTS_PER_TURN).read_bytes()[:256], 0xFFFFFFFF
+    stage, crc = from_uf2(flashed("pico.uf2", BAUD, COUNTS_PER_TURN))[:256], 0xFFFFFFFF
     for byte in stage[:252]:  # CRC-32 without reflection, RP2040's data sheet, 2.8.1.3.1
         crc ^= byte << 24
         for _ in range(8):

@@ -4,21 +4,20 @@ import struct
 
 import pytest
 
-from tests.simulation.pico import image
 from tests.simulation.rfp_host import EMERGENCY_STOP, LATCHED, NO_LEASE
-from tests.simulation.teensy import BAUD, COUNTS_PER_TURN, ENTRY, POWER_ON, WAIT, WATCHDOG, Teensy
+from tests.simulation.teensy import ENTRY, POWER_ON, WAIT, WATCHDOG, Teensy, program
 
 LOOP = b"\xfe\xe7"  # an instruction: jump to yourself
 ON_THE_LINE = {POWER_ON: 1, WATCHDOG: 8}
 
 
 def test_its_boot_rom_finds_what_it_looks_for() -> None:
-    program = image("teensy", BAUD, COUNTS_PER_TURN).read_bytes()
-    assert program[:4] == b"FCFB"
-    header, entry, reserved, dcd, data, own = struct.unpack_from("<6I", program, ENTRY - 4)
+    image = program()
+    assert image[:4] == b"FCFB"
+    header, entry, reserved, dcd, data, own = struct.unpack_from("<6I", image, ENTRY - 4)
     assert (header, reserved, dcd, own) == (0x432000D1, 0, 0, 0x60000000 + ENTRY - 4)
-    assert 0x60001000 < entry < 0x60000000 + len(program)
-    assert struct.unpack_from("<3I", program, data - 0x60000000) == (0x60000000, len(program), 0)
+    assert 0x60001000 < entry < 0x60000000 + len(image)
+    assert struct.unpack_from("<3I", image, data - 0x60000000) == (0x60000000, len(image), 0)
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 /* ESP32 with an L298 and two quadrature encoders (README.md): its line is the UART of the USB port, or UDP over Wi-Fi.
  *
- * For ESP-IDF 5.2 or newer; esp32/ is its project. The robot has a task on the last core, with a loop a millisecond;
+ * For ESP-IDF 5.3 or newer; esp32/ is its project. The robot has a task on the last core, with a loop a millisecond;
  * Wi-Fi has the first one. Nothing but the latch is written to flash.
  */
 #include <string.h>
