@@ -124,7 +124,7 @@ def _obeying(
         way = 1
     if not by_hand and measured <= FASTER * slowest - slack:
         way = -1
-    slow = stalls(commanded, measured) and stalls(before, measured)
+    slow = not way and stalls(commanded, measured) and stalls(before, measured)
     return way + (by_itself if by_itself * way > 0 else 0), stalled + 1 if slow else 0
 
 

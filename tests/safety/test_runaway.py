@@ -292,6 +292,7 @@ def test_a_wheel_without_encoders_that_is_much_faster_or_turns_the_other_way_is_
     left, right = commands
     limit = FASTER * (max(right, 0.0) if excess > 0.0 else min(right, 0.0))
     assert followed(repeat(commands, 12), repeat((left, limit + excess * SLACK), 12)).runs
+    assert not followed(repeat(commands, 12), repeat((left, limit + excess * SLACK), 12)).stands, "it has one name"
     assert not followed(repeat(commands, 3), repeat((left, limit + excess * SLACK), 3)).runs, "not for three windows"
     assert not followed(repeat(commands, 12), repeat((left, limit + 0.98 / 1.02 * excess * SLACK), 12)).runs
 
