@@ -89,6 +89,7 @@ class Supervisor:
         robots, driven = config.bodies, len(config.members)
         drives = [slices.drive(robot) for robot in robots]
         radii = tuple(robot.vehicle.body_radius_m for robot in robots)
+        wheels, bases = tuple(d.wheel_radius for d in drives), tuple(d.wheel_base for d in drives)
         speeds = tuple(drive.max_speed for drive in drives)
         build, arena, every = slices.build(config), config.arena.size_m, obstacles.every(config.arena)
         self._epoch = slices.drawn_id(rng, 32)
@@ -100,18 +101,11 @@ class Supervisor:
         daemons = frozenset(config.daemons)
         elsewhere = frozenset(row for row, robot in enumerate(robots) if config.unit_of[robot.id] in daemons)
         self._monitoring = MonitorSettings(
-            build=build, body_radius=radii, arena=arena, max_speed=speeds, attended=attended, elsewhere=elsewhere,
-            floors=tuple(solid for solid in every if solid.floor), stale_ticks=stale_ticks(config),
+            build=build, body_radius=radii, wheel_radius=wheels, wheel_base=bases, arena=arena, max_speed=speeds,
+            attended=attended, elsewhere=elsewhere, floors=tuple(solid for solid in every if solid.floor),
+            stale_ticks=stale_ticks(config),
         )  # fmt: skip
-        self._arming = ArmingSettings(
-            build,
-            tuple(d.wheel_radius for d in drives),
-            tuple(d.wheel_base for d in drives),
-            radii,
-            arena,
-            every,
-            groups.jam_of(config),
-        )
+        self._arming = ArmingSettings(build, wheels, bases, radii, arena, every, groups.jam_of(config))
         self._say = say
         self._lines: list[str] = []  # of this step
         self._replies: list[tuple[Request, str]] = []

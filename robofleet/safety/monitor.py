@@ -22,7 +22,7 @@ from robofleet.core.kernels import kernel
 from robofleet.safety import runaway
 from robofleet.safety.distances import CLOSEST_M
 from robofleet.safety.latches import Latch
-from robofleet.safety.runaway import TURNING_RAD_S, Rolling
+from robofleet.safety.runaway import Rolling
 from robofleet.safety.supervisor import MOVING, NOBODY, Event, Happening, Phase
 from robofleet.safety.view import NEVER, ROBOT, FleetView, Rows, rests
 from robofleet.vehicles.interface import RobotFault
@@ -43,8 +43,6 @@ OVERRUNS = 3  # in a row: 132 ms without a command, more than a gate waits; so t
 UNSEEN_NS = 100 * _MS  # 3 images: a hand or a cable over one tag; its robot has gone some 20 mm unseen
 LOST_NS = 2 * _S  # not a hand that passes: somebody must look
 LOWEST_BATTERY = 0.10  # of the charge: motors grow weak, and soon the driver's computer goes off
-STALLED_RAD_S = 2.0  # of a command: three times what a wheel of the worst shipped robot needs to start from rest
-SLOWER = 0.625  # than commanded, less TURNING_RAD_S, and it is stalled: a low battery takes a tenth
 STALLED_NS = _S  # a motor's lag (0.25 s), and a reading as old as one may be (0.5 s)
 INFEASIBLE_NS = 500 * _MS  # the filter finds answers again after some ticks, or something must be moved by hand
 LEAST_FREE_BYTES = 200_000_000  # minutes of recording, and what drivers must keep
@@ -78,6 +76,8 @@ class MonitorSettings:
 
     build: int  # of every process
     body_radius: tuple[float, ...]  # [m]
+    wheel_radius: tuple[float, ...]  # [m]
+    wheel_base: tuple[float, ...]  # [m]
     arena: tuple[float, float]  # sides [m]; its centre is the origin
     max_speed: tuple[float, ...]  # [m/s]
     attended: bool  # the operator's terminal must give signs of life
@@ -127,7 +127,7 @@ def watch(
         settings.build, now_ns, int(phase), phase in MOVING,
     )  # fmt: skip
     conditions = ((Event(int(event)), int(robot), detail) for event, robot, detail in found[:count].tolist())
-    lasting_ns, rolling, robots = _over_time(conditions, memory, view, settings.body_radius)
+    lasting_ns, rolling, robots = _over_time(conditions, memory, settings, view)
     memory = MonitorState(view, phase, since_ns, sessions, lasting_ns, rolling)
     return memory, (
         *_host(before, memory, settings, view, checking=checking),
@@ -142,20 +142,24 @@ def watch(
 def _over_time(
     conditions: Iterable[tuple[Event, int, float]],
     memory: MonitorState,
+    settings: MonitorSettings,
     view: FleetView,
-    body_radius: tuple[float, ...],
 ) -> tuple[dict[tuple[Event, int], int], dict[int, Rolling], list[Happening]]:
     """Return since when conditions hold, how robots roll, and the events of what has held for long enough."""
     happenings: list[Happening] = []
     lasting_ns: dict[tuple[Event, int], int] = {}
     rolling: dict[int, Rolling] = {}
     for event, row, detail in conditions:
-        if event in _LASTING_NS:
+        if event is Event.WHEEL_STALLED and not detail:
+            if row in rolling and rolling[row].stands:
+                happenings.append(Happening(event, row))
+        elif event in _LASTING_NS:
             lasting_ns[event, row] = since_ns = memory.lasting_ns.get((event, row), view.now_ns)
             if view.now_ns - since_ns >= _LASTING_NS[event]:
                 happenings.append(Happening(event, row))
         elif event is Event.RUNAWAY:
-            rolling[row] = runaway.watch(memory.rolling.get(row, Rolling()), view.robots[row], body_radius[row])
+            radius, base = settings.wheel_radius[row], settings.wheel_base[row]
+            rolling[row] = runaway.watch(memory.rolling.get(row, Rolling()), view.robots[row], radius, base)
             if detail or rolling[row].runs:
                 happenings.append(Happening(event, row))
         elif event is Event.ROBOT_FAULT:
@@ -231,7 +235,7 @@ def faults_told(faults: int) -> tuple[tuple[Event, float], ...]:
     return (*fault_events, (Event.ROBOT_FAULT, own)) if own else fault_events
 
 
-_rests, _counts, _is_seen_standing = map(kernel, (rests, runaway.counts, runaway.is_seen_standing))
+_rests, _counts, _stalls = kernel(rests), kernel(runaway.counts), kernel(runaway.stalls)
 
 
 @kernel
@@ -266,7 +270,7 @@ def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each r
         if pressed:
             n = _add(found, n, Event.WIRED_STOP, k, 0.0)
         turns = r.latch == Latch.RUNAWAY and not (idle and _rests(r))
-        if turns or (driven and not counts and _is_seen_standing(r)):
+        if turns or (driven and not counts and r.seen_ns != NEVER):  # its poses are judged
             n = _add(found, n, Event.RUNAWAY, k, 1.0 if turns else 0.0)
         faulty = driven and r.faults & ~_PRESSED != 0
         if faulty:
@@ -299,8 +303,8 @@ def _of_robots(  # type: ignore[no-untyped-def] # noqa: PLR0912 - one for each r
         # what becomes of its commands
         if driven and moving and r.filtered == _INFEASIBLE:
             n = _add(found, n, Event.FILTER_INFEASIBLE, k, 0.0)
-        if driven and moving and counts and _is_stalled(r):  # of one that counts nothing nobody knows it
-            n = _add(found, n, Event.WHEEL_STALLED, k, 0.0)
+        if driven and moving and not (counts and _obeys(r)):  # of one that counts nothing the poses are judged
+            n = _add(found, n, Event.WHEEL_STALLED, k, 1.0 if counts else 0.0)
         if driven and moving and r.blocked != 0:
             n = _add(found, n, Event.DEADLOCKED, k, 0.0)
         if driven and moving and r.failed != 0:
@@ -317,13 +321,8 @@ def _add(found, n, event, robot, detail):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_stalled(r):  # type: ignore[no-untyped-def]
-    """Whether a wheel stands, or turns much slower than it is commanded."""
-    stalled = False
-    for output, speed in ((r.left_output, r.left_speed), (r.right_output, r.right_speed)):
-        ahead = speed if output > 0.0 else -speed
-        stalled = stalled or (abs(output) >= STALLED_RAD_S and ahead <= SLOWER * abs(output) - TURNING_RAD_S)
-    return stalled
+def _obeys(r):  # type: ignore[no-untyped-def]
+    return not (_stalls(r.left_output, r.left_speed) or _stalls(r.right_output, r.right_speed))
 
 
 @kernel

@@ -22,6 +22,8 @@ BUILD, SESSION = 77, 5
 SETTINGS = MonitorSettings(
     build=BUILD,
     body_radius=(0.05, 0.06, 0.05),
+    wheel_radius=(0.016,) * 3,
+    wheel_base=(0.105,) * 3,
     arena=(3.0, 2.0),
     max_speed=(0.5, 0.5, 0.5),
     attended=True,
@@ -495,7 +497,21 @@ def rolled_on(phase: Phase, images: int, **changes: Any) -> list[Happening]:
 def test_a_robot_without_encoders_that_rolls_by_itself_is_told_in_every_phase(phase: Phase) -> None:
     assert rolled_on(phase, 4) == []
     assert rolled_on(phase, 5) == rolled_on(phase, 9) == [Happening(Event.RUNAWAY, 1)]
-    assert rolled_on(phase, 9, left_output=1.0) == rolled_on(phase, 9, left_angle=1.0) == []
+    assert rolled_on(phase, 9, left_angle=1.0) == [], "its encoders are judged, by its driver"
+
+
+@pytest.mark.parametrize("phase", list(Phase))
+def test_a_robot_without_encoders_that_stands_though_it_is_commanded_is_told_while_the_fleet_moves(
+    phase: Phase,
+) -> None:
+    memory, happenings = MonitorState(), []
+    for k in range(7):
+        view = robot(1, left_output=6.0, left_told=6.0 * 0.25 * k)(healthy(NOW + k * 250 * MS))
+        memory, told_now = monitor.watch(memory, SETTINGS, phase, view)
+        happenings.append([happening for happening in told_now if happening.event is Event.WHEEL_STALLED])
+    named = [Happening(Event.WHEEL_STALLED, 1)] if phase in MOVING else []
+    assert happenings[:5] == [[]] * 5
+    assert happenings[5:] == [named] * 2
 
 
 def test_a_jump_without_bounds_is_told() -> None:

@@ -41,8 +41,9 @@ def test_who_is_too_close_is_what_comparing_all_would_say(seed: int) -> None:
     rng = random.Random(seed)
     robots, radii = drawn(rng), tuple(rng.choice((0.02, 0.05, 0.09)) for _ in range(N))
     settings = MonitorSettings(
-        build=0, body_radius=radii, arena=(2.0, 2.0), max_speed=(0.3,) * N, attended=False, stale_ticks=8
-    )
+        build=0, body_radius=radii, wheel_radius=(0.016,) * N, wheel_base=(0.105,) * N, arena=(2.0, 2.0),
+        max_speed=(0.3,) * N, attended=False, stale_ticks=8,
+    )  # fmt: skip
     _, happenings = monitor.watch(MonitorState(), settings, Phase.RUNNING, FleetView(NOW, robots))
     close = [
         Happening(Event.TOO_CLOSE, a, b)

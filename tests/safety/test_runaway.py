@@ -1,6 +1,7 @@
 """A wheel that turns by itself: by its encoders and by poses, each threshold from both sides."""
 
 import math
+import random
 from collections.abc import Callable, Iterable
 from itertools import pairwise, repeat
 
@@ -9,7 +10,8 @@ import pytest
 from robofleet.safety import runaway
 from robofleet.safety.runaway import (
     FASTER,
-    ROLLED_M,
+    ROLLED_M_S,
+    SLOWER,
     TURNING_RAD_S,
     WINDOW_NS,
     Rolling,
@@ -21,7 +23,8 @@ from robofleet.safety.view import RobotView
 MS = 1_000_000
 NOW = 1_000_000 * MS
 LOOP_NS = 10 * MS
-RADIUS = 0.05
+WHEEL_RADIUS, WHEEL_BASE = 0.016, 0.105  # of a GTernal
+ROLLED_M = ROLLED_M_S * WINDOW_NS * 1e-9  # in a window
 FAST = 6.1
 Pose = tuple[float, float, float]
 
@@ -109,7 +112,7 @@ def seen(poses: Iterable[Pose], every_ns: int = WINDOW_NS, **changes: float) -> 
     rolling, found = Rolling(), []
     for k, pose in enumerate(poses):
         robot = RobotView(seen_ns=NOW + k * every_ns, pose=pose)._replace(**changes)
-        rolling = runaway.watch(rolling, robot, RADIUS)
+        rolling = runaway.watch(rolling, robot, WHEEL_RADIUS, WHEEL_BASE)
         found.append(rolling.runs)
     return found
 
@@ -123,21 +126,31 @@ def spin(turn: float, number: int = 12) -> list[Pose]:
 
 
 def one_wheel(speed: float, number: int = 12) -> list[Pose]:
-    """The other wheel stands: an arc round it, 105 mm of base and 16 mm of wheel."""
-    base, omega = 0.105, speed * 0.016 / 0.105
-    angles = [omega * k * WINDOW_NS * 1e-9 for k in range(number)]
-    return [(base / 2 * math.sin(a), base / 2 * (1 - math.cos(a)), math.remainder(a, math.tau)) for a in angles]
+    """The left wheel stands: an arc round it."""
+    return driven(0.0, speed, number)
+
+
+def driven(left: float, right: float, number: int = 12) -> list[Pose]:
+    """Wheels that turn so fast [rad/s], from the origin on."""
+    v, omega = WHEEL_RADIUS * (left + right) / 2.0, WHEEL_RADIUS * (right - left) / WHEEL_BASE
+    poses = []
+    for k in range(number):
+        turn, way = omega * k * WINDOW_NS * 1e-9, v * k * WINDOW_NS * 1e-9
+        chord = way * (math.sin(turn / 2.0) / (turn / 2.0) if turn else 1.0)
+        poses.append((chord * math.cos(turn / 2.0), chord * math.sin(turn / 2.0), math.remainder(turn, math.tau)))
+    return poses
 
 
 JUST = 1.0001 * ROLLED_M
 RUNAWAYS: dict[str, list[Pose]] = {
     "forward": ahead(0.0244), "backward": ahead(-0.0244), "just": ahead(JUST), "just back": ahead(-JUST),
-    "round": spin(0.3), "round the other way": spin(-0.3), "just round": spin(JUST / RADIUS),
+    "round": spin(0.3), "round the other way": spin(-0.3), "just round": spin(2.0 * JUST / WHEEL_BASE),
     "one wheel": one_wheel(FAST), "one wheel back": one_wheel(-FAST),
     "aside, a little": [(0.01 * k, 0.0049 * k, 0.0) for k in range(12)],
 }  # fmt: skip
 OTHERS: dict[str, list[Pose]] = {
-    "standing": ahead(0.0), "creeping": ahead(0.9999 * ROLLED_M), "turning slowly": spin(0.9999 * ROLLED_M / RADIUS),
+    "standing": ahead(0.0), "creeping": ahead(0.9999 * ROLLED_M),
+    "turning slowly": spin(1.9998 * ROLLED_M / WHEEL_BASE),
     "to and fro": [(0.02 * (k % 2), 0.0, 0.0) for k in range(12)],
     "carried aside": [(0.0, 0.02 * k, 0.0) for k in range(12)],
     "carried askew": [(0.01 * k, 0.0051 * k, 0.0) for k in range(12)],
@@ -157,16 +170,14 @@ def test_a_robot_that_does_something_else_is_not(kind: str) -> None:
     assert not any(seen(OTHERS[kind]))
 
 
-@pytest.mark.parametrize(
-    "changes", [{name: value} for name in ("left_output", "right_output", "left_angle", "right_angle", "left_speed",
-                                           "right_speed") for value in (1e-9, -1e-9)]
-)  # fmt: skip
-def test_who_is_told_to_turn_and_who_has_encoders_is_not_judged_by_poses(changes: dict[str, float]) -> None:
-    assert not any(seen(RUNAWAYS["forward"], **changes))
+@pytest.mark.parametrize("name", ["left_angle", "right_angle", "left_speed", "right_speed"])
+@pytest.mark.parametrize("value", [1e-9, -1e-9])
+def test_who_has_encoders_is_not_judged_by_poses(name: str, value: float) -> None:
+    assert not any(seen(RUNAWAYS["forward"], **{name: value}))
 
 
 def test_a_robot_that_was_never_seen_is_not_judged() -> None:
-    assert runaway.watch(Rolling(NOW, (0.0, 0.0, 0.0), 4), RobotView(), RADIUS) == Rolling()
+    assert runaway.watch(Rolling(NOW, by_itself=(4, 0)), RobotView(), WHEEL_RADIUS, WHEEL_BASE) == Rolling()
 
 
 def test_images_in_between_do_not_shorten_a_window() -> None:
@@ -177,16 +188,20 @@ def test_images_in_between_do_not_shorten_a_window() -> None:
 
 @pytest.mark.parametrize(("gap_ns", "named"), [(2 * WINDOW_NS - 1, True), (2 * WINDOW_NS, False), (-1, False)])
 def test_a_robot_that_was_not_seen_for_two_windows_begins_anew(gap_ns: int, named: bool) -> None:
-    rolling = Rolling(NOW, (0.0, 0.0, 0.0), 3)
-    after = runaway.watch(rolling, RobotView(seen_ns=NOW + gap_ns, pose=(0.02, 0.0, 0.0)), RADIUS)
+    rolling = Rolling(NOW, by_itself=(3, 3))
+    robot = RobotView(seen_ns=NOW + gap_ns, pose=(0.02, 0.0, 0.0))
+    after = runaway.watch(rolling, robot, WHEEL_RADIUS, WHEEL_BASE)
     assert after.runs is named
-    assert after.windows == (4 if named else 0)
+    assert after.by_itself == ((4, 4) if named else (0, 0))
 
 
 def test_a_window_without_motion_or_the_other_way_ends_it() -> None:
     def next_(windows: int, x: float) -> int:
         robot = RobotView(seen_ns=NOW + WINDOW_NS, pose=(x, 0.0, 0.0))
-        return runaway.watch(Rolling(NOW, (0.0, 0.0, 0.0), windows), robot, RADIUS).windows
+        after = runaway.watch(Rolling(NOW, by_itself=(windows, windows)), robot, WHEEL_RADIUS, WHEEL_BASE)
+        left, right = after.by_itself
+        assert left == right
+        return left
 
     assert [next_(3, 0.02), next_(-3, 0.02), next_(5, 0.0), next_(-3, -0.02), next_(3, -0.02)] == [4, 1, 0, -4, -1]
 
@@ -219,9 +234,9 @@ def test_the_same_image_seen_twice_changes_nothing() -> None:
     rolling = Rolling()
     for k, pose in enumerate(ahead(0.02)):
         robot = RobotView(seen_ns=NOW + k * WINDOW_NS, pose=pose)
-        rolling = runaway.watch(rolling, robot, RADIUS)
-        assert runaway.watch(rolling, robot, RADIUS) == rolling
-        assert rolling.windows == k
+        rolling = runaway.watch(rolling, robot, WHEEL_RADIUS, WHEEL_BASE)
+        assert runaway.watch(rolling, robot, WHEEL_RADIUS, WHEEL_BASE) == rolling
+        assert rolling.by_itself == (k, k)
 
 
 def test_a_sharp_turn_is_one_of_the_wheels_at_its_middle_heading() -> None:
@@ -235,7 +250,69 @@ def test_a_sharp_turn_is_one_of_the_wheels_at_its_middle_heading() -> None:
 
 
 def test_rolling_as_far_as_the_threshold_counts() -> None:
-    rolling = runaway.watch(
-        Rolling(NOW, (0.0, 0.0, 0.0)), RobotView(seen_ns=NOW + WINDOW_NS, pose=(ROLLED_M, 0.0, 0.0)), RADIUS
-    )
-    assert rolling.windows == 1
+    robot = RobotView(seen_ns=NOW + WINDOW_NS, pose=(ROLLED_M, 0.0, 0.0))
+    assert runaway.watch(Rolling(NOW), robot, WHEEL_RADIUS, WHEEL_BASE).by_itself == (1, 1)
+
+
+def followed(commands: Iterable[tuple[float, float]], wheels: Iterable[tuple[float, float]]) -> Rolling:
+    """Return what 3 s tell of a robot without encoders: commands and wheels [rad/s], each for a window."""
+    rolling, told, (x, y, psi) = Rolling(), (0.0, 0.0), (0.2, -0.1, 3.0)
+    for k, (command, wheel) in enumerate(zip(((0.0, 0.0), *commands), ((0.0, 0.0), *wheels), strict=False)):
+        told = told[0] + 0.25 * command[0], told[1] + 0.25 * command[1]
+        chord_x, chord_y, turn = driven(*wheel, 2)[1]
+        x, y = (
+            x + chord_x * math.cos(psi) - chord_y * math.sin(psi),
+            y + chord_x * math.sin(psi) + chord_y * math.cos(psi),
+        )
+        psi = math.remainder(psi + turn, math.tau)
+        robot = RobotView(seen_ns=NOW + k * WINDOW_NS, pose=(x, y, psi), left_told=told[0], right_told=told[1])
+        rolling = runaway.watch(rolling, robot, WHEEL_RADIUS, WHEEL_BASE)
+    return rolling
+
+
+SLACK = ROLLED_M_S / WHEEL_RADIUS
+STEADY = [(-3.0, -3.0), (6.0, 6.0), (4.0, 8.0), (-6.0, 5.0), (0.3, 0.0), (0.0, 0.0)]
+
+
+@pytest.mark.parametrize("commands", STEADY)
+@pytest.mark.parametrize("share", [0.7, 1.0, FASTER])
+def test_a_robot_without_encoders_that_goes_as_commanded_is_not_named(
+    commands: tuple[float, float], share: float
+) -> None:
+    rolling = followed(repeat(commands, 12), repeat((share * commands[0], share * commands[1]), 12))
+    assert not rolling.runs
+    assert not rolling.stands
+
+
+@pytest.mark.parametrize("commands", STEADY)
+@pytest.mark.parametrize("excess", [1.02, -1.02])
+def test_a_wheel_without_encoders_that_is_much_faster_or_turns_the_other_way_is_named(
+    commands: tuple[float, float], excess: float
+) -> None:
+    left, right = commands
+    limit = FASTER * (max(right, 0.0) if excess > 0.0 else min(right, 0.0))
+    assert followed(repeat(commands, 12), repeat((left, limit + excess * SLACK), 12)).runs
+    assert not followed(repeat(commands, 12), repeat((left, limit + excess * SLACK), 12)).stands, "it has one name"
+    assert not followed(repeat(commands, 3), repeat((left, limit + excess * SLACK), 3)).runs, "not for three windows"
+    assert not followed(repeat(commands, 12), repeat((left, limit + 0.98 / 1.02 * excess * SLACK), 12)).runs
+
+
+@pytest.mark.parametrize("command", [2.0, 12.0, -2.0, -12.0])
+def test_a_wheel_without_encoders_that_hardly_turns_is_named_after_a_second(command: float) -> None:
+    slow = math.copysign(SLOWER * abs(command) - TURNING_RAD_S, command)
+    assert followed(repeat((command, command), 12), repeat((command, 0.99 * slow), 12)).stands
+    assert followed(repeat((command, command), 12), repeat((0.0, 0.0), 12)).stands
+    assert not followed(repeat((command, command), 4), repeat((0.0, 0.0), 4)).stands, "the first window may lag"
+    assert not followed(repeat((command, command), 12), repeat((command, 1.01 * slow), 12)).stands
+    assert not followed(repeat((0.99 * command / 6.0,) * 2, 12), repeat((0.0, 0.0), 12)).stands
+
+
+@pytest.mark.parametrize("lag", [1, 0])
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_is_commanded_who_follows_a_window_late_is_not_named(lag: int, seed: int) -> None:
+    drawn = random.Random(seed)
+    commands = [(drawn.uniform(-12.0, 12.0), drawn.uniform(-12.0, 12.0)) for _ in range(400)]
+    for end in range(5, 400):
+        rolling = followed(commands[end - 5 : end], [*[commands[end - 6]] * lag, *commands[end - 5 : end]])
+        assert not rolling.runs
+        assert not rolling.stands

@@ -189,6 +189,8 @@ def _settings(hall: Hall) -> monitor.MonitorSettings:
     return monitor.MonitorSettings(
         build=1,
         body_radius=(0.05,) * n,
+        wheel_radius=(0.016,) * n,
+        wheel_base=(0.105,) * n,
         arena=hall.config.arena.size_m,
         max_speed=(0.2,) * n,
         attended=False,
