@@ -203,6 +203,26 @@ def test_a_terminal_of_the_c_locale_gets_ascii_alone(folder: Path) -> None:
         assert (b"<= 12.5 rad/s" in output) == plain
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("redirections", "code", "says"),
+    [
+        (">/dev/full", 1, "robofleet: the output cannot be written: No space left on device\n"),
+        (">&- <&-", 0, ""),
+        (">&- 2>&- <&-", 0, ""),
+    ],
+)
+def test_an_output_that_is_full_or_closed_is_no_traceback(redirections: str, code: int, says: str) -> None:
+    ended = subprocess.run(
+        f"'{sys.executable}' -m robofleet --version {redirections}",
+        check=False,
+        shell=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert (ended.returncode, ended.stderr) == (code, says)
+
+
 def test_check_prints_what_it_proved(folder: Path) -> None:
     result = robofleet("check", PLATOON)
     assert (result.exit_code, result.stderr) == (0, "")

@@ -87,6 +87,7 @@ _BEAT_NS = 90 * MS  # then the next look brings a beat: at least one in 200 ms
 _MOST_UNDRAWN_TICKS = 4  # on their way to a page: 130 ms of a distant phone
 _ANYWAY_NS = S  # a page that draws nothing is sent a tick so often, and when the phase changes
 _MOST_ANSWERS = 16
+_WHAT_IS_SHOWN = b"?"  # a server that begins asks the others: an operator may have switched it at one of them
 
 Say = Callable[[str], Awaitable[None]]
 
@@ -119,6 +120,7 @@ class Feed:
 
     async def run(self) -> None:
         """Look whenever something comes, and ten times a second in any case; for ever."""
+        self._say_show(_WHAT_IS_SHOWN)
         while True:
             try:
                 async with asyncio.timeout(_IDLE_POLL_NS / S):
@@ -198,7 +200,9 @@ class Feed:
         self.diary.look(self.hearing, self.hearing.hear_the_rest(), end_words(self._progress()))
         self._mark()
         words = self._newest_show.take()  # another server's, or its own
-        if words is not None and (show := shown(words)) is not None and show != self.show:
+        if words == _WHAT_IS_SHOWN and self.show != self.config.projection.show:
+            self._say_show(" ".join(self.show).encode())
+        elif words is not None and (show := shown(words)) is not None and show != self.show:
             self.show, self.showings = show, self.showings + 1
         self.seq += 1
         self.record_ns = self.hearing.run.arrival_ns(TICK) if self.hearing.record is not before else 0

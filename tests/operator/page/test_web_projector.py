@@ -1,9 +1,10 @@
 """Projectors' pages at the server: who may open and switch them, what is told, and what stands in the way."""
 
+import asyncio
 import json
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,18 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 
+from robofleet.bus.zenoh_bus import ZenohBus
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.refusal import RefusedError
 from robofleet.operator.page import projectors
+from robofleet.operator.page.feed import Feed
 from robofleet.operator.page.known_page import forget, keep, page_for_others, page_of
 from robofleet.operator.page.page_address import Addresses, projector_address
 from robofleet.operator.page.process import projected
 from robofleet.safety.supervisor import Event, Phase
 from tests.operator.page.secureweb import HOST, Visitor, keys_in, trusting
-from tests.operator.page.webstand import WebStand, web_stand
+from tests.operator.page.webstand import CLOCK, WebStand, web_stand
 from tests.projection.projectors import SIZE, tilted
 from tests.shipped import PLATOON
 
@@ -68,6 +71,24 @@ def test_an_operator_switches_what_every_page_is_told_is_shown(stand: WebStand) 
         assert showing["show"] == ["halos", "large"]
         late.say(show=before["show"])
         late.next("showing", lambda frame: frame["show"] == before["show"])
+
+
+def test_a_server_that_begins_later_shows_what_an_operator_has_switched(stand: WebStand, tmp_path: Path) -> None:
+    other = ZenohBus(stand.config.arena.name, stand.config.bus.endpoint, "other", CLOCK)
+
+    async def shows() -> tuple[str, ...]:
+        feed = Feed(stand.config, tmp_path, other, CLOCK, str)
+        running = asyncio.create_task(feed.run())
+        async with asyncio.timeout(5):
+            while feed.show == stand.config.projection.show:
+                await asyncio.sleep(0.01)
+        running.cancel()
+        return feed.show
+
+    with closing(other), stand.page() as operator:
+        operator.say(show=["halos", "large"])
+        operator.next("showing", lambda frame: frame["show"] == ["halos", "large"])
+        assert asyncio.run(shows()) == ("halos", "large")
 
 
 @pytest.mark.parametrize(
