@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib.colors import LinearSegmentedColormap
 
 from robofleet.calibration.store import CalibrationError
+from robofleet.config.calibrated import Provenance
 from robofleet.core.clock import utc_now
 from robofleet.core.figures import COLOURS
 from robofleet.reports.pages import Page
@@ -69,6 +70,13 @@ class Report(Page):
 
     def figures(self, figures: Mapping[str, float | None]) -> None:
         self.table(("figure", "value"), [(in_words(name), value) for name, value in figures.items()])
+
+    def origin(self, where: Provenance) -> None:
+        """Add a calibration's figures, and what it was measured in."""
+        self.section("Figures")
+        self.figures(where.figures)
+        self.section("Measured in")
+        self.table(("input", "hash"), list(where.inputs.items()))
 
     def write(self, file: Path) -> None:
         try:

@@ -19,8 +19,9 @@ from robofleet.calibration.robots.identification import identify as fit
 from robofleet.calibration.robots.shooting import Shots
 from robofleet.calibration.store import CalibrationError, save
 from robofleet.config.tree import Config
-from robofleet.recording.reading import RecordingError, file_of, read
+from robofleet.recording.reading import file_of, read
 from robofleet.recording.run import Recording
+from robofleet.reports.commands import readable
 
 Runs = Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or their run.mcap.")]
 Robots = Annotated[str, typer.Option("--robots", metavar="r1,r2", help="Which robots. Default: all that were driven.")]
@@ -38,7 +39,8 @@ def identify(
 
     $ robofleet identify runs/*-platoon --robots r1,r3
     """
-    recordings = [_read(run) for run in runs]
+    with readable():
+        recordings = [read(run) for run in runs]
     chosen = _chosen(recordings, [name.strip() for name in robots.split(",") if name.strip()], runs)
     config_of = {name: next(r.config for r in recordings if name in _ids(r.config)) for name in chosen}
     shots: list[list[Shots]] = []
@@ -72,13 +74,6 @@ def identify(
     for calibration in after:
         kept = save(files[calibration.robot], calibration)
         print(f"{files[calibration.robot]}{f', the one before is {kept}' if kept else ''}")
-
-
-def _read(run: Path) -> Recording:
-    try:
-        return read(run)
-    except RecordingError as error:
-        raise CalibrationError(str(error)) from error
 
 
 def _ids(config: Config) -> list[str]:

@@ -26,6 +26,7 @@ from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
+from robofleet.core.refusal import new_folder
 from robofleet.runs.folder import DEFAULT_FOLDER
 
 DriveConfig = Annotated[
@@ -138,12 +139,7 @@ def _drive(
             raise CalibrationError(f"{recording}: {unknown} drove; {config} has no such robot: name its configuration")
         return tree, driven, folder, recording.read_bytes()
     tree, count = drives.configure(config, names, overrides, lockstep=lockstep)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise CalibrationError(f"--out: {folder} exists already and is not empty: name another folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CalibrationError(f"--out: {folder}: {error.strerror}") from error
+    new_folder(folder)
     print(f"{count} robots drive one after the other: {tree.run.duration_s:.0f} s", file=sys.stderr)
     run = drives.run(tree, folder, lambda text: print(text, file=sys.stderr), lockstep=lockstep)
     driven = drives.extract(run, range(count))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from scipy.special import chdtrc
 
 from robofleet.calibration.extrinsics.fiducials import Marks
 from robofleet.calibration.extrinsics.placing import Lens, Placement, on_plane, place
@@ -64,12 +65,8 @@ def refuse_undetermined(marks: Marks) -> None:
 
 
 def chance(distance: float, freedom: int) -> float:
-    half = max(distance, 1e-300) / 2.0
-    tail, a = (math.exp(-half), 1.0) if freedom % 2 == 0 else (math.erfc(math.sqrt(half)), 0.5)
-    while 2.0 * a < freedom - 0.5:
-        tail += math.exp(a * math.log(half) - half - math.lgamma(a + 1.0))
-        a += 1.0
-    return tail
+    """Return with which probability a draw from the chi-square distribution is larger."""
+    return float(chdtrc(freedom, distance))
 
 
 def distances(error: Array, covariance: Array) -> Array:

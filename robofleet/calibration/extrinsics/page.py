@@ -58,11 +58,8 @@ def write_page(file: Path, found: Found) -> None:
     _table(report, marks, agreement)
     report.section("The camera's place")
     _place(report, model)
-    report.section("Figures")
-    report.figures(figures)
-    report.section("Measured in")
     assert model.arena is not None
-    report.table(("input", "hash"), list(model.arena.inputs.items()))
+    report.origin(model.arena)
     report.write(file)
 
 

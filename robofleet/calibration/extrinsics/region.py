@@ -16,12 +16,18 @@ def floor_points(survey: Survey, arena_m: tuple[float, float] | None, height: fl
     The arena is a rectangle around the world's origin; if it is not known, the marks' rectangle.
     """
     if arena_m is not None:
-        low, high = -np.array(arena_m) / 2, np.array(arena_m) / 2
+        high = np.array(arena_m) / 2
+        low = -high
     else:
         places = [(mark.x_m, mark.y_m) for mark in survey.marks]
         low, high = np.min(places, axis=0), np.max(places, axis=0)
         if (low == high).any():
             raise CalibrationError("the marks' places span no rectangle of the floor: state the arena with --arena-m")
+    return lattice(low, high, height)
+
+
+def lattice(low: Array, high: Array, height: float) -> Array:
+    """Return points (ROWS * COLUMNS, 3) from one corner (2,) of a rectangle to the other, row by row."""
     X, Y = np.meshgrid(np.linspace(low[0], high[0], COLUMNS), np.linspace(low[1], high[1], ROWS))
     return np.column_stack([X.ravel(), Y.ravel(), np.full(X.size, height)])
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from robofleet.calibration.extrinsics.arena import covariance_of
 from robofleet.calibration.extrinsics.placing import PARAMETERS, on_plane
+from robofleet.calibration.extrinsics.region import lattice
 from robofleet.calibration.store import CalibrationError, provenance
 from robofleet.config.calibrated import CameraModel
 from robofleet.config.projectors import ProjectorModel
@@ -20,7 +21,6 @@ from robofleet.projection.model import VALUES, Projector
 from robofleet.projection.patterns import Grid, Reading, bends
 from robofleet.tracking.camera import CameraGeometry
 
-COLUMNS, ROWS = 33, 21  # of the points at which the error is predicted
 _LAID_PX = 0.007  # to which a camera sees prints where they are, however many it averages: measured in simulation
 _LEAST_LIT = 0.005  # share of an image in which light that falls into it tells
 _SATURATED = 0.5  # share of its light
@@ -45,13 +45,6 @@ class Found(NamedTuple):
     def figures(self) -> Mapping[str, float | None]:
         assert self.model.calibrated is not None
         return self.model.calibrated.figures
-
-
-def floor_points(size_m: tuple[float, float]) -> Array:
-    """Return points (ROWS * COLUMNS, 3) all over an arena, row by row [m; world]."""
-    x, y = (np.linspace(-side / 2.0, side / 2.0, count) for side, count in zip(size_m, (COLUMNS, ROWS), strict=True))
-    X, Y = np.meshgrid(x, y)
-    return np.column_stack([X.ravel(), Y.ravel(), np.zeros(X.size)])
 
 
 def measure(
@@ -88,7 +81,8 @@ def measure(
         )
     except FitError as refused:
         raise CalibrationError(f"projector {name}: {refused}") from refused
-    points, pixels = floor_points(arena_m), np.concatenate([own.pixels for own in seen])
+    half = np.array(arena_m) / 2.0
+    points, pixels = lattice(-half, half, 0.0), np.concatenate([own.pixels for own in seen])
     reached = _reached(found.projector, pixels[found.used], points, grid.pitch_px)
     sigma = np.where(reached, np.sqrt(np.trace(found.projector.spread(points), axis1=1, axis2=2)), np.nan)
     lit = reached.copy()

@@ -6,7 +6,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from robofleet.calibration.projector.measured import COLUMNS, ROWS, Found
+from robofleet.calibration.extrinsics.region import COLUMNS, ROWS
+from robofleet.calibration.projector.measured import Found
 from robofleet.calibration.report import BLUES, Report
 from robofleet.core.figures import COLOURS, INK, STYLE
 
@@ -30,11 +31,8 @@ def write_page(file: Path, name: str, found: Found) -> None:
         report.figure(_heat_map(found), "White: not lit. The outline is the picture's.")
         report.section("Tags", "Each tag of the pattern, from where the projector lights it to where it was seen.")
         report.figure(_arrows(found), "")
-    report.section("Figures")
-    report.figures(figures)
     assert found.model.calibrated is not None
-    report.section("Measured in")
-    report.table(("input", "hash"), list(found.model.calibrated.inputs.items()))
+    report.origin(found.model.calibrated)
     report.write(file)
 
 

@@ -7,11 +7,13 @@ cares; with that added to both, their ratio is the gap. Its interval comes from 
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from robofleet.calibration.robots import believed, drive
+from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.held_out import HORIZONS_S
 from robofleet.calibration.robots.shooting import Noise, Wheels, relative
 from robofleet.calibration.store import CalibrationError
@@ -93,15 +95,17 @@ def simulated(config: Config, recording: Recording, calibrations: Sequence[Robot
 def _starts(recording: Recording) -> dict[str, StartPose]:
     """Return where each robot stood when it was seen first, as its centre."""
     found = {}
-    for robot in recording.config.members:
-        row = [each.id for each in recording.config.members].index(robot.id)
-        try:
-            (own,) = drive.extract(recording, [row])
-        except CalibrationError:
-            continue  # it never moved
+    for robot, own in _drives(recording):
         x, y, psi = centre_from_tag(own.poses[0, 0], own.poses[0, 1], own.poses[0, 2], robot.tag_offset)
         found[robot.id] = StartPose(x_m=x, y_m=y, heading_deg=math.degrees(psi))
     return found
+
+
+def _drives(recording: Recording) -> Iterator[tuple[Robot, RobotDrive]]:
+    """Yield what each robot did that moved."""
+    for row, robot in enumerate(recording.config.members):
+        with suppress(CalibrationError):
+            yield robot, drive.extract(recording, [row])[0]
 
 
 def figures(
@@ -171,24 +175,17 @@ def _figures_of(recording: Recording) -> Iterator[_Pieces]:
         for curve in (each for each in part.curves if each.key in JUDGED_KEYS or not each.is_figure):
             counts = run.counts if curve.counts is None else curve.counts
             values = np.abs(curve.values - (curve.asked or 0.0))
-            yield _cut(_named(curve.name, curve.asked), curve.unit, t, np.where(counts[:, None], values, np.nan))
+            name = curve.name.replace("_", " ") + ("" if curve.asked is None else " error")
+            yield _cut(name, curve.unit, t, np.where(counts[:, None], values, np.nan))
     yield from _spectra(run)
     yield _cut("exposure to tick", "ms", t, exposure_to_tick_ms(run)[:, None])
     yield _cut("exposure to wheel", "ms", t, status_at_ticks(run, exposure_to_wheel_ms))
 
 
-def _named(name: str, target: float | None) -> str:
-    return name.replace("_", " ") + (" error" if target is not None else "")
-
-
 def _predictions(recording: Recording, models: Mapping[str, Wheels]) -> dict[str, _Prediction]:
     """Return how far each robot was from where the commands alone put it, after some seconds."""
     found = {}
-    for row, robot in enumerate(recording.config.members):
-        try:
-            (own,) = drive.extract(recording, [row])
-        except CalibrationError:
-            continue
+    for robot, own in _drives(recording):
         shots, prediction = believed.shots(robot, own), {}
         for horizon_s in HORIZONS_S:
             at_s, predicted, measured = shots.ahead(models[robot.id], _NOISE, horizon_s)

@@ -1,12 +1,13 @@
 """How far open-loop predictions are off on the shots that took no part in a fit."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robofleet.calibration.robots.shooting import Noise, Shots, Wheels, relative
+from robofleet.calibration.robots.shooting import Noise, Shots, Wheels
 from robofleet.core.arrays import Array
 
 HORIZONS_S = 1.0, 2.0, 5.0
@@ -18,7 +19,6 @@ class HeldOut:
 
     horizon_s: float
     position_rms_mm: float
-    heading_rms_deg: float
     believed_rms_mm: float  # position, by what was believed before
     count: int
 
@@ -30,24 +30,22 @@ def held_out_errors(
     every = []
     for horizon_s in HORIZONS_S:
         found, believed = (_errors(recordings, chosen, model, noise, horizon_s) for model in (wheels, before))
-        rms = np.sqrt((found**2).mean(axis=0)) if len(found) else np.full(3, np.nan)
-        believed_rms = np.sqrt((believed[:, :2] ** 2).sum(axis=1).mean()) if len(believed) else np.nan
+        rms_mm, believed_rms_mm = (
+            1e3 * math.sqrt((off**2).mean()) if len(off) else math.nan for off in (found, believed)
+        )
         every.append(
-            HeldOut(
-                horizon_s=horizon_s, position_rms_mm=1e3 * float(np.hypot(*rms[:2])),
-                heading_rms_deg=float(np.rad2deg(rms[2])), believed_rms_mm=1e3 * float(believed_rms), count=len(found),
-            )
-        )  # fmt: skip
+            HeldOut(horizon_s=horizon_s, position_rms_mm=rms_mm, believed_rms_mm=believed_rms_mm, count=len(found))
+        )
     return tuple(every)
 
 
 def _errors(
     recordings: Sequence[Shots], chosen: Sequence[NDArray[np.bool_]], wheels: Wheels, noise: Noise, horizon_s: float
 ) -> Array:
-    """Return how far predictions are off (P, 3), in the tag's frame."""
-    errors = [np.empty((0, 3))]
+    """Return by how much predictions miss the tag's place (P,) [m]."""
+    errors = [np.empty(0)]
     for shots, own in zip(recordings, chosen, strict=True):
         at_s, predicted, measured = shots.ahead(wheels, noise, horizon_s)
         inside = own[np.searchsorted(shots.at_s, at_s)]
-        errors.append(relative(measured[inside], predicted[inside]))
+        errors.append(np.linalg.norm((predicted - measured)[inside, :2], axis=1))
     return np.concatenate(errors)

@@ -10,7 +10,6 @@ from robofleet.core.arrays import Array
 from robofleet.safety.gate import RAMP_NS
 
 _FEWEST_SAMPLES = 3  # of an angle
-_SHORTEST_LAG_S = 1e-6
 _SAME_RAD = 1e-6
 _SHIFTS_S = 1e-4 * np.array(sorted(range(-200, 401), key=abs))
 _UNEXPLAINED = 0.05  # difference of mean speeds [rad/s]
@@ -96,29 +95,3 @@ def as_told(drive: RobotDrive, at_s: Array, outputs: Array) -> tuple[Array, Arra
         instants.append(np.array([start_s, *(at_s[first:last] + shift_s)]))
         rows.append(speeds[first : last + 1])
     return np.concatenate(instants), np.concatenate(rows)
-
-
-def wheel_travel(commands_s: Array, commands: Array, delay_s: float, lag_s: float, at_s: Array) -> Array:
-    """Return the angles (M, 2) that wheels at rest at first have turned at instants (M,) [rad].
-
-    Commands (K, 2) act ``delay_s`` after their ticks (K,); the wheels follow with a first-order lag.
-    """
-    acts_s = commands_s + delay_s
-    lag_s = max(lag_s, _SHORTEST_LAG_S)
-    steps = np.diff(acts_s)
-    kept = np.exp(-steps / lag_s)
-    speed, angle = np.zeros_like(commands), np.zeros_like(commands)  # when each command begins to act
-    for side in range(2):
-        w, turned = 0.0, 0.0
-        commanded = commands[:, side].tolist()
-        history = [(w, turned)]
-        for command, step, part in zip(commanded, steps.tolist(), kept.tolist(), strict=False):
-            ahead = w - command
-            turned += command * step + ahead * lag_s * (1.0 - part)
-            w = command + ahead * part
-            history.append((w, turned))
-        speed[:, side], angle[:, side] = np.array(history).T
-    k = np.searchsorted(acts_s, at_s, side="right") - 1
-    since = np.where(k >= 0, at_s - acts_s[k], 0.0)[:, None]
-    travel = angle[k] + commands[k] * since + (speed[k] - commands[k]) * (lag_s * -np.expm1(-since / lag_s))
-    return np.where(k[:, None] >= 0, travel, 0.0)

@@ -13,12 +13,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robofleet.calibration.robots import inputs
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.encoders import Encoders
-from robofleet.core.arrays import Array
+from robofleet.core.arrays import Array, Flags
 from robofleet.core.clock import S
 from robofleet.core.kernels import kernel
 from robofleet.simulation.bodies import BODY, BUILD, COMING, advance, command
@@ -26,7 +25,7 @@ from robofleet.vehicles import plant
 
 SHOT_S = 2.0
 
-_NOBODY = np.zeros(0, dtype=np.bool_)
+_NOBODY, _NO_ESTIMATES = np.zeros(0, dtype=np.bool_), np.empty((0, 3))
 _WRONG_BEGINNINGS, _WRONG_SHARE = 3, 0.5
 _LONGEST_OUTLIER = 3  # poses
 _UNKNOWN_POSE = np.array([3e-4**2, 0.0, 3e-4**2, 0.0, 0.0, 0.004**2])  # covariance of poses that have none
@@ -94,6 +93,7 @@ class Shots:
         )
         self._covariances = covariances[:, [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(-1, 3, 3)
         self.shot = ((self.at_s - self.at_s[0]) / SHOT_S).astype(np.int64)
+        self._begins = np.diff(self.shot, prepend=-1) > 0
         self.kept = np.ones(len(self.at_s), dtype=np.bool_)  # poses that are no outliers
         counted = np.floor((drive.encoders_s - self.at_s[0]) / SHOT_S).astype(np.int64)
         self.encoders = Encoders(drive.encoders_s, drive.encoders_rad, counted)
@@ -140,54 +140,50 @@ class Shots:
         )  # fmt: skip
         return Motion(relative(poses[:-1], poses[1:]), angles)
 
-    def residuals(self, wheels: Wheels, noise: Noise, motion: Motion, chosen: NDArray[np.bool_]) -> tuple[Array, float]:
+    def residuals(self, wheels: Wheels, noise: Noise, motion: Motion, chosen: Flags) -> tuple[Array, float]:
         """Return the whitened residuals (M, 3) of the poses of ``chosen`` shots, 0 where there is none, and their
         log-determinant: that of the covariances by which they were whitened.
         """
+        return self._filtered(wheels, noise, motion, self._begins, chosen & self.kept, chosen)
+
+    def _filtered(
+        self, wheels: Wheels, noise: Noise, motion: Motion, begins: Flags, kept: Flags, chosen: Flags, *,
+        estimates: Array = _NO_ESTIMATES, gate: float = np.inf, outliers: Flags = _NOBODY,
+    ) -> tuple[Array, float]:  # fmt: skip
+        """Return residuals and log-determinant as ``residuals``; the rest as ``_filter`` takes it."""
         residuals = np.zeros((len(self.at_s), 3))
-        first = np.concatenate([[True], np.diff(self.shot) > 0])
-        weights = self._noise_covariances(noise)
-        offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
         log_determinant = _filter(
-            motion.steps, np.diff(self.at_s), self.poses, weights, offset, wheels.wheel_base_m, noise.slip, noise.way,
-            first, chosen & self.kept, chosen, residuals, np.empty((0, 3)), np.inf, _NOBODY,
+            motion.steps, np.diff(self.at_s), self.poses, self._noise_covariances(noise), _offset(wheels),
+            wheels.wheel_base_m, noise.slip, noise.way, begins, kept, chosen, residuals, estimates, gate, outliers,
         )  # fmt: skip
         return residuals, float(log_determinant)
 
-    def encoder_residuals(
-        self, wheels: Wheels, noise: Noise, motion: Motion, chosen: NDArray[np.bool_]
-    ) -> tuple[Array, float]:
+    def encoder_residuals(self, wheels: Wheels, noise: Noise, motion: Motion, chosen: Flags) -> tuple[Array, float]:
         """Return the whitened residuals (E, 2) of the ``chosen`` angles of the encoders (E,), and the like."""
         return self.encoders.residuals(motion.angles, _scales(wheels), noise.stamp_s, noise.wander, chosen)
 
-    def all_residuals(self, wheels: Wheels, noise: Noise, seen: NDArray[np.bool_], counted: NDArray[np.bool_]) -> Array:
+    def all_residuals(self, wheels: Wheels, noise: Noise, seen: Flags, counted: Flags) -> Array:
         """Return the whitened residuals (3 M + 2 E,) of poses that are ``seen`` (M,) and angles ``counted`` (E,)."""
         motion = self.motion(wheels)
         poses, _ = self.residuals(wheels, noise, motion, seen)
         angles, _ = self.encoder_residuals(wheels, noise, motion, counted)
         return np.concatenate([poses.ravel(), angles.ravel()])
 
-    def encoder_outliers(self, wheels: Wheels, noise: Noise, gate: float) -> NDArray[np.bool_]:
+    def encoder_outliers(self, wheels: Wheels, noise: Noise, gate: float) -> Flags:
         """Return which angles of the encoders (E, 2) are further than so many standard deviations off."""
         return self.encoders.outliers(self.motion(wheels).angles, _scales(wheels), noise.stamp_s, noise.wander, gate)
 
-    def outliers(self, wheels: Wheels, noise: Noise, gate: float, *, misfits: bool) -> NDArray[np.bool_]:
+    def outliers(self, wheels: Wheels, noise: Noise, gate: float, *, misfits: bool) -> Flags:
         """Return which poses (M,) are further than so many standard deviations from where the others put the robot.
 
         Where a shot begins with one, all others would be: it is the first one then. ``misfits``: with those of which
         many follow each other: they are no noise, but the model is wrong there.
         """
-        motion, first = self.motion(wheels), np.concatenate([[True], np.diff(self.shot) > 0])
-        offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
-        found, everything = np.zeros(len(self.at_s), dtype=np.bool_), np.ones(len(self.at_s), dtype=np.bool_)
-        beginnings = np.zeros(len(self.at_s), dtype=np.bool_)
+        motion, everything = self.motion(wheels), np.ones(len(self.at_s), dtype=np.bool_)
+        found, beginnings = ~everything, ~everything
         for _ in range(_WRONG_BEGINNINGS):
             found[:] = False
-            _filter(
-                motion.steps, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset,
-                wheels.wheel_base_m, noise.slip, noise.way, first, ~beginnings, everything,
-                np.zeros((len(self.at_s), 3)), np.empty((0, 3)), gate, found,
-            )  # fmt: skip
+            self._filtered(wheels, noise, motion, self._begins, ~beginnings, everything, gate=gate, outliers=found)
             share = np.bincount(self.shot, found) / np.maximum(1, np.bincount(self.shot, ~beginnings))
             wrong = np.flatnonzero(share > _WRONG_SHARE)
             if not len(wrong):
@@ -207,20 +203,15 @@ class Shots:
         Each starts at what the filter knows so far, and ends ``horizon_s`` later, with the commands alone.
         """
         motion, everything = self.motion(wheels), np.ones(len(self.at_s), dtype=np.bool_)
-        first = np.concatenate([[True], np.diff(self.at_s) > SHOT_S])
-        offset = np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
+        begins = np.diff(self.at_s, prepend=-np.inf) > SHOT_S
         estimates = np.empty((len(self.at_s), 3))
-        _filter(
-            motion.steps, np.diff(self.at_s), self.poses, self._noise_covariances(noise), offset, wheels.wheel_base_m,
-            noise.slip, noise.way, first, self.kept, everything, np.zeros((len(self.at_s), 3)), estimates, np.inf,
-            _NOBODY,
-        )  # fmt: skip
+        self._filtered(wheels, noise, motion, begins, self.kept, everything, estimates=estimates)
         ends = np.searchsorted(self.at_s, self.at_s + horizon_s - self._half_interval_s)
         start = np.flatnonzero((ends < len(self.at_s)) & (self.at_s > self.at_s[0] + SHOT_S / 2.0))
         start = start[self.kept[ends[start]]]
         path = accumulated(motion.steps)
         step = relative(path[start], path[ends[start]])
-        return self.at_s[start], compose(compose(estimates[start], step), offset), self.poses[ends[start]]
+        return self.at_s[start], compose(compose(estimates[start], step), _offset(wheels)), self.poses[ends[start]]
 
     def pose_noise(self, noise: Noise) -> tuple[float, float]:
         """Return the standard deviation of a pose's position [mm] and of its heading [deg], as the fit takes them."""
@@ -234,6 +225,10 @@ class Shots:
     def _noise_covariances(self, noise: Noise) -> Array:
         scale = np.array([noise.position, noise.position, noise.heading])
         return np.asarray(self._covariances * scale[:, None] * scale + np.diag(_LEAST_VARIANCE))
+
+
+def _offset(wheels: Wheels) -> Array:
+    return np.array([wheels.tag_forward_m, wheels.tag_left_m, wheels.tag_heading_rad])
 
 
 def _scales(wheels: Wheels) -> Array:

@@ -22,6 +22,7 @@ from robofleet.config import slices
 from robofleet.config.calibrated import RobotCalibration
 from robofleet.config.load import load_config
 from robofleet.config.plant_errors import PlantErrors
+from robofleet.core.arrays import Array
 from robofleet.recording.log import RunLog
 from robofleet.recording.reading import read
 from robofleet.vehicles.plant import built
@@ -74,17 +75,24 @@ def test_the_true_model_leaves_noise_and_a_wrong_one_more(worn: RobotDrive) -> N
     assert mean_square(worn, replace(right, delay_s=right.delay_s + 0.003)) > 1.5
 
 
+def turned(at_s: Array, speeds: Array, when_s: Array) -> Array:
+    """Return the angles (M, 2) of wheels whose speeds (K, 2) begin at instants (K,)."""
+    begun = np.vstack([np.zeros(2), np.cumsum(speeds[:-1] * np.diff(at_s)[:, None], axis=0)])
+    k = np.searchsorted(at_s, when_s, side="right") - 1
+    return np.where(k[:, None] >= 0, begun[k] + speeds[k] * (when_s - at_s[k])[:, None], 0.0)
+
+
 def test_inputs_turn_as_far_as_the_gate_told(worn: RobotDrive) -> None:
     """Between two statuses the gate was closed, which no command says."""
-    turned = worn.told_rad.copy()
+    told = worn.told_rad.copy()
     closed = slice(600, 700)
-    turned[601:] -= (worn.told_rad[closed.stop] - worn.told_rad[closed.start]) * np.clip(
+    told[601:] -= (worn.told_rad[closed.stop] - worn.told_rad[closed.start]) * np.clip(
         (worn.told_s[601:] - worn.told_s[600]) / (worn.told_s[700] - worn.told_s[600]), 0.0, 1.0
     )[:, None]
-    stopped = replace(worn, told_rad=turned)
+    stopped = replace(worn, told_rad=told)
     at_s, outputs = inputs.as_told(stopped, *inputs.through_gate(stopped))
-    travel = inputs.wheel_travel(at_s, outputs, 0.0, 0.0, stopped.told_s)
-    assert np.abs((travel - travel[0]) - (turned - turned[0])).max() < 1e-3
+    travel = turned(at_s, outputs, stopped.told_s)
+    assert np.abs((travel - travel[0]) - (told - told[0])).max() < 1e-3
 
 
 def test_inputs_of_late_commands_are_late(worn: RobotDrive) -> None:
@@ -92,8 +100,8 @@ def test_inputs_of_late_commands_are_late(worn: RobotDrive) -> None:
     commands = np.repeat(((0.0, 0.0), (4.0, -6.0), (0.0, 0.0)), 20, axis=0)
     commands_s, told_s = 0.033 * np.arange(60), 0.02 * np.arange(90)
     late_s = commands_s + 0.011 * (np.arange(60) == 40)  # the stop is
-    turned = inputs.wheel_travel(late_s, commands, 0.0, 0.0, told_s)
-    drive = replace(worn, commands_s=commands_s, commands_rad_s=commands, told_s=told_s, told_rad=turned)
+    told = turned(late_s, commands, told_s)
+    drive = replace(worn, commands_s=commands_s, commands_rad_s=commands, told_s=told_s, told_rad=told)
     at_s, outputs = inputs.as_told(drive, *inputs.through_gate(drive))
     grid_s = np.arange(0.0, 1.7, 0.0005)
     speeds = outputs[np.searchsorted(at_s, grid_s, side="right") - 1]

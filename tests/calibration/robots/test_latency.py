@@ -9,7 +9,6 @@ from robofleet.calibration.robots import inputs, latency
 from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.information import PARAMETERS as MODEL
 from robofleet.calibration.robots.information import SYSTEMATIC_VARIANCE
-from robofleet.calibration.robots.inputs import wheel_travel
 from robofleet.calibration.store import CalibrationError
 
 from .conftest import LATE, Make
@@ -67,21 +66,6 @@ def test_outliers_and_missing_images_change_little(driven: Make) -> None:
     found = find(replace(drive, poses=poses))
     assert (found.delay_s, found.motor_lag_s) == pytest.approx((0.043, 0.06), abs=0.001)
     assert 20 <= found.found.left_out <= 70
-
-
-def test_the_wheels_angles_are_the_integral_of_their_speeds() -> None:
-    """Against small steps of the lag's own equation."""
-    rng = np.random.default_rng(2)
-    commands_s, commands = 0.033 * np.arange(20), rng.uniform(-8, 8, (20, 2))
-    step, w, angle, at, expected = 1e-4, np.zeros(2), np.zeros(2), [], []
-    for k in range(9000):
-        before = commands_s + 0.0512 <= k * step + 1e-9
-        target = commands[before.sum() - 1] if before.any() else np.zeros(2)
-        w_next = target + (w - target) * np.exp(-step / 0.06)
-        angle, w = angle + step * (w + w_next) / 2, w_next
-        at.append((k + 1) * step)
-        expected.append(angle)
-    assert wheel_travel(commands_s, commands, 0.0512, 0.06, np.array(at)) == pytest.approx(np.array(expected), abs=1e-3)
 
 
 @pytest.mark.slow
