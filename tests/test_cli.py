@@ -14,12 +14,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.core.refusal import LAB_MODULES
 from robofleet.operator import run_command
+from tests.command import robofleet
 from tests.recording.recorded import room_for
 from tests.shipped import PLATOON
 
@@ -54,10 +52,6 @@ def folder(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch
     monkeypatch.setenv("TMPDIR", str(tmp_path_factory.mktemp("tmp")))
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def robofleet(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture

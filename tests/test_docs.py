@@ -12,10 +12,9 @@ from urllib.request import urlopen
 import pytest
 from selenium.webdriver import Chrome
 from selenium.webdriver.support.ui import WebDriverWait
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.operator import docs_command
+from tests.command import robofleet
 from tests.operator.page import axe, browser
 
 ROOT = Path(__file__).parents[1]
@@ -121,7 +120,7 @@ def test_the_search_finds_the_answer(site: Path, chromium: Chrome, question: str
 
 def test_docs_serves_the_site_of_a_wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(docs_command, "SITE", tmp_path)
-    refused = CliRunner().invoke(cli.app, ["docs"])
+    refused = robofleet("docs")
     assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
     assert "python -m tools.docs" in refused.stderr
     (tmp_path / "index.html").write_text("all guides")
@@ -133,5 +132,5 @@ def test_docs_serves_the_site_of_a_wheel(tmp_path: Path, monkeypatch: pytest.Mon
         interrupt_main()
 
     monkeypatch.setattr(docs_command, "open_page", lambda address: Thread(target=reader, args=[address]).start())
-    done = CliRunner().invoke(cli.app, ["docs"])
+    done = robofleet("docs")
     assert (done.exit_code, read) == (0, [b"all guides"])

@@ -2,21 +2,15 @@
 
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.reports.tables import status_table
+from tests.command import robofleet
 
 CONFIGS = Path(__file__).parent.parent / "configs"
 NAMES = ["a[/b]", "[bold]a", "a[/]", "[link=x]y", "a\\[b]"]
-
-
-def robofleet(*arguments: object) -> Any:
-    return CliRunner().invoke(app, [*map(str, arguments)], env={"COLUMNS": "300"})
 
 
 @pytest.mark.slow_after_first
@@ -26,7 +20,7 @@ def test_check_shows_a_configurations_name(name: str, tmp_path: Path) -> None:
     for given in (file, tmp_path / f"{name}.yaml"):
         given.parent.mkdir(exist_ok=True, parents=True)
         given.write_text((CONFIGS / "platoon.yaml").read_text())
-        result = robofleet("check", given)
+        result = robofleet("check", given, env={"COLUMNS": "300"})
         assert (result.exit_code, result.exception) == (0, None)
         assert f"{given.name} can run" in result.stdout
 

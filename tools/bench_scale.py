@@ -6,6 +6,7 @@ import os
 import statistics
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def lockstep_seconds() -> list[Row]:
 
     Beside it, where the environment's ``ROBOTARIUM`` is a checkout of it, the Robotarium's simulator with its barrier.
     """
-    found = []
+    found: list[Row] = []
     for count, source in ((4, "camera"), (4, "truth"), (20, "truth"), (100, "truth"), (1000, "truth")):
         config = fleet(count)
         tracker = config.tracker.model_copy(update={"source": source})
@@ -59,11 +60,7 @@ def lockstep_seconds() -> list[Row]:
         for _ in range(3):
             ours.append(drives.second_ms())
             theirs += [_robotarium_ms(Path(peer), count)] if peer else []
-        what, value = f"a simulated second, {count} robots, {source}, CPU", statistics.median(ours)
-        found.append({"what": what, "who": "robofleet", "value": value, "unit": "ms", "ratio": 1.0})
-        if theirs:
-            other = statistics.median(theirs)
-            found.append({"what": what, "who": "Robotarium", "value": other, "unit": "ms", "ratio": other / value})
+        found += _beside(f"a simulated second, {count} robots, {source}, CPU", ours, theirs)
     return found
 
 
@@ -72,7 +69,7 @@ def script_seconds() -> list[Row]:
 
     With the barrier, without a camera and a recording; beside it the Robotarium's simulator, as above.
     """
-    found = []
+    found: list[Row] = []
     for count in (4, 20):
         peer, ours, theirs = os.environ.get("ROBOTARIUM"), [], []
         with Fleet(SCRIPT, lockstep=True, out=False, settings=_in_rows(count)) as driven:
@@ -80,12 +77,15 @@ def script_seconds() -> list[Row]:
             for _ in range(3):
                 ours.append(_script_second_ms(driven))
                 theirs += [_robotarium_ms(Path(peer), count)] if peer else []
-        what, value = f"a simulated second of a script, {count} robots, CPU", statistics.median(ours)
-        found.append({"what": what, "who": "robofleet", "value": value, "unit": "ms", "ratio": 1.0})
-        if theirs:
-            other = statistics.median(theirs)
-            found.append({"what": what, "who": "Robotarium", "value": other, "unit": "ms", "ratio": other / value})
+        found += _beside(f"a simulated second of a script, {count} robots, CPU", ours, theirs)
     return found
+
+
+def _beside(what: str, ours: list[float], theirs: list[float]) -> Iterator[Row]:
+    """Yield the medians, that of the Robotarium where it was measured."""
+    value = statistics.median(ours)
+    for who, median in (("robofleet", value), *([("Robotarium", statistics.median(theirs))] if theirs else [])):
+        yield {"what": what, "who": who, "value": median, "unit": "ms", "ratio": median / value}
 
 
 def _in_rows(count: int) -> list[str]:

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from robofleet.bus.zenoh_bus import ZenohBus
     from robofleet.config.tree import Config
     from robofleet.core.clock import Clock
+
+ConfigCopy = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="A copy of the run's configuration, if the run is on another computer."),
+]
 
 
 class ArenaAccess(NamedTuple):

@@ -96,7 +96,6 @@ def _take_statuses(robots, statuses, rows, now_ns, build, boot_id):  # type: ign
 def _take_tick(robots, ticks, failures, moving):  # type: ignore[no-untyped-def]
     for k in range(min(len(robots), len(ticks))):
         r, t = robots[k], ticks[k]
-        r.estimate_x, r.estimate_y, r.estimate_psi = t.x_m, t.y_m, t.psi_rad
         r.lost, r.filtered, r.blocked = t.lost > 0.0, int(t.filtered), t.blocked > 0.0
         r.failed = 0
         for event in failures:

@@ -4,7 +4,7 @@ import sys
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -22,14 +22,13 @@ def running_names() -> list[str]:
     return [run.arena for run in running()]
 
 
+def run_argument(metavar: str, meaning: str) -> Any:
+    """Return the argument that names a run, which a shell completes."""
+    return typer.Argument(metavar=metavar, help=meaning, autocompletion=running_names, show_default=False)
+
+
 ArenaName = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="ARENA",
-        help="The run's arena (arena.name). Not needed if only one run is on.",
-        autocompletion=running_names,
-        show_default=False,
-    ),
+    str | None, run_argument("ARENA", "The run's arena (arena.name). Not needed if only one run is on.")
 ]
 
 
@@ -94,13 +93,7 @@ def park(arena: ArenaName = None) -> None:
 
 def reset(
     arena: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="ARENA",
-            help="arena.name of its configuration, or a configuration (.yaml).",
-            autocompletion=running_names,
-            show_default=False,
-        ),
+        str | None, run_argument("ARENA", "arena.name of its configuration, or a configuration (.yaml).")
     ] = None,
     overrides: Annotated[
         list[str],
@@ -138,11 +131,8 @@ def status(
 def hosts(
     arena: Annotated[
         str | None,
-        typer.Argument(
-            metavar="ARENA|CONFIG",
-            help="The run's arena; not needed if only one run is on. CONFIG works between runs, too.",
-            autocompletion=running_names,
-            show_default=False,
+        run_argument(
+            "ARENA|CONFIG", "The run's arena; not needed if only one run is on. CONFIG works between runs, too."
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
@@ -180,15 +170,7 @@ def hosts(
         Console().print(asking.table(found))
 
 
-PageRun = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="ARENA|CONFIG",
-        help="The run's arena; not needed if only one run is on.",
-        autocompletion=running_names,
-        show_default=False,
-    ),
-]
+PageRun = Annotated[str | None, run_argument("ARENA|CONFIG", "The run's arena; not needed if only one run is on.")]
 PagePort = Annotated[
     int,
     typer.Option(metavar="N", min=0, max=65535, show_default=False, help="Port of the page. Default: any free port."),

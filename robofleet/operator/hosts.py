@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.table import Table
 
@@ -14,9 +14,6 @@ from robofleet.core.clock import MS, S, WallClock
 from robofleet.core.patterns import unit_of_role
 from robofleet.operator.requests import JoinedArena, answering, reached
 from robofleet.safety.latches import GateStatus
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 _LISTEN_NS = 2 * S
 _POLL_NS = MS
@@ -101,7 +98,7 @@ def _state(statuses: list[UnitStatus], *, daemon: bool, answers: bool) -> str:
     return ("drives" if drives else "waits") + ("" if daemon else ", on this computer")
 
 
-def table(found: dict[str, Any]) -> "Table":
+def table(found: dict[str, Any]) -> Table:
     shown = Table(title=f"the computers of {found['arena']}", box=None, header_style="bold")
     for name in ("unit", "state", "host", "version", "certificate", "round trip", "loss", "battery", "since"):
         shown.add_column(name)

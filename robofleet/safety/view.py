@@ -35,7 +35,6 @@ class RobotView(NamedTuple):
     unseen_ns: int = 0  # from that image to the newest one, by the images' own stamps; 0: not three images yet
     image: int = 0  # number of that image
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in that image: x, y [m], psi [rad]; world
-    estimate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the controller's, at its newest tick
     lost: bool = False  # the controller has had no image of it for too long, and lets it stand
     filtered: int = 0  # the barrier at that tick: 0 left alone, 1 changed, 2 no answer
     blocked: bool = False  # held by the barrier for long
@@ -55,7 +54,7 @@ def rests(robot: RobotView) -> bool:
     return max(measured, abs(robot.left_output), abs(robot.right_output)) < AT_REST_RAD_S
 
 
-# The fields are those of view.RobotView; poses have three.
+# The fields are those of RobotView; a pose has three.
 ROBOT = np.dtype(
     (np.record, [
         *((name, "<i8") for name in ("heard_ns", "build")),
@@ -66,7 +65,7 @@ ROBOT = np.dtype(
             "left_told", "right_told",
         )),
         ("seen_ns", "<i8"), ("unseen_ns", "<i8"), ("image", "<u8"),
-        *((name, "<f8") for name in ("x", "y", "psi", "estimate_x", "estimate_y", "estimate_psi")),
+        *((name, "<f8") for name in ("x", "y", "psi")),
         *((name, "<i8") for name in ("lost", "filtered", "blocked", "failed", "driven", "camera_out")),
     ])
 )  # fmt: skip
@@ -111,14 +110,13 @@ class Rows(Sequence[RobotView]):
 
 def _robot(v: tuple[Any, ...]) -> RobotView:
     lost, filtered, blocked, failed, driven, camera_out = v[_LOST:]
-    poses = v[_POSE : _POSE + 3], v[_POSE + 3 : _LOST]
     flags = bool(lost), filtered, bool(blocked), failed, bool(driven), camera_out
-    return RobotView._make([*v[:_POSE], *poses, *flags])
+    return RobotView._make([*v[:_POSE], v[_POSE:_LOST], *flags])
 
 
 def _values(robot: RobotView) -> tuple[Any, ...]:
     index = RobotView._fields.index("pose")
-    return (*robot[:index], *robot.pose, *robot.estimate, *robot[index + 2 :])
+    return (*robot[:index], *robot.pose, *robot[index + 1 :])
 
 
 class Turns(NamedTuple):

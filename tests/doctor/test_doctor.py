@@ -10,15 +10,14 @@ from pathlib import Path
 
 import pytest
 from click.testing import Result
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.config.load import load_config
 from robofleet.core.refusal import LAB_MODULES
 from robofleet.doctor import cameras, computer, elsewhere, examination, places, software
 from robofleet.doctor.findings import Finding, Mark, Paste, ok
 from robofleet.doctor.needs import Needs
 from robofleet.doctor.view import pastes, show
+from tests.command import robofleet
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -35,7 +34,7 @@ def folder(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch
 
 
 def doctor(*arguments: object) -> Result:
-    return CliRunner().invoke(cli.app, ["doctor", *map(str, arguments)])
+    return robofleet("doctor", *arguments)
 
 
 def test_a_machine_on_which_the_platoon_drives_is_exit_0_and_nothing_is_left_behind(folder: Path) -> None:

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.config.calibrated import CameraModel, PoseSettings
 from robofleet.doctor.plan import ANGLES_DEG, NEEDED_PX, RIM_M, TILT_DEG, Wanted, cameras, lowest_m, side_px
 from robofleet.tracking.camera import CameraGeometry
+from tests.command import robofleet
 
 SIZES = (1280, 720), (1920, 1080), (2448, 2048)
 LABORATORIES = st.builds(
@@ -86,12 +85,12 @@ def test_the_cameras_see_tags_well_enough_from_below_the_ceiling_or_there_are_no
 
 def test_a_plan_is_a_line_for_each_thing_to_buy() -> None:
     arguments = ["doctor", "--plan", "--arena", "3.2x2.0", "--robots", "8", "--tag-side-mm", "70"]
-    done = CliRunner().invoke(cli.app, arguments)
+    done = robofleet(*arguments)
     assert done.exit_code == 0
     assert "1 of 1920 x 1080 pixels" in done.output
     assert "the lens 3.11 m above the floor" in done.output
     assert "800 packets a second" in done.output
-    report = json.loads(CliRunner().invoke(cli.app, [*arguments, "--json"]).output)
+    report = json.loads(robofleet(*arguments, "--json").output)
     assert {"cameras", "lens", "computer", "radio"} < {line["name"] for line in report["plan"]}
 
 
@@ -110,7 +109,7 @@ def test_a_plan_is_a_line_for_each_thing_to_buy() -> None:
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(options: list[str], says: str) -> None:
-    done = CliRunner().invoke(cli.app, ["doctor", *options])
+    done = robofleet("doctor", *options)
     assert (done.exit_code, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert says in line

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import evdev
 import pytest
-from typer.testing import CliRunner
 
 from robofleet.bus.credentials import Credentials
-from robofleet.cli import app
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.gateways.gamepad import command, pads
@@ -30,6 +28,7 @@ from robofleet.gateways.gamepad.pads import (
 )
 from robofleet.gateways.place import ArenaAccess
 from robofleet.operator.hand import Stick
+from tests.command import robofleet
 from tests.gateways.piped_pad import SHOULDERS, STICK, PipedDevice
 
 AT_REST = Stick(0.0, 0.0, False)
@@ -55,7 +54,7 @@ def test_who_has_not_joined_as_an_operator_is_told_so(
     here(monkeypatch, pad=None)
     access = ArenaAccess(("quic/127.0.0.1:1",), Credentials.at(tmp_path, "carol"), role)
     monkeypatch.setattr(command, "run_of", lambda *_: (load_config(SHIPPED / "teleop.yaml"), access))
-    refused = CliRunner().invoke(app, ["teleop"])
+    refused = robofleet("teleop")
     assert refused.exit_code == 2
     (line,) = refused.stderr.splitlines()
     assert f"has joined teleop as {role}" in line and "--kind operator" in line

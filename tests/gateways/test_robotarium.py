@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import Result
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.gateways.robotarium.script import ScriptError, version_of
+from tests.command import robofleet
 
 pytestmark = pytest.mark.usefixtures("unplotted")
 
@@ -126,7 +125,7 @@ Runs = Callable[..., Result]
 def runs(folder: Path) -> Runs:
     def run(text: str, *options: str) -> Result:
         (folder / "script.py").write_text(textwrap.dedent(text))
-        return CliRunner().invoke(app, ["robotarium", "script.py", "--out", "run", *options])
+        return robofleet("robotarium", "script.py", "--out", "run", *options)
 
     return run
 

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.core import refusal
 from robofleet.gateways.viewers.server import Server
 from robofleet.operator.viewer_address import DEFAULTS, Address, completed, option
+from tests.command import robofleet
 from tests.shipped import PLATOON
 
 HERE = Address("127.0.0.1", 0)
@@ -71,6 +70,6 @@ class ViewerContract:
 
     def refused(self, *words: str) -> str:
         """Return the line by which a run with this viewer is refused."""
-        result = CliRunner().invoke(app, ["run", str(PLATOON), option(self.viewer), *words])
+        result = robofleet("run", PLATOON, option(self.viewer), *words)
         assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1), result.output
         return result.stderr

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from typer.testing import CliRunner
 
-from robofleet.cli import app
+from tests.command import robofleet
 from tests.hosts.network import Host, Network
 from tests.runs.realrun import PLATOON, newest, wait
 
@@ -39,7 +38,7 @@ def join(network: Network, robots: tuple[str, ...], radio: str | None = None) ->
 
 def kept(host: Host, *words: str) -> str:
     """Return what a command says that only reads and writes a host's files: it runs in this process."""
-    done = CliRunner().invoke(app, [*words], env=host.environment)
+    done = robofleet(*words, env=host.environment)
     assert done.exit_code == 0, done.stderr
     return done.stdout
 

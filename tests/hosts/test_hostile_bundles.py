@@ -16,15 +16,14 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 from robofleet.bus.credentials import KINDS, KeysError, Passport, joined, passport
-from robofleet.cli import app
 from robofleet.core import folders
 from robofleet.core.clock import utc_now
 from robofleet.core.patterns import NAME_PATTERN
 from robofleet.hosts import join_command
 from robofleet.hosts.authority import Authority, _private
+from tests.command import robofleet
 
 HOSTILE = (
     "..", ".", "", "../..", "../../victim", "../victim/authority", "/etc", "/", "lab/../../victim", "lab\0", "\0",
@@ -125,7 +124,7 @@ def test_a_bundle_that_names_a_path_changes_nothing(
     except ValueError:  # no certificate can say that
         return
     before = tree(stranger.desk)
-    done = CliRunner().invoke(app, ["join", str(file), "--into", str(stranger.desk / "robot")])
+    done = robofleet("join", file, "--into", stranger.desk / "robot")
     assert (done.exit_code, done.stdout) == (2, ""), done.output
     assert len(done.stderr.splitlines()) == 1
     assert tree(stranger.desk) == before
@@ -134,7 +133,7 @@ def test_a_bundle_that_names_a_path_changes_nothing(
 def test_such_a_bundle_is_joined_where_it_names_no_path(stranger: Stranger, tmp_path: Path) -> None:
     """What is refused above is refused for its names."""
     passport = {"arena": "lab", "name": "r1", "kind": "viewer", "common_name": "r1#2"}
-    done = CliRunner().invoke(app, ["join", str(bundle(stranger, passport)), "--into", str(tmp_path / "robot")])
+    done = robofleet("join", bundle(stranger, passport), "--into", tmp_path / "robot")
     assert done.exit_code == 0, done.output
 
 
@@ -156,7 +155,7 @@ def test_a_folder_that_is_not_the_keys_alone_is_left_as_it_is(stranger: Stranger
     if what == "foreign":
         os.chown(keys / "lab", 65534, 65534)
     before = tree(tmp_path)
-    done = CliRunner().invoke(app, ["join", str(bundle(stranger, passport)), "--into", str(tmp_path / "robot")])
+    done = robofleet("join", bundle(stranger, passport), "--into", tmp_path / "robot")
     assert (done.exit_code, done.stdout) == (2, "")
     assert {"open": "chmod 700", "link": "is not a folder but a link", "foreign": "belongs to somebody else"}[
         what

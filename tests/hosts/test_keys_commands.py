@@ -14,10 +14,7 @@ from typing import Any
 
 import pytest
 import yaml
-from click.testing import Result
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.bus import credentials as credentials_of
 from robofleet.config.files.robot_file import RobotFile, load_robot_file, robot_file
 from robofleet.core import folders
@@ -27,6 +24,7 @@ from robofleet.hosts import bundle as bundles
 from robofleet.hosts import join_command
 from robofleet.nodes import node
 from robofleet.runs import daemon
+from tests.command import robofleet
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 DEPLOY = Path(__file__).parents[2] / "tools" / "deploy"
@@ -45,10 +43,6 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(join_command, "_is_root", lambda: False)
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def robofleet(*words: object) -> Result:
-    return CliRunner().invoke(cli.app, [str(word) for word in words])
 
 
 def said(*words: object) -> list[str]:

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.bus.keys import STATE, STATUS, TICK, key
 from robofleet.bus.messages import RUN_STATE, TICK_RECORD
 from robofleet.config.load import load_config
@@ -17,6 +15,7 @@ from robofleet.runs.lockstep import Lockstep
 from robofleet.safety.arming import Stage
 from robofleet.safety.supervisor import Event, Phase
 from robofleet.safety.wiggle import BACK, FORTH, STAND
+from tests.command import robofleet
 from tests.process_fixtures import PLATOON
 
 Make = Callable[..., Any]
@@ -96,8 +95,8 @@ def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
 
 def test_the_operator_is_told_and_the_exit_code_is_1(tmp_path: Path) -> None:
     arguments = ["run", str(PLATOON), "--lockstep", "--json", "--out", str(tmp_path / "run")]
-    result = CliRunner().invoke(
-        cli.app, [*arguments, "--set", "tracker.source=truth", "--set", "robots.0.vehicle.simulated.wiring=swapped"]
+    result = robofleet(
+        *arguments, "--set", "tracker.source=truth", "--set", "robots.0.vehicle.simulated.wiring=swapped"
     )
     assert result.exit_code == 1
     assert "r1: its wheels are swapped" in json.loads(result.stdout)["cause"]

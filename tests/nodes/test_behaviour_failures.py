@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.core.clock import MS
@@ -19,6 +17,7 @@ from robofleet.recording.run import Run
 from robofleet.runs.lockstep import Lockstep
 from robofleet.runs.replay import replay
 from robofleet.safety.supervisor import Event, Phase
+from tests.command import robofleet
 from tests.nodes.broken_behaviours import AT_S, Broken
 from tests.runs.realrun import RealRun
 
@@ -53,7 +52,7 @@ def options(how: str) -> list[str]:
 )
 def test_its_group_stands_at_once_and_the_run_is_held(how: str, event: Event, robot: str, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    ran = CliRunner().invoke(app, ["run", str(SWIRL), "--lockstep", *options(how), "--out", str(out)])
+    ran = robofleet("run", SWIRL, "--lockstep", *options(how), "--out", out)
     assert ran.exit_code == 1
     stderr = ran.stderr
     assert f"group failing, {robot}: Broken returned" in stderr

@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.drivers.simulated import SimulatedRobot
 from robofleet.vehicles.interface import DriverContext, DriverError, WheelSpeeds
+from tests.command import robofleet
 from tests.runs.realrun import PLATOON
 
 TRUTH = "--set", "tracker.source=truth"
@@ -51,10 +50,6 @@ class Frail(SimulatedRobot):
 
 def driven_by(kind: type) -> tuple[str, ...]:
     return *TRUTH, "--set", f"robots.1.driver={__name__}:{kind.__name__}"
-
-
-def robofleet(*arguments: object) -> Any:
-    return CliRunner().invoke(app, [*map(str, arguments)])
 
 
 def is_a_line(result: Any, *words: str) -> None:

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from robofleet.bus.keys import COMMAND, ENABLE, STATUS
 from robofleet.bus.messages import (
@@ -16,9 +15,9 @@ from robofleet.bus.messages import (
     UnitEnable,
     WheelCommand,
 )
-from robofleet.cli import app
 from robofleet.core.clock import MS, S
 from robofleet.vehicles.interface import STOP
+from tests.command import robofleet
 from tests.process_fixtures import FORWARD, PLATOON, Bench, Stand
 
 
@@ -86,7 +85,7 @@ def test_a_status_tells_of_every_robot_in_the_units_order(bench_of: Any, platoon
 def test_robots_that_are_no_unit_are_refused_in_a_line(tmp_path: Path, robots: str) -> None:
     config = tmp_path / "one.yaml"
     config.write_text(PLATOON.read_text())
-    result = CliRunner().invoke(app, ["node", "driver", str(config), "--robots", robots])
+    result = robofleet("node", "driver", config, "--robots", robots)
     assert result.exit_code == 2
     assert result.stderr == (
         "--robots: a process drives all robots of one unit: name r1,r2,r3,r4, or give robots[].unit or "
@@ -97,6 +96,6 @@ def test_robots_that_are_no_unit_are_refused_in_a_line(tmp_path: Path, robots: s
 def test_a_robot_that_is_not_there_is_refused_too(tmp_path: Path) -> None:
     config = tmp_path / "one.yaml"
     config.write_text(PLATOON.read_text())
-    result = CliRunner().invoke(app, ["node", "driver", str(config), "--robots", "r1,r9"])
+    result = robofleet("node", "driver", config, "--robots", "r1,r9")
     assert result.exit_code == 2
     assert result.stderr.startswith("--robots: there is no robot 'r9' in ")

@@ -11,14 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import Result
 
-from robofleet.cli import app
 from robofleet.nodes.unit.state_store import FileStateStore, StoredRobot
 from robofleet.operator import direct
 from robofleet.safety.latches import Latch
 from robofleet.scripts.fleet import Fleet
 from robofleet.scripts.script_link import FleetError
+from tests.command import robofleet
 from tests.runs.realrun import PLATOON, own_folders
 
 STOPPED = StoredRobot(4, Latch.EMERGENCY_STOP, 7)
@@ -44,7 +44,7 @@ def left(arena: str = "platoon") -> list[str]:
 
 
 def reset(*words: str) -> Result:
-    return CliRunner().invoke(app, ["reset", *words])
+    return robofleet("reset", *words)
 
 
 @pytest.mark.slow
@@ -72,7 +72,7 @@ def test_the_same_command_is_refused_with_the_whole_command_that_works_before_an
 def test_real_robots_are_to_be_looked_at(command: list[str]) -> None:
     leave("r1", simulated=False)
     leave("r2", simulated=False, memory=STOPPED._replace(latch=Latch.RUNAWAY))
-    done = CliRunner().invoke(app, command)
+    done = robofleet(*command)
     assert done.exit_code == 2
     assert "r1 is latched by an emergency stop" in done.stderr
     assert "r2 is latched by a wheel that turned by itself" in done.stderr

@@ -7,14 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from robofleet.bus.keys import TICK, key
-from robofleet.cli import app
 from robofleet.nodes.unit.state_store import FileStateStore, StoredRobot
 from robofleet.recording.reading import read
 from robofleet.runs.replay import replay
 from robofleet.safety.latches import Latch
+from tests.command import robofleet
 from tests.runs.realrun import ALONE, GONE_WITHIN_S, PLATOON, RealRun, of_robots, own_folders, wait
 
 Start = Callable[..., RealRun]
@@ -157,7 +156,7 @@ def test_a_bus_that_does_not_answer_does_not_keep_the_operator_waiting(real_run:
 
 def test_without_a_run_there_is_nothing_to_stop(tmp_path: Path) -> None:
     for command in ("stop", "hold", "resume", "status"):
-        done = CliRunner().invoke(app, [command], env=own_folders(tmp_path))
+        done = robofleet(command, env=own_folders(tmp_path))
         assert (done.exit_code, done.stdout) == (2, ""), command
         where = f"{tmp_path}/tmp/robofleet or {tmp_path}/rt/robofleet"
         assert done.stderr == f"no arena has a run in {where}: start one with `robofleet run CONFIG`\n", command

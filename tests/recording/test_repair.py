@@ -5,13 +5,12 @@ import os
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.core.clock import S
 from robofleet.recording.log import FILE, RunLog
 from robofleet.recording.reading import RecordingError, read
 from robofleet.recording.repair import repair
+from tests.command import robofleet
 from tests.recording import recorded
 from tests.recording.recorded import in_order, room_for
 
@@ -122,7 +121,7 @@ def test_an_older_damaged_file_is_not_thrown_away(killed: Path) -> None:
 
 def mended(folder: Path) -> tuple[int, str, str]:
     """Return exit code, stdout and stderr of the command."""
-    result = CliRunner().invoke(cli.app, ["repair", str(folder)])
+    result = robofleet("repair", folder)
     return result.exit_code, result.stdout, result.stderr
 
 

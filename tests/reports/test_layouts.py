@@ -10,9 +10,7 @@ from typing import Any
 
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.config import groups
 from robofleet.config.load import load_config
 from robofleet.recording.run import Recording
@@ -22,6 +20,7 @@ from robofleet.recording.scenes.scene import Scene
 from robofleet.reports.layouts import foxglove
 from robofleet.reports.layouts.layouts import VIEWERS
 from robofleet.reports.layouts.plots import tabs
+from tests.command import robofleet
 from tests.recording import make_layouts, recorded
 
 PLOTTED = {
@@ -48,7 +47,7 @@ def fields_of(run_file: Path) -> dict[str, set[str]]:
 
 def written(viewer: str, run_file: Path, tmp_path: Path) -> bytes:
     out = tmp_path / "layout"
-    result = CliRunner().invoke(app, ["layout", viewer, str(run_file.parent), "--out", str(out)])
+    result = robofleet("layout", viewer, run_file.parent, "--out", out)
     assert result.exit_code == 0, result.output
     assert str(out) in result.output
     return out.read_bytes()
@@ -59,7 +58,7 @@ def test_without_a_name_it_is_beside_the_run_and_named_after_its_viewer(
     viewer: str, run_file: Path, tmp_path: Path
 ) -> None:
     shutil.copy(run_file, tmp_path)
-    assert CliRunner().invoke(app, ["layout", viewer, str(tmp_path)]).exit_code == 0
+    assert robofleet("layout", viewer, tmp_path).exit_code == 0
     (layout,) = {*tmp_path.iterdir()} - {tmp_path / run_file.name}
     assert layout.stem == viewer
     assert layout.suffix in {".json", ".xml", ".rbl"}
@@ -158,7 +157,7 @@ def test_rerun_reads_the_blueprint_and_has_what_it_names(run_file: Path, tmp_pat
 
 
 def test_an_unknown_viewer_is_refused_in_a_line(run_file: Path) -> None:
-    result = CliRunner().invoke(app, ["layout", "vlc", str(run_file)])
+    result = robofleet("layout", "vlc", run_file)
     assert result.exit_code == 2
     assert all(viewer in result.output for viewer in VIEWERS)
     assert result.output.count("\n") == 1
@@ -166,7 +165,7 @@ def test_an_unknown_viewer_is_refused_in_a_line(run_file: Path) -> None:
 
 def test_a_file_that_is_no_recording_has_no_layout(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_bytes(b"something")
-    result = CliRunner().invoke(app, ["layout", "foxglove", str(tmp_path)])
+    result = robofleet("layout", "foxglove", tmp_path)
     assert result.exit_code == 2
     assert not (tmp_path / "foxglove.json").exists()
 

@@ -16,14 +16,13 @@ import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.config.groups import descriptions
 from robofleet.recording.log import FILE
 from robofleet.recording.reading import about, read
 from robofleet.reports import after
 from robofleet.reports.layouts.layouts import VIEWERS
+from tests.command import robofleet
 from tests.recording_fixtures import PLATOON
 
 SWIRL = """
@@ -82,7 +81,7 @@ def folder(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return what a run in lockstep left."""
     folder = tmp_path_factory.mktemp("runs") / "one"
     keys = [part for key in SHORT for part in ("--set", key)]
-    ran = CliRunner().invoke(app, ["run", str(file), "--lockstep", "--quiet", *keys, "--out", str(folder)])
+    ran = robofleet("run", file, "--lockstep", "--quiet", *keys, "--out", folder)
     assert ran.exit_code == 0, ran.output
     return folder
 
@@ -184,12 +183,12 @@ def looked_at(run: Path) -> list[list[str]]:
 
 def test_what_only_a_recording_names_is_not_imported(elsewhere: Path) -> None:
     for arguments in looked_at(elsewhere):
-        ran = CliRunner().invoke(app, arguments)
+        ran = robofleet(*arguments)
         assert ran.exit_code == 0, ran.output
         (line,) = ran.stderr.splitlines()
         assert line == "Swirl's own measures are left out: add `--behaviours DIR`, the folder of mylab"
     for command in ("replay", "gap"):
-        ran = CliRunner().invoke(app, [command, str(elsewhere)])
+        ran = robofleet(command, elsewhere)
         assert (ran.exit_code, ran.stderr) == (
             2,
             f"{elsewhere}: Swirl cannot be replayed: add `--behaviours DIR`, the folder of mylab\n",
@@ -204,7 +203,7 @@ def test_where_the_file_does_not_describe_its_groups_it_is_refused(elsewhere: Pa
     renamed = data[first:last].replace(b"groups.json", b"others.json")
     (elsewhere / FILE).write_bytes(data[:first] + renamed + pack("<I", crc32(renamed)) + data[last + 4 :])
     for arguments in looked_at(elsewhere):
-        ran = CliRunner().invoke(app, arguments)
+        ran = robofleet(*arguments)
         assert ran.exit_code == 2, ran.output
         (line,) = ran.stderr.splitlines()
         assert "which figures its groups have: mylab:Swirl is needed: add `--behaviours DIR`, the folder of its" in line
@@ -215,17 +214,17 @@ def test_a_later_report_imports_it_from_the_folder_that_the_user_names(
     folder: Path, mylab: Path, tmp_path: Path
 ) -> None:
     report = ["report", str(folder), "--behaviours"]
-    ran = CliRunner().invoke(app, [*report, str(mylab)])
+    ran = robofleet(*report, mylab)
     assert (ran.exit_code, ran.stderr) == (0, "")
     assert "<h3>Gap of swirl</h3>" in (folder / "report.html").read_text()
-    ran = CliRunner().invoke(app, ["replay", str(folder), "--behaviours", str(mylab)])
+    ran = robofleet("replay", folder, "--behaviours", mylab)
     assert ran.exit_code == 0, ran.output
-    ran = CliRunner().invoke(app, [*report, str(tmp_path)])
+    ran = robofleet(*report, tmp_path)
     assert ran.exit_code == 0
     assert f"mylab is not in {tmp_path}" in ran.stderr
-    assert CliRunner().invoke(app, ["replay", str(folder), "--behaviours", str(tmp_path)]).exit_code == 2
+    assert robofleet("replay", folder, "--behaviours", tmp_path).exit_code == 2
     (tmp_path / "mylab.py").write_text("")
-    ran = CliRunner().invoke(app, [*report, str(tmp_path)])
+    ran = robofleet(*report, tmp_path)
     assert ran.exit_code == 2
     assert "Python has another module 'mylab'" in ran.stderr
 

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.core.figures import robot_colours
 from robofleet.recording.log import FILE, RunLog
@@ -17,6 +15,7 @@ from robofleet.recording.run import Recording, Run
 from robofleet.reports import report
 from robofleet.reports.canvas import Plot
 from robofleet.safety.latches import GateStatus
+from tests.command import robofleet
 from tests.recording.recorded import in_order
 from tests.recording_fixtures import Story
 from tests.shipped import PLATOON
@@ -212,10 +211,6 @@ def test_an_aborted_run_says_its_cause_first_and_no_bound_that_was_not_judged(st
     assert words(text).count("not checked") >= 5
 
 
-def robofleet(*arguments: object) -> Any:
-    return CliRunner().invoke(app, ["report", *map(str, arguments)])
-
-
 @pytest.fixture
 def kept(tmp_path: Path) -> Callable[..., Path]:
     """Return what keeps a hand-made run in a folder, as its recorder does."""
@@ -236,7 +231,7 @@ def kept(tmp_path: Path) -> Callable[..., Path]:
 def test_the_command_writes_page_and_columns_beside_the_recording(story: Make, kept: Make) -> None:
     folder = kept(story("run.bounds={path_error_mean_mm: 4}"), "one")
     for named in (folder, folder / FILE):
-        result = robofleet(named)
+        result = robofleet("report", named)
         assert (result.exit_code, result.stderr) == (0, "")
         assert result.stdout.strip() == str(folder / "report.html")
         assert (folder / "metrics.csv").read_text().count("\n") == 1 + 300 * 4
@@ -248,7 +243,7 @@ def test_the_command_writes_page_and_columns_beside_the_recording(story: Make, k
 def test_the_command_ends_with_1_where_a_bound_was_not_met(story: Make, kept: Make) -> None:
     run = story("run.bounds={path_error_mean_mm: 4}")
     run.aside(0.005)
-    result = robofleet(folder := kept(run, "one"))
+    result = robofleet("report", folder := kept(run, "one"))
     assert result.exit_code == 1
     assert result.stderr == "bound not met: path error, mean: 5 mm; limit 4 mm\n"
     assert (folder / "report.html").exists()
@@ -264,7 +259,7 @@ def test_bad_input_is_one_line_and_exit_code_2(story: Make, kept: Make, tmp_path
         ((run_folder, "--out", tmp_path / "two.html"), "--out: one run's report stands in its folder"),
         ((run_folder, run_folder, "--out", run_folder / FILE / "page.html"), "cannot be written"),
     ):
-        result = robofleet(*arguments)
+        result = robofleet("report", *arguments)
         assert (result.exit_code, result.stdout) == (2, ""), result.output
         (line,) = result.stderr.splitlines()
         assert message in line

@@ -15,10 +15,10 @@ from typing import Any
 
 import psutil
 import yaml
-from typer.testing import CliRunner, Result
+from click.testing import Result
 
-from robofleet.cli import app
 from robofleet.core.clock import MS, S, WallClock
+from tests.command import robofleet
 from tests.shipped import PLATOON
 
 GONE_WITHIN_S = 5.0  # a second, and what a busy machine takes
@@ -124,7 +124,7 @@ class RealRun:
 
     def asked(self, *arguments: str) -> Result:
         """Do something to the run from another terminal, by a command that runs in this process: it costs less."""
-        return CliRunner().invoke(app, [*arguments], env=self.environment)
+        return robofleet(*arguments, env=self.environment)
 
     def robofleet(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
         """Do something to the run from another terminal."""

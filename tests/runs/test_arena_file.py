@@ -13,16 +13,15 @@ from pathlib import Path
 from struct import Struct
 
 import pytest
-from typer.testing import CliRunner
 
 from robofleet.bus.arena_file import ArenaBusyError, ArenaFile, Search, claimed, found, running
 from robofleet.bus.endpoint import settled
 from robofleet.bus.private_folder import PlaceError
-from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.operator import requests as operator
 from robofleet.scripts.fleet import Fleet, FleetError
+from tests.command import robofleet
 from tests.endpoints import short_folder
 from tests.shipped import PLATOON
 
@@ -438,7 +437,7 @@ def test_an_administrator_loads_no_code_of_another_users_run(users_folder: Path,
             message = str(refused.value)
         else:
             words = command.split()
-            came = CliRunner().invoke(app, [*words, *(["platoon"] if named else [])])
+            came = robofleet(*words, *(["platoon"] if named else []))
             assert came.exit_code == 2, came.output
             message = came.stderr
         assert "the arena platoon has a run of nobody (process " in message

@@ -13,9 +13,7 @@ from typing import Annotated, Any, ClassVar
 import pytest
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.config import slices
 from robofleet.config.load import load_config
 from robofleet.drivers.serial_port import SerialPort
@@ -23,6 +21,7 @@ from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.runs import check_drivers
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, WheelSpeeds
+from tests.command import robofleet
 from tests.runs.realrun import CLOCK, PLATOON
 
 HERE = f"{__name__}:Echo"
@@ -250,7 +249,7 @@ def test_a_command_names_every_robot_that_does_not_answer_and_leaves_nothing(com
     tree["camera"]["source"] = f"{__name__}:Eye"
     config.write_text(yaml.safe_dump(tree))
     out = ["--out", str(tmp_path / "out")] if command == "run" else []
-    result = CliRunner().invoke(app, [command, str(config), *out])
+    result = robofleet(command, config, *out)
     assert result.exit_code == 2
     (line,) = result.stderr.strip().splitlines()
     assert line.startswith(f"{config}:")

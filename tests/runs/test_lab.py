@@ -5,11 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.config.load import ConfigError, ConfigFile
 from robofleet.runs.check import load_checked
+from tests.command import robofleet
 from tests.runs.realrun import RealRun
 
 LAB = Path(__file__).parents[2] / "configs" / "lab.yaml"
@@ -44,7 +43,7 @@ def test_where_there_is_nothing_yet_each_line_says_what_to_do_next_in_the_files_
 
 
 def test_the_command_exits_with_2() -> None:
-    found = CliRunner().invoke(app, ["check", str(LAB), "--set", "camera.v4l2.device=/dev/video-none"])
+    found = robofleet("check", LAB, "--set", "camera.v4l2.device=/dev/video-none")
     assert found.exit_code == 2
     assert len(found.stderr.splitlines()) == 5
     assert not found.stdout

@@ -6,9 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from robofleet.cli import app
+from tests.command import robofleet
 from tests.endpoints import own_endpoint
 from tests.shipped import PLATOON
 
@@ -17,7 +16,7 @@ from tests.shipped import PLATOON
 def test_a_port_that_nobody_else_can_know_is_refused(command: list[str], tmp_path: Path) -> None:
     config = tmp_path / "any.yaml"
     config.write_text(f"bus: {{endpoint: 'tcp/127.0.0.1:0', insecure: loopback}}\n{PLATOON.read_text()}")
-    result = CliRunner().invoke(app, ["node", *command, str(config)])
+    result = robofleet("node", *command, config)
     assert result.exit_code == 2
     assert "bus.endpoint" in result.stderr
 

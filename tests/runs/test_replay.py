@@ -6,12 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from robofleet.behaviours.platoon import Platoon
 from robofleet.bus.keys import CAMERA, COMMAND, POSES, STATE, TICK, Topic, key
 from robofleet.bus.messages import TICK_RECORD, TickRecord
-from robofleet.cli import app
 from robofleet.config.tree import Config, ControllerSettings
 from robofleet.recording.log import RunLog
 from robofleet.recording.reading import RecordingError
@@ -20,6 +18,7 @@ from robofleet.runs.lockstep import Lockstep
 from robofleet.runs.replay import replay
 from robofleet.safety.supervisor import Phase
 from tests.bus.alone import WHEEL_COMMAND, WheelCommand
+from tests.command import robofleet
 from tests.process_fixtures import LAYOUTS
 from tests.recording.recorded import in_order
 
@@ -230,7 +229,7 @@ def test_the_command_names_the_first_differences_and_fails(recording: Recording,
 
 def test_the_command_refuses_what_is_no_recording_and_an_empty_run(recording: Recording, tmp_path: Path) -> None:
     empty = altered(recording, TICK, lambda _k, _payload: None)
-    for result in (CliRunner().invoke(app, ["replay", str(tmp_path / "nothing")]), command(empty, tmp_path)):
+    for result in (robofleet("replay", tmp_path / "nothing"), command(empty, tmp_path)):
         assert result.exit_code == 2
         assert len(result.stderr.splitlines()) == 1
 
@@ -243,7 +242,7 @@ def test_a_behaviour_that_has_other_figures_today_is_refused_in_one_line(
     """Somebody changed it since: its ticks have other columns."""
     assert command(recording, tmp_path).exit_code == 0
     monkeypatch.setattr(Platoon, "figures", Platoon.figures[kept])
-    result = CliRunner().invoke(app, ["replay", str(tmp_path)])
+    result = robofleet("replay", tmp_path)
     assert result.exit_code == 2
     assert isinstance(result.exception, SystemExit), result.exception
     lines = result.stderr.splitlines()
@@ -256,4 +255,4 @@ def command(recording: Recording, folder: Path) -> Any:
     with RunLog(folder / "run.mcap", recording.config) as log:
         for index, (full, message) in enumerate(in_order(recording)):
             log.add(full, message, index)
-    return CliRunner().invoke(app, ["replay", str(folder)])
+    return robofleet("replay", folder)

@@ -6,13 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.config.load import load_config
 from robofleet.config.tree import Config
 from robofleet.runs import table
 from robofleet.runs.lockstep import Lockstep
+from tests.command import robofleet
 from tests.shipped import PLATOON
 
 MIXED = PLATOON.with_name("mixed.yaml")
@@ -54,13 +53,13 @@ def test_lockstep_steps_the_rows_that_have_a_turn(platoon_of: Callable[..., Conf
 
 @pytest.mark.parametrize("row", table.TABLE, ids=lambda row: row.name)
 def test_every_row_is_a_command(row: table.Row) -> None:
-    done = CliRunner().invoke(app, [*row.command, "--help"], prog_name="robofleet")
+    done = robofleet(*row.command, "--help", prog_name="robofleet")
     assert done.exit_code == 0
     assert f"Usage: robofleet {' '.join(row.command)}" in done.output
 
 
 def test_a_process_that_a_configuration_does_not_have_is_refused_before_anything_else() -> None:
-    done = CliRunner().invoke(app, ["node", "twins", str(PLATOON)])
+    done = robofleet("node", "twins", PLATOON)
     assert (done.exit_code, done.stderr) == (2, "no robot has a twin: name one in robots[].twin\n")
 
 

@@ -10,15 +10,14 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from typer.testing import CliRunner
 
 from robofleet.bus.keys import WISH, key
 from robofleet.bus.messages import SCRIPT_WISH
-from robofleet.cli import app
 from robofleet.core.clock import MS
 from robofleet.recording.reading import read
 from robofleet.recording.run import Recording, Run
 from robofleet.safety.supervisor import Event
+from tests.command import robofleet
 from tests.runs.realrun import RealRun, own_folders, wait, was_busy
 
 CONFIG = Path(__file__).parents[2] / "configs" / "script.yaml"
@@ -78,7 +77,7 @@ def test_a_run_of_its_own_begins_and_ends_with_the_script_and_goes_on_after_it_w
     recording = read(tmp_path / "run")
     assert np.abs(Run(recording).items["left_rad_s"]).max() > 0.0
     assert Event.SCRIPT_SILENT in {event for event, *_ in stops(recording)}, "it was late, and held"
-    assert "no arena has a run" in CliRunner().invoke(app, ["status"], env=environment).stderr
+    assert "no arena has a run" in robofleet("status", env=environment).stderr
 
 
 @pytest.mark.long

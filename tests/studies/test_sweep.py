@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.studies.progress import bar
 from robofleet.studies.sweep import journal
 from robofleet.studies.sweep.load import load
 from robofleet.studies.sweep.plan import Distribution, Sweep, settings
 from robofleet.studies.sweep.plots import scale
+from tests.command import robofleet
 from tests.policies import small_policies
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -34,7 +33,7 @@ seeds: {{first: 3, count: 2}}
 
 
 def sweep(*arguments: str) -> tuple[int, str, str]:
-    done = CliRunner().invoke(cli.app, ["sweep", *arguments])
+    done = robofleet("sweep", *arguments)
     return done.exit_code, done.stdout, done.stderr
 
 
@@ -97,8 +96,8 @@ def test_an_interrupted_sweep_keeps_what_is_finished_and_goes_on(file: Path, int
     assert all(run["cause"] in err or run["run"] <= len(kept) - 1 for run in status["failed"])
     page = html.unescape((folder / "sweep.html").read_text())
     assert all(run["replay"] in page for run in status["failed"])
-    replayed = CliRunner().invoke(cli.app, [*shlex.split(status["failed"][0]["replay"])[1:], "--quiet", "--json",
-                                            f"--out={folder / 'again'}"])  # fmt: skip
+    replay = shlex.split(status["failed"][0]["replay"])[1:]
+    replayed = robofleet(*replay, "--quiet", "--json", f"--out={folder / 'again'}")
     assert json.loads(replayed.stdout)["trace_hash"] == found[2]["trace_hash"]
     _same_in_parquet(folder, found)
 

@@ -10,14 +10,15 @@ from robofleet.bus.keys import STATE, STATUS
 from robofleet.bus.messages import RUN_STATE, RunState
 from robofleet.bus.requests import asked
 from robofleet.bus.zenoh_bus import ZenohBus
-from robofleet.config.load import load_config
+from robofleet.config.load import load_config, resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
+from robofleet.runs import table
+from robofleet.runs.children import Children
 from robofleet.safety.supervisor import Phase
 from tests.bus.alone import ROBOT_STATUS, RobotStatus
 from tests.endpoints import own_endpoint
 from tests.shipped import PLATOON
-from tools.measure.runs.unlaunched import started, wait_ready
 
 CLOCK = WallClock()
 _WITHIN_S = 60.0
@@ -42,12 +43,29 @@ def pair() -> Config:
     return config.model_copy(update={"robots": (config.robot("r1"), config.robot("r2"))})
 
 
+def started(config: Config, file: Path, log: Path) -> Children:
+    """Start all processes but the recorder, and wait until each does its work; whoever asked for them reaps them."""
+    children = Children(log, file)
+    try:
+        for first in (True, False):
+            for process in table.processes(config):
+                if process.row.first is first and process.row is not table.RECORDER:
+                    children.start(process.name, *process.command)
+            children.wait_ready(CLOCK, lambda: None)
+    except BaseException:
+        children.reap(CLOCK)
+        raise
+    return children
+
+
 class Fleet:
     """The processes of a run without a launcher: whoever kills one starts it again."""
 
     def __init__(self, folder: Path, config: Config) -> None:
         self.config = config
-        self._children = started(config, folder, CLOCK)
+        file = folder / "config.yaml"
+        file.write_text(resolved_yaml(config))
+        self._children = started(config, file, folder)
         self.bus = ZenohBus(config.arena.name, config.bus.endpoint, "measure", CLOCK)
         self._state = Inbox(self.bus.newest(STATE), RUN_STATE.decode)
         self._inboxes = {robot: Inbox(self.bus.newest(STATUS, robot), ROBOT_STATUS.decode) for robot in config.units}
@@ -60,7 +78,7 @@ class Fleet:
             self._children.start_again(name)
         else:
             self._children.start(name, name)
-        wait_ready(self._children, CLOCK)
+        self._children.wait_ready(CLOCK, lambda: None)
 
     def signal(self, name: str, number: signal.Signals) -> None:
         """Send a signal; a killed process is gone when this returns."""

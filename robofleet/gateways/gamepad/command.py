@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -19,13 +19,10 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, Clock, S
 from robofleet.core.refusal import LAB_MODULES, RefusedError, need_extra
 from robofleet.gateways.gamepad.pads import EventPad
-from robofleet.gateways.place import Served, answering, is_over, joined_bus, joined_otherwise, run_of
+from robofleet.gateways.place import ConfigCopy, Served, answering, is_over, joined_bus, joined_otherwise, run_of
 from robofleet.operator.commands import ArenaName
 from robofleet.operator.hand import Hand, drivers
 from robofleet.safety.supervisor import Phase
-
-if TYPE_CHECKING:
-    from robofleet.config.tree import Config
 
 _REPEAT_NS = 20 * MS  # of a command that stays as it is
 
@@ -65,10 +62,7 @@ def drive(
 
 def teleop(
     arena: ArenaName = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A copy of the run's configuration, if the run is on another computer."),
-    ] = None,
+    config: ConfigCopy = None,
     group: Annotated[
         str | None, typer.Option(metavar="NAME", help="Which group, if several have the behaviour teleop.")
     ] = None,

@@ -12,9 +12,9 @@ import typer
 
 from robofleet.core.patterns import CONFIGURATIONS
 from robofleet.core.refusal import LAB_MODULES, RefusedError, how_to_install, need_extra, new_folder
-from robofleet.gateways.place import answering, run_of
+from robofleet.gateways.place import ConfigCopy, answering, run_of
 from robofleet.gateways.ros2 import topics
-from robofleet.operator.commands import running_names
+from robofleet.operator.commands import run_argument
 from robofleet.runs import folder as folders
 from robofleet.runs.folder import DEFAULT_FOLDER
 
@@ -33,11 +33,8 @@ _OPTIONAL = "tf2_msgs"  # which PyPI does not have
 def ros2(
     arena: Annotated[
         str | None,
-        typer.Argument(
-            metavar="ARENA|CONFIG",
-            help="The run's arena; not needed if only one run is on. With --lockstep, a configuration.",
-            autocompletion=running_names,
-            show_default=False,
+        run_argument(
+            "ARENA|CONFIG", "The run's arena; not needed if only one run is on. With --lockstep, a configuration."
         ),
     ] = None,
     lockstep: Annotated[
@@ -51,10 +48,7 @@ def ros2(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help=f"Folder for the results, with --lockstep. {DEFAULT_FOLDER}")
     ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A copy of the run's configuration, if the run is on another computer."),
-    ] = None,
+    config: ConfigCopy = None,
     namespace: Annotated[str, typer.Option(metavar="NS", help="ROS namespace of topics and frames.")] = "",
     rviz: Annotated[
         bool, typer.Option("--rviz", help="Print an RViz configuration for the run, or for CONFIG.")

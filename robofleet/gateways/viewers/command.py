@@ -5,20 +5,15 @@ from typing import Annotated
 
 import typer
 
-from robofleet.gateways.place import JOINED_WITHIN_S, ArenaAccess, answering, run_of
+from robofleet.gateways.place import JOINED_WITHIN_S, ArenaAccess, ConfigCopy, answering, run_of
 from robofleet.operator.commands import ArenaName
 from robofleet.operator.node_commands import LifelineFd
 from robofleet.operator.viewer_address import DEFAULTS, FOXGLOVE, RERUN, Address, need
 
-_Copy = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="A copy of the run's configuration, if the run is on another computer."),
-]
-
 
 def foxglove(
     arena: ArenaName = None,
-    config: _Copy = None,
+    config: ConfigCopy = None,
     at: Annotated[
         str, typer.Option(metavar="HOST:PORT", help="Address for the viewer; encrypted (TLS) for other computers.")
     ] = DEFAULTS[FOXGLOVE],
@@ -39,7 +34,7 @@ def foxglove(
 
 def rerun(
     arena: ArenaName = None,
-    config: _Copy = None,
+    config: ConfigCopy = None,
     at: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address for viewers on this computer.")] = DEFAULTS[
         RERUN
     ],

@@ -10,9 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from robofleet.cli import app
+from tests.command import robofleet
 from tests.runs.realrun import own_folders
 
 CONFIG = Path(__file__).parents[3] / "configs" / "ros2.yaml"
@@ -66,7 +65,7 @@ def test_what_cannot_be_is_said_in_a_line(
     arguments: list[str], refusal: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(app, ["ros2", *arguments])
+    done = robofleet("ros2", *arguments)
     assert done.exit_code == 2 and done.stdout == ""
     assert re.search(refusal, done.stderr) and len(done.stderr.strip().splitlines()) == 1
     assert not any(tmp_path.iterdir()), "nothing has begun"
@@ -78,7 +77,7 @@ def test_what_ros_does_not_start_with_is_said_in_a_line(
     variable: str, value: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv(variable, value)
-    done = CliRunner().invoke(app, ["ros2", str(CONFIG), "--lockstep", "--out", str(tmp_path / "run")])
+    done = robofleet("ros2", CONFIG, "--lockstep", "--out", tmp_path / "run")
     assert done.exit_code == 2 and done.stdout == ""
     assert variable in done.stderr and len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "run").exists()
@@ -104,7 +103,7 @@ def test_a_run_that_has_done_what_it_should_has_completed(
         changes |= {"groups.0.robots": "[r1]", "run.end": "park", "run.duration_s": "1"}
     sets = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
     command = ["ros2", str(CONFIG), "--lockstep", "--speed", "100", "--out", str(tmp_path / "run"), *sets]
-    done = CliRunner().invoke(app, command)
+    done = robofleet(*command)
     assert done.exit_code == 0, done.output
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["outcome"] == "completed" and summary["duration_s"] < 60.0

@@ -11,13 +11,12 @@ from typing import Any
 
 import pytest
 import yaml
-from typer.testing import CliRunner
 
-from robofleet.cli import app
 from robofleet.config.files.names import SHIPPED
 from robofleet.config.load import load_config
 from robofleet.gateways.asking import SERVICES
 from robofleet.gateways.ros2 import command, topics
+from tests.command import robofleet
 
 SHARE = Path(topics.__file__).parent / "share"
 README = Path(topics.__file__).parent / "README.md"
@@ -39,7 +38,7 @@ def test_rviz_shows_what_is_said(name: str, namespace: str) -> None:
     """Each display's topic is a row that it can hear; every latched row and image are shown, frames, and distances."""
     changes = ["--set", "robots.0.sensors=true"]
     file = str(SHIPPED / f"{name}.yaml")
-    done = CliRunner().invoke(app, ["ros2", file, "--rviz", "--namespace", namespace, *changes])
+    done = robofleet("ros2", file, "--rviz", "--namespace", namespace, *changes)
     assert done.exit_code == 0, done.output
     shown, config = yaml.safe_load(done.stdout)["Visualization Manager"], load_config(SHIPPED / f"{name}.yaml")
     prefix = namespace.strip("/") + "/" if namespace else ""
@@ -128,7 +127,7 @@ def test_two_robots_with_one_name_are_refused() -> None:
 def test_without_rclpy_a_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     find_spec = command.find_spec
     monkeypatch.setattr(command, "find_spec", lambda name: None if name in ("rclpy", "nav_msgs") else find_spec(name))
-    done = CliRunner().invoke(app, ["ros2"])
+    done = robofleet("ros2")
     assert done.exit_code == 2 and done.stdout == ""
     (line,) = done.stderr.strip().splitlines()
     assert line.startswith("this needs nav_msgs") and "rclpy" in line and "[ros2]" in line
@@ -138,7 +137,7 @@ def test_without_rclpy_a_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -
 def test_every_package_that_is_missing_is_named(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     find_spec = command.find_spec
     monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else find_spec(name) or name)
-    done = CliRunner().invoke(app, ["ros2"])
+    done = robofleet("ros2")
     assert (done.exit_code, done.stdout) == (2, "") and f"this needs {package} of ROS 2" in done.stderr
 
 
@@ -148,7 +147,7 @@ def test_rclpy_of_another_python_is_named(monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "rclpy", raising=False)
     monkeypatch.setattr(command, "find_spec", lambda name: name)
-    done = CliRunner().invoke(app, ["ros2"])
+    done = robofleet("ros2")
     assert done.exit_code == 2
     (line,) = done.stderr.strip().splitlines()
     assert "rclpy" in line and "built for another Python" in line

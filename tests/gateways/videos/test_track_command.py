@@ -7,14 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from robofleet import cli
 from robofleet.core.refusal import RefusedError
 from robofleet.gateways.videos.command import COLUMNS, numbers
 from robofleet.simulation.camera import SceneRenderer
 from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.tags.targets import Target
+from tests.command import robofleet
 
 SIZE, RATE_HZ, COUNT = (480, 270), 20, 16
 
@@ -39,7 +38,7 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(folder: Path, monkeypatch: pytest.MonkeyPatch, *words: object) -> tuple[int, str, str]:
     """Return exit code, stdout and stderr."""
     monkeypatch.chdir(folder)
-    done = CliRunner().invoke(cli.app, ["track", *map(str, words)], env={"COLUMNS": "100"}, prog_name="robofleet")
+    done = robofleet("track", *words, env={"COLUMNS": "100"}, prog_name="robofleet")
     return done.exit_code, done.stdout, done.stderr
 
 

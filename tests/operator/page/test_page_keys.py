@@ -14,7 +14,6 @@ from pathlib import Path
 
 import httpx
 import pytest
-from typer.testing import CliRunner
 
 from robofleet.bus import credentials
 from robofleet.bus.arena_file import claimed
@@ -23,7 +22,6 @@ from robofleet.bus.credentials import keys_folder
 from robofleet.bus.endpoint import settled
 from robofleet.bus.permissions import PAGE
 from robofleet.bus.zenoh_bus import open_router
-from robofleet.cli import app
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.core.clock import WallClock
@@ -31,6 +29,7 @@ from robofleet.core.refusal import RefusedError
 from robofleet.hosts.authority import Authority
 from robofleet.operator.page.certificate import page_keys
 from robofleet.operator.page.server import Served, serve
+from tests.command import robofleet
 from tests.endpoints import short_folder
 from tests.operator.page.secureweb import HOST, trusting
 from tests.runs.realrun import ALONE, PLATOON, RealRun, own_folders, wait
@@ -75,13 +74,13 @@ def test_where_the_arena_has_an_authority_one_command_is_enough(folder: Path) ->
 
 def test_the_commands_that_are_named_bring_the_page(folder: Path) -> None:
     for command in refused().split("`")[1::2]:
-        result = CliRunner().invoke(app, command.split()[1:])
+        result = robofleet(*command.split()[1:])
         assert result.exit_code == 0, result.stderr
     assert page_keys(ARENA, HOST, "--host") is not None
     other = refused("192.168.7.7")
     assert f"web.pem is for 127.0.0.1, ::1, {HOST}, localhost only: `robofleet keys revoke {ARENA} web`, then" in other
     for command in other.split("`")[1::2]:
-        result = CliRunner().invoke(app, command.split()[1:])
+        result = robofleet(*command.split()[1:])
         assert result.exit_code == 0, result.stderr
     for host in (HOST, "192.168.7.7"):
         assert page_keys(ARENA, host, "--host") is not None
@@ -142,7 +141,7 @@ def test_both_commands_refuse_a_page_without_keys_and_leave_nothing(
         file.write_text(resolved_yaml(platoon_of(f"arena.name={ARENA}")))
     else:
         more += ["--out", str(tmp_path / "run")]
-    result = CliRunner().invoke(app, [name, str(file), option, *more])
+    result = robofleet(name, file, option, *more)
     line = f"{option} {HOST}: beyond this computer the page needs a certificate of the arena {ARENA}: "
     assert (result.exit_code, result.stderr) == (2, f"{line}{INIT}, then {ADD}\n")
     assert not (tmp_path / "run").exists()

@@ -9,18 +9,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from robofleet.bus.arena_file import claimed, found
 from robofleet.bus.endpoint import listens, settled
 from robofleet.bus.zenoh_bus import open_router
-from robofleet.cli import app
 from robofleet.config.load import resolved_yaml
 from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S
 from robofleet.core.refusal import WEB_PACKAGES, RefusedError, need_extra
 from robofleet.operator.page.command import Over, There
 from robofleet.safety.latches import GateStatus, Latch
+from tests.command import robofleet
 from tests.endpoints import own_endpoint, short_folder
 from tests.operator.page.webstand import CLOCK, WebStand
 from tests.runs.realrun import ALONE, RealRun, own_folders, wait
@@ -118,7 +117,7 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
         monkeypatch.setenv(name, folder)
 
     def invoke(*arguments: str) -> tuple[int, str]:
-        result = CliRunner().invoke(app, arguments)
+        result = robofleet(*arguments)
         assert result.stderr.count("\n") == 1, result.stderr
         return result.exit_code, result.stderr
 

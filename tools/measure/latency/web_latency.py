@@ -34,7 +34,6 @@ from robofleet.config.tree import Config
 from robofleet.core.clock import MS, S, WallClock
 from robofleet.operator.page import feed, process, server
 from robofleet.operator.page.page_address import Addresses
-from robofleet.runs.children import Children
 from robofleet.safety.supervisor import Event, Phase
 from tests.endpoints import own_endpoint
 from tests.nodes.longfleet import fleet_of
@@ -42,9 +41,9 @@ from tests.operator.page.browser import chromium
 from tests.operator.page.webstand import WebStand
 from tests.runs.realrun import own_folders
 from tests.shipped import PLATOON
+from tools.measure.fleet import started
 from tools.measure.program import program
 from tools.measure.runs.recorder_cost import heard
-from tools.measure.runs.unlaunched import start_all
 
 CLOCK = WallClock()
 _ARMED_WITHIN_S = 5.0  # a robot, and as much for the whole
@@ -72,9 +71,8 @@ def measured_server(file: Path, descriptor: int) -> None:
 @contextmanager
 def real_fleet(config: Config, file: Path, log: Path) -> Iterator[ZenohBus]:
     """Start every process of a run, and the run."""
-    children = Children(log, file)
+    children = started(config, file, log)
     try:
-        start_all(config, children, CLOCK)
         bus = ZenohBus(config.arena.name, config.bus.endpoint, "latency", CLOCK)
         try:
             yield bus
