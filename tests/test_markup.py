@@ -19,7 +19,7 @@ def robofleet(*arguments: object) -> Any:
     return CliRunner().invoke(app, [*map(str, arguments)], env={"COLUMNS": "300"})
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_check_shows_a_configurations_name(name: str, tmp_path: Path) -> None:
     file = tmp_path / f"{name.replace('/', '')}.yaml"
