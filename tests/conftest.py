@@ -52,6 +52,11 @@ class _Scheduling(LoadFileScheduling):
         file = super()._split_scope(nodeid)
         return _SAME_PLANT.get(file, file)
 
+    def _reschedule(self, node: Any) -> None:
+        """Leave a worker alone that replaces a crashed one and has not collected yet."""
+        if node in self.registered_collections:
+            super()._reschedule(node)
+
     def _assign_work_unit(self, node: Any) -> None:
         """Give a worker the next file: one with a fleet, if no other worker has such a file."""
         others = (work for other, work in self.assigned_work.items() if other is not node)

@@ -137,6 +137,7 @@ def test_a_command_on_a_run_takes_the_newest_one(command: list[str], folder: Pat
     assert "the newest run is taken: runs/20260102T030405Z-platoon\n" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_fault_is_exit_code_1_with_its_cause_and_a_summary(folder: Path) -> None:
     unseen = ("--set", "tracker.truth.dropout=1.0")
     result = robofleet("run", PLATOON, *TRUTH, *unseen, "--json", "--out", "new")
@@ -162,6 +163,7 @@ def test_strict_ends_with_1_where_a_bound_is_not_met_and_junit_says_which(folder
     assert (folder / "again.xml").read_text() == (folder / "ci" / "b.xml").read_text()
 
 
+@pytest.mark.slow
 def test_results_that_are_lost_on_a_full_disk_are_exit_code_1(folder: Path) -> None:
     with room_for(300_000):
         result = robofleet("run", PLATOON, *TRUTH, "--duration", "6", "--quiet", "--out", "new")
@@ -237,7 +239,7 @@ def test_a_robots_computer_without_the_extra_is_told_which_one_a_command_needs(a
     )
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["run", "--help"], ["calibrate", "intrinsics", "--help"], ["schema"]])
 def test_a_robots_computer_without_the_extra_has_every_commands_help_and_the_schema(arguments: list[str]) -> None:
     hidden = f"import sys; sys.modules.update(dict.fromkeys({LAB_MODULES}))"

@@ -120,6 +120,7 @@ def test_every_public_name_is_there() -> None:
         robofleet.nothing  # noqa: B018
 
 
+@pytest.mark.slow
 def test_a_script_beside_a_clone_finds_the_package_and_not_the_clone(tmp_path: Path) -> None:
     (tmp_path / "robofleet").mkdir()  # as a clone is named
     (tmp_path / "hello.py").write_text("import robofleet\nprint(robofleet.Fleet)\n")

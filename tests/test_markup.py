@@ -13,7 +13,7 @@ CONFIGS = Path(__file__).parent.parent / "configs"
 NAMES = ["a[/b]", "[bold]a", "a[/]", "[link=x]y", "a\\[b]"]
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_check_shows_a_configurations_name(name: str, tmp_path: Path) -> None:
     file = tmp_path / f"{name.replace('/', '')}.yaml"

@@ -109,6 +109,7 @@ def test_nothing_is_touched_anywhere(seed: int) -> None:
     assert floor.gap > 0.01
 
 
+@pytest.mark.slow
 def test_a_robot_without_room_is_held_and_says_so() -> None:
     ring = [(0.0, 0.0, 0.3)] + [
         (0.135 * math.cos(a), 0.135 * math.sin(a), 0.0) for a in np.linspace(0.0, math.tau, 6, endpoint=False)

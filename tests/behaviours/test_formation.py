@@ -34,6 +34,7 @@ def test_the_shape_turns_with_the_path_or_keeps_its_heading() -> None:
     assert ahead[1] == pytest.approx(np.tile([0.25, 0.0], (len(ahead[1]), 1)))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [

@@ -160,6 +160,7 @@ def test_a_robot_that_stands_is_waited_for_and_then_all_arrive() -> None:
     assert floor.until(30.0)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(  # the last: its point is there
     ("along", "beside", "turned"), [(0.013, 0.0, 0.0), (0.0, 0.013, 0.0), (-0.008, -0.01, -0.14), (0.002, -0.016, 0.2)]
 )
@@ -253,6 +254,7 @@ def test_a_restart_begins_from_where_robots_stand() -> None:
     assert floor.until(30.0)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", [1, 2])
 def test_with_the_plants_errors_and_the_barrier_all_arrive(seed: int) -> None:
     """Two goals are 1.3 body diameters apart, the robots face each other, and one of them passes the other's start."""

@@ -90,6 +90,7 @@ def test_the_one_robot_that_is_driven_out_crawls_and_no_other_follows(row: int) 
     assert (decision.figures["wish_epoch"], decision.figures["wish"]) == (3, 7), "a replay finds the command by it"
 
 
+@pytest.mark.slow
 def test_followers_take_the_way_of_the_robot_ahead_and_stop_behind_it() -> None:
     """Points that do as they are told: the leader's drives a corner, and waits."""
     behaviour, tick = Teleop(SETTINGS, TEAM), TEAM.tick

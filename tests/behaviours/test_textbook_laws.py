@@ -101,6 +101,7 @@ def test_the_locational_cost_never_rises_and_the_robots_end_in_the_middles_of_th
     assert past.points[-1] == pytest.approx(past.references[-1], abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_peak_draws_the_robots_near() -> None:
     settings = {"peak_m": [0.8, 0.4], "peak_width_m": 0.3}
     even, drawn = (

@@ -77,6 +77,7 @@ def test_all_kinds_of_references_are_followed_to_millimetres(law: str) -> None:
     assert error.max() < 0.025  # in the sharpest bends, and where a way ends
 
 
+@pytest.mark.slow
 def test_the_unicycle_turns_round_from_any_pose() -> None:
     behaviour = track(*[ON_THE_OVAL] * 8, law="unicycle")
     rng = np.random.default_rng(7)

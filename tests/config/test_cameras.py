@@ -30,6 +30,7 @@ def test_one_camera_is_the_list_of_one() -> None:
     assert list(config.trackers) == ["tracker"]
 
 
+@pytest.mark.slow
 def test_cameras_that_nothing_ties_together_are_refused() -> None:
     """Their frames may differ by anything: no robot, no floor and no survey would show it."""
     apart = "cameras.1.model.T_world_camera.position_m=[5.5, 0.0, 2.6]"
@@ -50,6 +51,7 @@ def test_tags_that_are_too_small_are_told_once_of_the_worst_camera_and_with_a_si
     load_config(EXAMPLE, [f"tracker.tag_side_m={least_m}", higher])
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("surveys", "count"), [(("a", "a"), 0), (("a", "b"), 1)])
 def test_two_cameras_of_one_lens_share_no_survey_by_that(surveys: tuple[str, str], count: int) -> None:
     """Their files were copies, so the hashes of these are one; only the survey places them."""

@@ -119,6 +119,7 @@ def test_the_bound_holds_and_is_near(seed: int, scale: float) -> None:
     assert radius * (1 - 1e-9) <= matrix_bound(a.ravel(), np.zeros(1)) <= 2.0 * radius
 
 
+@pytest.mark.slow
 def test_integrators_are_not_fast() -> None:
     assert matrix_bound(np.triu(np.full((4, 4), 1e5), 1).ravel(), np.zeros(1)) == 0.0
 

@@ -78,6 +78,7 @@ def test_a_network_finds_what_saturates() -> None:
     assert unexplained[0] < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_jacobians_are_those_of_the_rates(kind: Polynomial | Network) -> None:
     plant = learned_plant(CHAIN, driven(stiff), (0, 1), (1,), kind).plant

@@ -80,6 +80,7 @@ def test_errors_of_an_inverted_pendulum_do_so_too() -> None:
     assert -1.0 < found.gain[0] < 0.0  # with too little gain it falls
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disturbance", ["none", pytest.param("estimated", marks=pytest.mark.slow)])
 def test_errors_of_a_robot_under_its_filter_do_so_too(disturbance: str) -> None:
     config = load_config(SHIPPED / "platoon.yaml", [f"controller.disturbance={disturbance}", "controller.alpha=30"])

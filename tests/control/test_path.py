@@ -72,6 +72,7 @@ def smallest_distance(path: Path, q: np.ndarray) -> float:
     return float(np.sqrt(max(best, 0.0)))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", range(6))
 def test_whole_search_is_exact_on_any_path(seed: int) -> None:
     path = any_path(seed)

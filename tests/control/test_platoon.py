@@ -150,6 +150,7 @@ def test_the_leader_converges_to_its_reference_and_the_others_to_their_spacing()
     assert off.max() < 0.003 and off.mean() < 0.0005
 
 
+@pytest.mark.slow
 def test_tracking_the_centre_puts_the_centre_on_the_path() -> None:
     def centre_error(track: str) -> float:
         run = drive_platoon(platoon_of(track=track), START, 88.0)
@@ -172,6 +173,7 @@ def test_a_reference_never_retreats() -> None:
     assert (advance[:, 1:] == 0.0).any(axis=0).all()  # each follower waited at least once
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("robot", [0, 1, 2])
 def test_nobody_runs_into_a_robot_whose_motors_stall(robot: int) -> None:
     """Its u is what its wheels can do, so that it is predicted T * top speed ahead at most."""

@@ -141,6 +141,7 @@ def test_rounding_leaves_nothing_behind(bench: LineBench) -> None:
     assert np.abs(turned(bench) - mean).max() <= 0.5 + 1e-6
 
 
+@pytest.mark.slow
 def test_a_wheel_that_is_told_zero_gets_zero(bench: LineBench) -> None:
     for tenths in range(5, 500):
         drive(bench, tenths / 10, 8.0)

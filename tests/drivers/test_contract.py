@@ -23,12 +23,14 @@ class TestGTernalWithSensors(DriverContract):
     subject = DriverSubject("gternal", twin="gternal", vehicle="gternal", sensors=True, encoders=False)
 
 
+@pytest.mark.slow
 class TestArduinoBridge(DriverContract):
     subject = DriverSubject(
         "arduino_bridge", twin="arduino_bridge", vehicle="arduino", settings={"counts_per_turn": 2248}
     )
 
 
+@pytest.mark.slow
 class TestCreate2(DriverContract):
     subject = DriverSubject("create2", twin="create2", vehicle="create2")
 

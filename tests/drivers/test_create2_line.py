@@ -67,6 +67,7 @@ def test_wherever_a_command_is_cut_it_does_nothing_until_the_next_which_heals_it
         assert len(following) * 10 / 115200 < 1e-3
 
 
+@pytest.mark.slow
 @given(broken=WHEELS, garbage=st.binary(min_size=1, max_size=9), at=st.integers(0, 8))
 @SHARED
 def test_whatever_changed_bytes_make_it_do_it_soon_does_what_it_is_told(

@@ -61,6 +61,7 @@ def test_wheels_come_out_as_they_were_told(bench: LineBench, left: float, right:
         assert command == pytest.approx((left, right), abs=BOUND)
 
 
+@pytest.mark.slow
 @given(wheel, wheel, wheel, wheel, st.data())
 @SHARED
 def test_half_a_line_moves_nothing(
@@ -156,6 +157,7 @@ def test_what_is_no_gternal_is_named_and_not_told_to_move(unmet: LineBench, says
     assert not any(b"write" in line for line in unmet.received)
 
 
+@pytest.mark.slow
 def test_one_that_talks_all_the_time_and_obeys_nothing_is_named(unmet: LineBench) -> None:
     unmet.to_robot, unmet.babble = lambda _: b"", b'{"status":[1],"body":[{}]}'
     with pytest.raises(DriverError, match="does not stop"):

@@ -157,6 +157,7 @@ class Disturbed:
         return bytes(struck[: random.randrange(1, len(struck) + 1)]) + random.randbytes(random.randrange(3))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("seed", range(3))
 def test_lost_doubled_late_and_struck_datagrams_move_nothing_wrongly(seed: int) -> None:
     random = Random(seed)

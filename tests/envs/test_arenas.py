@@ -60,6 +60,7 @@ def commands(ticks: int) -> Array:
     return np.repeat(drawn, 15, axis=0)[:ticks]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("delay_s", "errors"),
     [

@@ -1,12 +1,13 @@
 """Normal numbers of streams: their distribution, and that no stream knows another."""
 
 import numpy as np
-from scipy import stats
 
 from robofleet.envs.normals import STREAMS, draw, streams
 
 
 def test_numbers_are_normal_and_streams_are_independent() -> None:
+    from scipy import stats  # half a second, and each worker imports each file
+
     state, drawn = streams(np.random.default_rng(5)), np.empty((4000, 2 * STREAMS))
     for row in drawn:
         draw(state, row)

@@ -82,7 +82,7 @@ def test_a_healthy_fleet_is_armed_in_time_round_by_round(change: str, within_s: 
     assert 0.033 * sum(tick.phase == Phase.ARMED for tick in ticks) <= within_s
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["max_wheel_speed_rad_s=4.0", "max_speed_m_s=0.06"])
 def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
     run = armed(f"robots.0.vehicle.{change}")
@@ -93,6 +93,7 @@ def test_a_slow_robot_is_tried_as_fast_as_it_may_go(change: str) -> None:
     assert 3.5 < armed_only.max() <= 4.7
 
 
+@pytest.mark.slow
 def test_the_operator_is_told_and_the_exit_code_is_1(tmp_path: Path) -> None:
     arguments = ["run", str(PLATOON), "--lockstep", "--json", "--out", str(tmp_path / "run")]
     result = robofleet(

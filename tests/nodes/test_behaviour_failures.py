@@ -91,6 +91,7 @@ def told_to_stand_after_ns(run: Run, since_ns: int) -> int:
     return max(int(stamps[1:][np.diff(angles) != 0.0].max()) - since_ns for stamps, angles in commanded)
 
 
+@pytest.mark.slow
 def test_resume_asks_it_again() -> None:
     lockstep = Lockstep(load_config(SWIRL, two_groups("raises")))
     lockstep.request(b"start")

@@ -106,7 +106,7 @@ def test_who_is_not_seen_for_two_seconds_holds_the_run(platoon_of: Make, hidden_
     run.close()
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pose", "fault", "cause"),
     [
@@ -144,6 +144,7 @@ def test_the_fleet_drives_as_if_it_were_not_there_where_it_is_far_away(platoon_o
     assert all(np.array_equal(*pair) for pair in zip(*ticks, strict=True))
 
 
+@pytest.mark.slow
 def test_the_emergency_stop_latches_it_too_and_a_reset_clears_it(platoon_of: Make) -> None:
     run = Lockstep(platoon_of(parked(1.0, 0.0), TRUTH))
     run.request(b"start")

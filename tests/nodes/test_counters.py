@@ -20,7 +20,7 @@ Make = Callable[..., Any]
 LIMITS = [(1 << 31) - 3, (1 << 32) - 3, (1 << 63) - 1000]
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("near", LIMITS)
 def test_a_fleet_runs_on_over_the_end_of_32_bits(platoon_of: Make, near: int) -> None:
     """Every count of every process begins there."""

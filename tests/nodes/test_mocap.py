@@ -81,6 +81,7 @@ def judged(figures: Poses) -> None:
     assert figures.holds[0].cause == Event.POSES_SILENT
 
 
+@pytest.mark.slow
 def test_a_capture_that_is_silent_for_a_moment_is_named_and_the_run_is_held() -> None:
     judged(in_lockstep(SILENT)[1])
 

@@ -107,6 +107,7 @@ def test_a_picture_is_the_image_of_its_exposure(stand_of: Make, zoom: float, par
     assert matches(stand, picture)
 
 
+@pytest.mark.slow
 def test_a_picture_is_of_its_exposure_also_when_the_poses_are_late(stand_of: Make) -> None:
     late = "faults=[{kind: pose_delay, at_s: 0, duration_s: 9, delay_s: 0.1}]"
     stand = stand_of(late)
@@ -114,6 +115,7 @@ def test_a_picture_is_of_its_exposure_also_when_the_poses_are_late(stand_of: Mak
     assert matches(stand, picture)
 
 
+@pytest.mark.slow
 def test_the_poses_of_its_image_go_before_a_picture(stand_of: Make) -> None:
     stand = stand_of("camera.picture_rate_hz=30")
     pictures, arena = stand.pictures(S), stand.bench.config.arena.name
@@ -157,6 +159,7 @@ def test_who_asks_again_and_again_goes_on_looking(stand_of: Make) -> None:
     assert len(pictures) in (19, 20, 21)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("change", "why"),
     [("tracker.source=truth", "tracker.source is not camera"), ("camera.picture_rate_hz=0", "picture_rate_hz")],
@@ -170,10 +173,12 @@ def test_where_there_are_no_pictures_a_request_is_refused(stand_of: Make, change
     assert stand.pictures(2 * S) == []
 
 
+@pytest.mark.slow
 def test_something_else_that_is_asked_is_refused(stand_of: Make) -> None:
     assert "pictures" in stand_of().ask(b"\xff nonsense")
 
 
+@pytest.mark.slow
 def test_a_camera_that_stalls_shows_nothing_new(stand_of: Make) -> None:
     stand = stand_of("camera.picture_rate_hz=10", "faults=[{kind: camera_stalled, at_s: 1, duration_s: 9}]")
     began_ns = stand.bench.now_ns

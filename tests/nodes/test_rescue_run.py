@@ -143,6 +143,7 @@ def test_a_robot_stranded_at_the_wall_is_driven_out_and_the_run_goes_on(tmp_path
     assert replay(read(tmp_path), 0.0).equal, "a replay finds every command of the person's"
 
 
+@pytest.mark.slow
 def test_a_program_that_sends_what_a_person_sends_moves_nothing_running_or_held() -> None:
     """On the topic that a program's certificate permits, whatever it claims to be."""
     held = Held()
@@ -182,6 +183,7 @@ def test_any_robot_of_the_group_is_driven_out_but_not_towards_another(robot: str
     assert not held.broken
 
 
+@pytest.mark.slow
 def test_a_button_that_was_held_when_the_run_was_held_and_when_it_goes_on_moves_nothing() -> None:
     held = Held()
     held.begin()

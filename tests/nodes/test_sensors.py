@@ -91,6 +91,7 @@ def test_the_same_run_again_has_the_same_noise_and_another_seed_another() -> Non
     assert np.abs(gyros[0] - gyros[1]).min() > 0.0
 
 
+@pytest.mark.slow
 def test_robots_see_walls_and_each_other() -> None:
     """Walls of one's own stand in the place of the edge; without any, robots see robots alone."""
     none, cell = driven(*ALL, *EXACT, "arena.walls=[]"), driven(*ALL, *EXACT)
@@ -101,6 +102,7 @@ def test_robots_see_walls_and_each_other() -> None:
     assert (front[1][both] <= front[0][both] + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_the_file_of_a_run_has_them(tmp_path: Path) -> None:
     config = config_of(*ALL)
     with RunLog(tmp_path / FILE, config) as log:

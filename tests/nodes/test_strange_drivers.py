@@ -59,7 +59,7 @@ def is_a_line(result: Any, *words: str) -> None:
         assert word in line
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["motor_stuck", "slip"])
 @pytest.mark.parametrize("lockstep", [(), ("--lockstep",)])
 def test_a_bodys_fault_is_refused_where_it_would_do_nothing(

@@ -39,6 +39,7 @@ def environment() -> Iterator[dict[str, str]]:
         yield found
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("words", ["stop", "stop platoon", "hold platoon"])
 def test_a_request_is_out_before_any_library_is_loaded_or_file_of_another_user_opened(
     environment: dict[str, str], words: str

@@ -138,6 +138,7 @@ def test_of_another_computers_arena_it_is_said_who_has_not_acknowledged(
     assert by_supervisor(stopped) == words
 
 
+@pytest.mark.slow
 def test_a_flood_of_requests_that_swallows_the_stop_keeps_no_gate_open(driving: Callable[..., Lockstep]) -> None:
     lockstep = driving(None)
     stopping = EmergencyStop(lockstep.bus, lockstep.recording.config.units, lockstep.clock.now_ns())
@@ -176,7 +177,7 @@ def poll(stopping: EmergencyStop, stand: Stand, within_ns: int) -> Stopped | Non
     return stopped
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("when", ["before", "after", "both"])
 def test_a_permission_with_the_same_nonce_neither_forestalls_nor_undoes_it(stand: Stand, when: str) -> None:
     """Of a supervisor that is alive and has not heard, or that wakes: its words and the stop's meet at the gate."""

@@ -372,6 +372,7 @@ def driven(stick_of: Callable[[int], Stick | None]) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_the_second_person_waits_and_everybody_sees_who_drives() -> None:
     config = load_config(TELEOP, ["run.duration_s=3", "tracker.source=truth"])
     run, described = Lockstep(config), groups.descriptions(config)
@@ -396,6 +397,7 @@ def test_the_second_person_waits_and_everybody_sees_who_drives() -> None:
 HELD, LET_GO, TICK_S = Stick(1.0, 0.0, True), Stick(1.0, 0.0, False), 0.033
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("end", [LET_GO, None], ids=["let go", "link dead"])
 def test_wheels_follow_the_stick_and_stand_soon_after_its_end(end: Stick | None) -> None:
     begin_tick, end_tick = 10, 30
@@ -430,6 +432,7 @@ def test_a_gamepad_at_a_computer_drives_out_of_a_held_run_whom_it_was_told(stand
         assert wait(out, 5.0)
 
 
+@pytest.mark.slow
 def test_a_group_that_nobody_drives_by_hand_has_no_hand() -> None:
     config = load_config(SHIPPED / "platoon.yaml")
     hands = Hands(Lockstep(config).bus, config, lambda: 0)

@@ -165,6 +165,7 @@ def test_a_task_of_your_own_stands_beside_its_policy(tmp_path: Path) -> None:
         load_checked(file, lockstep=True)
 
 
+@pytest.mark.slow
 def test_nan_from_the_network_holds_the_run_and_names_the_robot(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

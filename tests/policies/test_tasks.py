@@ -112,6 +112,7 @@ def knowing(name: str, seen: dict[str, Array]) -> Array:
     return towards(-(push * np.cos(bearings)).sum(axis=-1), -(push * np.sin(bearings)).sum(axis=-1))
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", TASKS)
 def test_who_knows_the_task_earns_more_than_who_drives_at_random(name: str) -> None:
     config = load_config(SHIPPED / ("obstacles.yaml" if name == "navigation" else "platoon.yaml"))

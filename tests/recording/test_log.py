@@ -96,6 +96,7 @@ def test_two_runs_are_of_the_same_machine_when_versions_and_processors_are_equal
     assert recorded_there.same_machine(replace(here, versions=older))  # it could not run what came later
 
 
+@pytest.mark.slow
 def test_the_same_run_in_lockstep_leaves_the_same_bytes(run_file: Path, tmp_path: Path) -> None:
     with RunLog(tmp_path / FILE, CONFIG) as log:
         recorded.write(log, recorded.said_in(CONFIG))

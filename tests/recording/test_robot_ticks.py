@@ -92,6 +92,7 @@ def test_every_field_is_named_with_its_unit_and_the_schema_says_what_it_is(run_f
                 assert unit in comments[number], name
 
 
+@pytest.mark.slow
 def test_the_ticks_before_a_kill_are_in_the_file_but_for_the_newest_seconds(tmp_path: Path) -> None:
     log = RunLog(tmp_path / FILE, recorded.config())
     run_messages = recorded.said_in(recorded.config())

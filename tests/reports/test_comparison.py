@@ -73,11 +73,13 @@ def test_keys_that_differ_are_listed_and_no_others(story: Make, compared: Make) 
     assert "the same configuration, key by key" in words(compared(story().recording(), story().recording()))
 
 
+@pytest.mark.slow
 def test_plots_lie_over_each_other_even_of_different_fleets(story: Make, compared: Make) -> None:
     page = compared(story().recording(), story("groups.0.robots=[r1, r2]", ticks=40).recording())
     assert plots(page) == ["Paths", *OVERLAYS]
 
 
+@pytest.mark.slow
 def test_a_run_that_measured_nothing_is_set_beside_another(story: Make, compared: Make) -> None:
     page = compared(story().recording(), Recording(story().config))
     assert row(page, "path error, mean, mm")[-1] == "not measured in both"

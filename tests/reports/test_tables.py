@@ -85,6 +85,7 @@ def test_it_fits_a_terminal_and_says_what_it_leaves_out(story: Make, figures: Ma
     assert ("not shown" in text) == bool(left_out)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("change", "papers"),
     [("run.seed=2", True), ("controller.integrator=euler", True), ("groups.0.settings.spacing_m=0.3", False),

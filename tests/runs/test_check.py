@@ -229,6 +229,7 @@ def test_the_table_says_how_far_each_is_and_what_takes_long_is_said() -> None:
     assert table["the time until every robot is in its place"][2] == "slow"
 
 
+@pytest.mark.slow
 def test_check_says_what_the_loop_bears_that_nobody_knows_of() -> None:
     def delay_ms(*overrides: str) -> float:
         table = {what: value for what, value, *_ in proofs(platoon(*overrides))}

@@ -132,6 +132,7 @@ def test_a_fifth_of_the_poses_may_be_missing(truth: RunOf) -> None:
     assert s["spacing_m"]["max_deviation_mm"] <= 20.0
 
 
+@pytest.mark.slow
 def test_robots_that_are_never_seen_are_named_and_turn_no_wheel(platoon_of: Callable[..., Any]) -> None:
     run = Lockstep(platoon_of("tracker.source=truth", "tracker.truth.dropout=1.0"))
     outcome, cause = run.run()

@@ -245,6 +245,7 @@ def test_two_robots_in_one_place_are_given_an_answer() -> None:
     assert (got.change == LEFT_ALONE).all()
 
 
+@pytest.mark.slow
 def test_of_slow_motors_too_it_is_known_where_they_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     slow = replace(GTERNAL, motor_lag=0.4)
     monkeypatch.setattr(barrier_scenes, "GTERNAL", slow)
@@ -286,6 +287,7 @@ def test_a_bystander_that_stands_is_as_a_robot_that_stands(seed: int) -> None:
         assert np.array_equal(got.u, expected.u[:3])
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=60)
 @given(st.integers(0, 10**6))
 def test_from_a_bystander_that_a_hand_pushes_each_keeps_its_half_and_what_it_comes_nearer_by(seed: int) -> None:

@@ -215,6 +215,7 @@ def test_an_experiment_repeats_a_seed_to_the_bit_and_feedback_helps(
     assert without > 10
 
 
+@pytest.mark.slow
 def test_what_the_command_line_asks_for_is_done_and_what_is_wrong_is_a_line(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

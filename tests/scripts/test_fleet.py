@@ -49,7 +49,7 @@ def test_two_runs_of_a_script_leave_the_same_trace_and_another_seed_another_one(
     assert first == again != other
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [False, True])
 def test_a_run_is_kept_as_any_other_and_is_replayed_to_the_bit(threads: bool, tmp_path: Path) -> None:
     out, over = tmp_path / "run", threading.Event()
@@ -68,6 +68,7 @@ def test_a_run_is_kept_as_any_other_and_is_replayed_to_the_bit(threads: bool, tm
     assert "equal, bit for bit" in again.stdout
 
 
+@pytest.mark.slow
 def test_robots_do_what_was_wished_within_what_their_wheels_are_off() -> None:
     wished = np.array([[0.08, 0.0], [0.0, 0.6], [0.05, 0.3], [0.0, 0.0]])
     with fleet() as driven:
@@ -129,6 +130,7 @@ def test_the_barrier_keeps_robots_apart_that_a_script_drives_at_each_other() -> 
     assert driven.summary["filtered_fraction"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_plain_configuration_is_driven_as_one_group_of_all_its_robots() -> None:
     with fleet(config=CONFIGS / "two-groups.yaml") as driven:
         assert driven.robots == tuple(robot.id for robot in driven.config.members)
@@ -181,7 +183,7 @@ def of_wish(wish: ScriptWish, n: int = 4, v: float = 0.1) -> bytes:
     return SCRIPT_WISH.encode(wish._replace(robots=tuple(RobotWish(1, v, 0.0, 0.0) for _ in range(n))))
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["not finite", "too few robots", "unknown kind", "of the future", "beyond", "cut"])
 def test_the_controller_takes_no_wish_that_fleet_would_not_have_sent(what: str) -> None:
     with pytest.raises(FleetError, match="no longer hears from its script"), fleet() as driven:
@@ -208,6 +210,7 @@ def echo(driven: Fleet) -> int:
     return int(TICK_RECORD.head_of(driven._record, "tick"))
 
 
+@pytest.mark.slow
 def test_a_script_that_says_nothing_stands_within_the_setting_and_one_resume_goes_on() -> None:
     with fleet("groups.0.settings.fresh_s=0.2") as driven:
         for _ in driven.ticks(1):
@@ -305,6 +308,7 @@ def test_a_notebook_shows_where_the_robots_are_now() -> None:
     assert len(figure.axes[0].patches) >= 4
 
 
+@pytest.mark.slow
 def test_what_a_script_says_marks_and_keeps_is_in_the_recording_the_report_and_the_summary(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with fleet(out=out) as driven:

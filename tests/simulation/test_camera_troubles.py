@@ -104,6 +104,7 @@ def test_a_long_exposure_smears_a_robot_around_where_it_is_at_its_middle() -> No
     assert np.median(errors) < 0.6 * sagitta
 
 
+@pytest.mark.slow
 def test_each_row_of_a_rolling_shutter_has_its_own_instant() -> None:
     line_s = 0.02 / 720
     stage = Stage(f"camera.model.line_time_s={line_s}", "camera.readout_s=0")
@@ -120,6 +121,7 @@ def test_each_row_of_a_rolling_shutter_has_its_own_instant() -> None:
         assert stage.error(frame, row)[0] > 8e-4, "not where it is when the middle row is exposed"
 
 
+@pytest.mark.slow
 def test_a_frozen_camera_sends_the_same_picture_with_new_times() -> None:
     frames = Stage("camera.simulated.outages=[{kind: frozen, at_s: 0.1, duration_s: 0.19}]").run(9)
     same = [np.array_equal(a.image, b.image) for a, b in pairwise(frames)]
@@ -136,6 +138,7 @@ def test_a_stalled_camera_sends_nothing_and_then_goes_on_in_its_own_rhythm() -> 
     assert stage.error(frames[2], 1)[0] < 2e-4, "the first one afterwards is a fresh one"
 
 
+@pytest.mark.slow
 def test_a_camera_that_stalls_for_good_and_from_the_first_image() -> None:
     stage = Stage("camera.simulated.outages=[{kind: stalled, at_s: 0, duration_s: 1.0e+8}]")
     ready_ns = stage.camera.ready_ns()
@@ -150,6 +153,7 @@ def test_a_knocked_camera_sees_robots_elsewhere_from_then_on() -> None:
     assert after == pytest.approx(math.radians(0.3) * 2.42, rel=0.2), "0.3 degrees, 2.42 m above the tags"
 
 
+@pytest.mark.slow
 def test_a_newcomer_appears_when_its_cover_goes_and_exchanged_tags_stay_exchanged() -> None:
     stage = Stage(
         "camera.simulated.covers=[{robot: r3, duration_s: 0.1}]",

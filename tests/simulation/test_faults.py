@@ -148,6 +148,7 @@ def test_noise_is_as_large_as_asked_and_of_one_robot(noisy_and_late: Drive) -> N
     assert 0.01 < float(np.mean(off["r2"])) < 0.05
 
 
+@pytest.mark.slow
 def test_swapped_tags_are_where_the_other_robot_is() -> None:
     drive = Drive(f"{{kind: id_swap, robots: [r1, r3], {WHEN}}}")
     rows, robots = drive.rows(POSES, FLEET_POSES, "overhead"), drive.run.recording.config.robots
@@ -157,7 +158,7 @@ def test_swapped_tags_are_where_the_other_robot_is() -> None:
     assert math.dist(where[0][robots[1].tag], where[1][robots[1].tag]) < 0.05
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "event"), [("camera_frozen", TrackerEvent.CAMERA_FROZEN), ("camera_stalled", TrackerEvent.CAMERA_STALLED)]
 )
@@ -195,6 +196,7 @@ def test_a_process_says_nothing_while_it_is_down_and_again_afterwards(process: s
     assert process in drive.run.nodes
 
 
+@pytest.mark.slow
 def test_a_robot_whose_driver_died_comes_to_rest_and_stays_where_it_is() -> None:
     drive = Drive(f"{{kind: killed, process: driver-r2, {WHEN}}}")
     truths = [(t, m) for t, m in drive.rows(TRUTH, TRUTH_LAYOUT, "r2") if t > 0.0]
@@ -204,7 +206,7 @@ def test_a_robot_whose_driver_died_comes_to_rest_and_stays_where_it_is() -> None
     assert math.dist((moved[-1].x_m, moved[-1].y_m), (stands[-1].x_m, stands[-1].y_m)) < 0.06
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["kind: killed, process: driver-r1", "kind: stopped, process: driver-r1"])
 def test_every_robot_of_a_process_that_is_struck_stands_and_is_seen_on(what: str) -> None:
     drive = Drive(f"{{{what}, {WHEN}}}", together=2)
@@ -218,6 +220,7 @@ def test_every_robot_of_a_process_that_is_struck_stands_and_is_seen_on(what: str
     assert max(np.diff(times)) < 0.03, "it has another process"
 
 
+@pytest.mark.slow
 def test_a_cut_to_a_driver_process_parts_all_its_robots() -> None:
     drive = Drive(f"{{kind: network_cut, processes: [driver-r3], {WHEN}}}", together=2)
     states = [RUN_STATE.decode(payload) for payload in drive.run.recording.messages[key("platoon", STATE)]]
@@ -225,7 +228,7 @@ def test_a_cut_to_a_driver_process_parts_all_its_robots() -> None:
     assert silent == {(False, False, False, False), (False, False, True, True)}
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(("process", "step_s"), [("controller", 1.0), ("supervisor", -1.0), ("driver-r2", 1.0)])
 def test_a_clock_that_jumps_stops_the_run_with_a_cause(process: str, step_s: float) -> None:
     drive = Drive(f"{{kind: clock_step, process: {process}, step_s: {step_s}, {WHEN}}}")
@@ -233,6 +236,7 @@ def test_a_clock_that_jumps_stops_the_run_with_a_cause(process: str, step_s: flo
     assert drive.causes[0] is not Event.NOTHING
 
 
+@pytest.mark.slow
 def test_a_second_controller_is_refused_and_says_nothing() -> None:
     drive = Drive(f"{{kind: second_controller, {WHEN}}}")
     plain = Drive("{kind: disk_full, at_s: 80}")
@@ -243,10 +247,12 @@ def test_a_second_controller_is_refused_and_says_nothing() -> None:
         assert len(messages) == len(usual)
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_the_run() -> None:
     assert Drive(f"{{kind: disk_full, {WHEN}}}").causes[0] is Event.DISK_FULL
 
 
+@pytest.mark.slow
 def test_a_fault_that_is_yet_to_come_changes_nothing() -> None:
     def said(fault: str) -> dict[str, list[bytes]]:
         messages = Drive(fault, seconds=0.5).run.recording.messages

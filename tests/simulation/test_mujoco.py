@@ -48,6 +48,7 @@ def driven(made: FleetPlant, left: float, right: float, duration: float = 1.0) -
     return states
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("wheels", [(8.0, 8.0), (6.0, 10.0), (8.0, -8.0)])
 def test_wheels_roll_as_the_robots_were_built(wheels: tuple[float, float]) -> None:
     states = driven(plant(), *wheels)
@@ -85,6 +86,7 @@ def test_patches_have_a_friction_of_their_own() -> None:
     assert reached[0] < 0.01 < reached[1]
 
 
+@pytest.mark.slow
 def test_a_cable_pulls_backwards() -> None:
     free, held = (
         driven(plant(settings=f"{{cables_n: {{r1: {force}}}}}"), 8.0, 8.0)[-1] for force in (0.0, 1.2 * WEIGHT)
@@ -106,6 +108,7 @@ def test_bodies_and_obstacles_are_solid() -> None:
     assert poses[:, 2, 0].max() == pytest.approx(0.8 - RADIUS, abs=0.003)
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_world() -> None:
     settings = "{friction_spread: 0.5, cables_n: {r2: 0.2}}"
     first, again = (driven(plant(settings=settings), 9.0, 7.0, 0.3)[-1] for _ in range(2))

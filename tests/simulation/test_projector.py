@@ -67,6 +67,7 @@ def images(whole: Config, *pictures: np.ndarray, poses: np.ndarray | None = None
     return seen
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("pixel", [(120.0, 80.0), (480.0, 270.0), (850.0, 430.0)])
 def test_light_falls_where_the_projector_sends_it(pixel: tuple[float, float]) -> None:
     whole = config()
@@ -78,6 +79,7 @@ def test_light_falls_where_the_projector_sends_it(pixel: tuple[float, float]) ->
     assert seen == pytest.approx(TRUTH.floor(np.array([pixel])), abs=4e-3)  # of a pixel's 6 mm on a floor of spots
 
 
+@pytest.mark.slow
 def test_a_tag_is_lit_by_the_light_at_its_height() -> None:
     """Not by that which falls on the floor that it hides from the camera."""
     truth = tilted(-1.0)
@@ -153,6 +155,7 @@ class Skipping(SimulatedClock):
         self.advance_to(max(instant_ns, self.now_ns()))
 
 
+@pytest.mark.slow
 def test_light_comes_after_the_projectors_own_delay() -> None:
     clock = Skipping()
     camera = SimulatedCamera(CameraContext.without_run(config(), clock))
@@ -165,6 +168,7 @@ def test_light_comes_after_the_projectors_own_delay() -> None:
     assert frame.exposure_ns >= shown_ns + DELAY_S * 1e9
 
 
+@pytest.mark.slow
 def test_a_projector_that_shows_nothing_changes_no_image() -> None:
     pair = config(), config().model_copy(update={"projectors": ()})
     cameras = [SimulatedCamera(CameraContext.without_run(each, Skipping())) for each in pair]

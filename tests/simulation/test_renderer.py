@@ -148,7 +148,7 @@ def test_pixels_are_those_of_the_oracle(renderer: SceneRenderer, x: float, y: fl
     assert np.abs(shift_px(inner)).max() < 0.003
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("look", [Look(0.8, (0.01, -0.02), 0.002), Look(1.2)])
 def test_other_lenses_and_prints_are_those_of_the_oracle(look: Look) -> None:
     own = scene(lens_sigma_px=look.lens, stretches=np.array([look.stretch]), bows=np.array([look.bow]))
@@ -242,6 +242,7 @@ def test_a_tag_off_its_robots_middle_turns_with_the_robot_and_the_body_stays() -
     assert np.hypot(*middle) > 0.5
 
 
+@pytest.mark.slow
 def test_dim_light_dims_everything() -> None:
     full, dim = still().render(np.zeros((1, 3))), scene(light=0.15).render(np.zeros((1, 3)))
     assert np.abs(dim - 0.15 * full.astype(float)).max() <= 1.0

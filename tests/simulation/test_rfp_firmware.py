@@ -436,6 +436,7 @@ def test_what_others_may_have_written_is_not_run(tmp_path: Path, monkeypatch: py
         firmware_library.firmware_library({})
 
 
+@pytest.mark.slow
 def test_a_robot_that_the_firmware_cannot_drive_is_not_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(firmware_library.NoCompilerError, match="RFP_MAX_WHEEL_RAD_S: at most 63"):

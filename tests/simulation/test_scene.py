@@ -58,6 +58,7 @@ def test_every_robot_carries_its_tag_at_its_own_height() -> None:
         assert_near(look(calibrated(config), image, Target(tag, SIDE, height, 0.2)), pose)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("noise", [2.0, 5.0])
 def test_floor_tags_and_posters_lie_where_they_are_said_to_lie(noise: float) -> None:
     config = load(
@@ -73,6 +74,7 @@ def test_floor_tags_and_posters_lie_where_they_are_said_to_lie(noise: float) -> 
     assert len(twice) == 2, "a robot's, and the poster's"
 
 
+@pytest.mark.slow
 def test_a_robot_hides_the_print_that_it_stands_on() -> None:
     posters = "camera.simulated.posters=[{tag: 40, side_m: 0.07, x_m: 0.0, y_m: 0.0}]"
     renderer = drawn(load(posters))
@@ -100,6 +102,7 @@ def test_a_tag_sits_where_the_calibration_says_or_where_it_truly_is() -> None:
         assert_near(look(calibrated(config), drawn(config).render(PLACES), target), expected)
 
 
+@pytest.mark.slow
 def test_prints_are_what_they_truly_are() -> None:
     """A tag that lies higher is seen further out; a print of its own goes before that of all."""
     config = load(

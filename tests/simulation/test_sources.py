@@ -100,6 +100,7 @@ def test_noise_is_as_configured() -> None:
     assert np.abs(np.corrcoef(found.T) - np.eye(3)).max() < 0.1
 
 
+@pytest.mark.slow
 def test_dropout_is_as_configured_and_each_robots_own() -> None:
     floor = Floor("tracker.truth={dropout: 0.25}")
     seen = floor.observe(floor.source(), 500)
@@ -143,6 +144,7 @@ def test_a_robot_that_does_not_say_any_more_where_it_is_is_not_seen(how: str) ->
     assert len(seen[0].poses) == 4
 
 
+@pytest.mark.slow
 def test_the_cameras_images_come_after_exposure_and_readout() -> None:
     floor = Floor("camera.exposure_s=0.006", "camera.readout_s=0.005")
     camera = floor.camera()

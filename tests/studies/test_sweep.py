@@ -107,6 +107,7 @@ def _same_in_parquet(folder: Path, found: list[dict[str, str]]) -> None:
     assert [{name: "" if cell is None else str(cell) for name, cell in row.items()} for row in table] == found
 
 
+@pytest.mark.slow
 def test_robots_are_opened_once_for_each_setting_that_is_theirs_and_not_for_each_combination(tmp_path: Path) -> None:
     opened = tmp_path / "opened"
     (tmp_path / "counted.py").write_text(

@@ -29,6 +29,7 @@ def noisy(count: int, sigma: float, swing: float = 0.0) -> Images:
     return [np.rint(wall + light + rng.normal(0.0, sigma, wall.shape)).astype(np.uint8) for light in lamp]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("share", [0.2, 0.3, 0.5])
 def test_the_share_of_the_image_before_is_found_and_undone(share: float) -> None:
     sharp, denoising = noisy(40, 2.5), TemporalDenoising()
@@ -52,6 +53,7 @@ def test_what_moves_is_asked_before_the_share_is_believed() -> None:
     assert denoising.share == 0.0
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("swing", [0.0, 10.0])
 def test_a_camera_that_mixes_nothing_is_left_alone(swing: float) -> None:
     denoising = TemporalDenoising()

@@ -141,6 +141,7 @@ def test_a_knock_is_told_within_three_images_and_corrected(
     assert lab.events() == [TrackerEvent.CAMERA_CORRECTED]  # not again
 
 
+@pytest.mark.slow
 def test_any_knock_that_four_landmarks_see() -> None:
     rng = np.random.default_rng(1)
     for _ in range(20):
@@ -219,6 +220,7 @@ def test_half_of_the_tags_are_no_majority() -> None:
     assert (lab.events(), lab.used, lab.monitor.trusted) == ([TrackerEvent.CAMERA_MOVED], CALIBRATED, False)
 
 
+@pytest.mark.slow
 def test_shadows_on_a_tag_hardly_move_the_camera() -> None:
     lab = Lab(CORNERS)
     lab.see(CALIBRATED, 6 * SECOND)
@@ -395,7 +397,7 @@ def shaken(deg: float, k: int, axes: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Cam
     return moved(*(deg * math.sin(math.tau * 7.0 * k / SECOND + 0.4) * np.array(axes)))
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)], ids=["x", "z", "all"])
 @pytest.mark.parametrize("deg", [0.02, 0.05])
 def test_every_image_of_a_camera_that_vibrates_has_its_own_correction(deg: float, axes: tuple[float, ...]) -> None:
@@ -412,6 +414,7 @@ def test_every_image_of_a_camera_that_vibrates_has_its_own_correction(deg: float
     assert error_mm(CALIBRATED, lab.used) < 0.05
 
 
+@pytest.mark.slow
 def test_a_camera_that_vibrates_from_the_beginning() -> None:
     lab = Lab(CORNERS)
     errors = []

@@ -158,6 +158,7 @@ def test_arguments_that_cannot_be_are_refused(arguments: dict[str, object], why:
         track("none.mp4", **{"ids": (1,), "side_m": SIDE} | arguments)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_times_of_a_folder_come_from_a_rate_or_its_names(images: list[NDArray[np.uint8]], tmp_path: Path) -> None:
     for k in range(4):
         assert cv2.imwrite(str(tmp_path / f"{k}.png"), images[k])

@@ -102,6 +102,7 @@ def test_a_sensor_sees_no_farther_than_its_range_and_nothing_behind_it() -> None
     assert seen((0.46, 0.0, 0.0), (0.54, 0.0, 0.05), kind=ahead, walls=wall) == [0.0]  # they touch
 
 
+@pytest.mark.slow
 def test_the_gyro_adds_up_to_the_heading() -> None:
     """Of a worn robot whose wheels follow any commands: what it turned is what its gyro told."""
     rng, now_ns = np.random.default_rng(2), 5 * S
@@ -133,6 +134,7 @@ def test_the_gyro_adds_up_to_the_heading() -> None:
     assert turned == pytest.approx(psi - 3.0, abs=1e-6)
 
 
+@pytest.mark.slow
 @given(st.floats(-0.2, 0.2), st.floats(-4.0, 4.0), st.floats(-0.06, 0.06), st.floats(-0.06, 0.06))
 @settings(deadline=None)
 def test_on_a_circle_the_accelerometer_points_at_the_centre(v: float, omega: float, x: float, y: float) -> None:
@@ -154,6 +156,7 @@ def test_who_speeds_up_feels_it() -> None:
     assert reading.accelerometer == pytest.approx((0.3 - 2.0 * 0.02, 2.0 * 0.1, 9.80665), abs=1e-4)
 
 
+@pytest.mark.slow
 @given(pose)
 @settings(deadline=None)
 def test_the_field_turns_against_the_robot(at: tuple[float, float, float]) -> None:

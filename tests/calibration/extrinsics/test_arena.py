@@ -91,6 +91,7 @@ def test_a_wrong_survey_is_named_and_left_out(stated: float | None) -> None:
     assert rms_mm(squares) <= 0.6
 
 
+@pytest.mark.slow
 def test_two_wrong_of_twelve_are_found() -> None:
     places = [*EIGHT, (-0.7, 0.3), (0.6, -0.4), (0.8, 0.5), (-0.6, -0.5)]
     for seed in range(4):
@@ -197,6 +198,7 @@ def test_fewer_than_four_are_refused(n: int) -> None:
         agree(LENS, marks, None)
 
 
+@pytest.mark.slow
 def test_marks_that_contradict_each_other_are_never_believed() -> None:
     """Half of the survey is in another frame: no answer may pass for exact."""
     for seed in range(10):
@@ -210,6 +212,7 @@ def test_marks_that_contradict_each_other_are_never_believed() -> None:
         assert chance(agreement.placement.chi_square, agreement.placement.freedom) < 1e-3
 
 
+@pytest.mark.slow
 def test_one_wrong_of_five_is_named_or_both_suspects_are() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)

@@ -152,6 +152,7 @@ def test_expected_errors_are_the_usual_ones() -> None:
         assert np.mean(ratios) == pytest.approx(1.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_tilt_is_noticed_and_told_in_degrees() -> None:
     # Looking down with its image's right along the world's x: about that axis it tilts towards its image's top.
     for seed in range(5):
@@ -167,6 +168,7 @@ def test_a_tilt_is_noticed_and_told_in_degrees() -> None:
         assert len(verdict.sentences) == 1
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("change", "words_expected"),
     [
@@ -207,6 +209,7 @@ def test_error_of_a_knocked_camera_is_told() -> None:
     assert reported_mm == pytest.approx(1e3 * math.sqrt(float((off**2).sum(1).mean())), abs=0.6)
 
 
+@pytest.mark.slow
 def test_moved_tags_are_named_and_the_camera_is_not_blamed() -> None:
     for seed in range(5):
         lab = Lab(seed)

@@ -105,6 +105,7 @@ def test_each_lack_is_named(true_camera: TrueCamera) -> None:
     assert "the upper or lower edge was tilted" not in sideways
 
 
+@pytest.mark.slow
 def test_a_good_reprojection_does_not_outweigh_an_uncertain_arena(true_camera: TrueCamera) -> None:
     result = measured(true_camera, good_views(true_camera, 13, 0.6, 5))
     assert any("mm rms over the arena: at most 0.5 mm" in fault for fault in result.faults())
@@ -132,6 +133,7 @@ def test_views_that_do_not_fit_are_named_and_left_out(true_camera: TrueCamera) -
     assert result.faults() == []
 
 
+@pytest.mark.slow
 def test_views_that_share_an_error_widen_the_uncertainty(true_camera: TrueCamera) -> None:
     rng = np.random.default_rng(7)
     bent = BOARD.corners - BOARD.corners.mean(axis=0)
@@ -282,6 +284,7 @@ def test_a_lens_that_folds_has_no_rays_there() -> None:
     assert np.isnan(slopes[1]).all()
 
 
+@pytest.mark.slow
 def test_the_arena_that_matters_can_be_smaller_than_the_image(fisheye: TrueCamera) -> None:
     views = good_views(fisheye, 24, 0.08, 13)
     everything, small = (

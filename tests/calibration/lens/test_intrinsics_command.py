@@ -303,6 +303,7 @@ def test_the_live_configuration_needs_no_calibration_but_all_the_rest(
     assert "lab.yaml" in calibrate("ceiling", "--live", config).stderr
 
 
+@pytest.mark.slow
 def test_the_screen_shows_what_was_seen_and_what_is_missing(photos: Path) -> None:
     board = Board()
     gathering = Gathering(board, film=False)

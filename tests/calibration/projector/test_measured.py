@@ -44,6 +44,7 @@ def test_a_projector_is_measured() -> None:
     )
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("own", "fault"),
     [
@@ -74,6 +75,7 @@ def test_projectors_cover_an_arena_together() -> None:
     assert measured(reading(left), (right,), wide).covered > 0.95
 
 
+@pytest.mark.slow
 def test_a_knock_is_told_and_noise_is_not() -> None:
     model = measured(reading()).model
     assert "falls where its calibration says" in verify("main", model, measured(reading(seed=2)))

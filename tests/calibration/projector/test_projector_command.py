@@ -50,6 +50,7 @@ def test_a_projector_is_calibrated_and_verified_and_a_bad_one_replaces_nothing(f
     assert written.read_bytes() == before
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(
     ("options", "line"),
     [

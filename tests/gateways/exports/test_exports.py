@@ -261,6 +261,7 @@ print(json.dumps([[i["observation.state"].tolist(), i["action"][0].tolist(), i["
     assert [item[3:] for item in loaded] == [["platoon", [3, 720, 1280]]] * len(rows)
 
 
+@pytest.mark.slow
 def test_a_film_shows_the_robots_where_they_were(run: RecordedRun, tmp_path: Path) -> None:
     done("film", run.file, "--out", tmp_path / "film.gif", "--width", "320", "--speed", "2")
     with Image.open(tmp_path / "film.gif") as film:
@@ -355,6 +356,7 @@ def test_bad_input_is_a_line_and_leaves_nothing(
     assert [file.name for file in tmp_path.iterdir()] == ["taken"]
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("form", ["csv", "parquet", "rosbag2", "lerobot"])
 def test_a_full_disk_is_a_line_and_leaves_nothing(form: str, run_file: Path, tmp_path: Path) -> None:
     with recorded.room_for(2000):

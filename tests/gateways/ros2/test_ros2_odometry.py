@@ -45,6 +45,7 @@ def test_a_driver_that_was_started_again_moves_no_robot() -> None:
     assert np.linalg.norm(odometry.poses[0, :2] - before[0, :2]) == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 @given(POSES, st.integers(5, 40))
 def test_the_map_is_corrected_by_where_a_robot_was_when_it_was_seen(pose: tuple[float, ...], seen: int) -> None:
     """The odometry is exact, so whenever the image was exposed, map -> odom is where the robot began."""

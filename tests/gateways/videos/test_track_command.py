@@ -70,6 +70,7 @@ def test_a_video_becomes_poses_a_picture_and_a_film(
     assert run(tmp_path, monkeypatch, *given)[0] == 2, "no file is overwritten"
 
 
+@pytest.mark.slow
 def test_a_video_that_breaks_off_keeps_what_was_read(
     video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -25,6 +25,7 @@ def told(stand: Stand) -> BusyMachine | None:
     return messages[-1] if messages else None
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
 @pytest.mark.parametrize("counted", [False, True])
 def test_a_simulated_run_goes_on_when_who_was_late_is_heard_again(
@@ -50,6 +51,7 @@ def test_a_simulated_run_goes_on_when_who_was_late_is_heard_again(
     assert len([line for line in stand.lines if line.startswith("this machine is busy: load 6.1 on 2 cores")]) == 1
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
 def test_who_was_stopped_or_hangs_on_a_busy_machine_is_not_late_by_load(
     stand_of: MakeStand, who: str, event: Event, robot: int
@@ -98,6 +100,7 @@ def test_without_evidence_and_with_a_robot_that_exists_it_stands_as_ever(
     assert stand.cause == stopped
 
 
+@pytest.mark.slow
 def test_an_operator_who_holds_a_held_run_keeps_it_held(stand_of: MakeStand) -> None:
     stand = stand_of(contended=0.9)
     stand.running()
@@ -111,6 +114,7 @@ def test_an_operator_who_holds_a_held_run_keeps_it_held(stand_of: MakeStand) -> 
     assert stand.ask("resume") == "ok"
 
 
+@pytest.mark.slow
 def test_a_driver_that_does_not_come_back_ends_the_run(stand_of: MakeStand) -> None:
     stand = stand_of(contended=0.9)
     stand.running()
@@ -121,6 +125,7 @@ def test_a_driver_that_does_not_come_back_ends_the_run(stand_of: MakeStand) -> N
     assert stand.cause == (Phase.FAULT, Event.DRIVER_SILENT, 1)
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize(("contended", "phase"), [(0.9, Phase.RUNNING), (0.3, Phase.FAULT)])
 def test_checks_that_a_late_process_has_spoilt_begin_anew(stand_of: MakeStand, contended: float, phase: Phase) -> None:
     begun: list[int] = []

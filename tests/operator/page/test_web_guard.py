@@ -247,6 +247,7 @@ def test_the_system_says_whose_a_local_connection_is() -> None:
             assert one_time_token.owner(("192.0.2.1", 5), port) is None
 
 
+@pytest.mark.slow
 def test_no_more_pages_than_a_run_needs(stand: WebStand) -> None:
     with ExitStack() as opened:
         for _ in range(16):

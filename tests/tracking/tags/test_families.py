@@ -45,7 +45,7 @@ def test_each_tag_looks_as_the_apriltag_library_draws_it_half_a_turn_further(fam
         assert np.array_equal(pattern(tag, family), known[paper : paper + cells, paper : paper + cells])
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_apriltag_library_sees_rendered_tags_where_they_are(family: str) -> None:
     renderer = SceneRenderer(GEOMETRY, SIZE, targets(family), 3.0, np.random.default_rng(2))

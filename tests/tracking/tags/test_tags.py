@@ -101,7 +101,7 @@ def test_printed_right_is_forward_and_top_is_left() -> None:
         assert abs(complex(*middle) - seen.centre) < 2e-4  # 0.07 px
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3, 4])
 def test_nothing_is_found_where_nothing_is(seed: int) -> None:
     empty = scene(seed=seed)

@@ -129,7 +129,7 @@ def beside_where_two_tiles_meet() -> list[Pose]:
     return [(x, y, 0.3), (x - 0.3, y, 1.0), STANDING[2]]
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "acts",
     [
@@ -149,6 +149,7 @@ def test_of_two_prints_with_one_id_neither_is_believed(acts: list[tuple[list[Pos
     assert (TrackerEvent.TAG_TWICE, 1) in watched.news
 
 
+@pytest.mark.slow
 def test_a_second_print_that_appears_later_is_refused_and_the_robot_followed_on() -> None:
     twins, watched = scene((1, 1, 2)), Watched()
     for k in range(4 * SWEEP):
@@ -176,6 +177,7 @@ def test_a_tag_that_jumps_is_refused_until_it_stays(renderer: SceneRenderer) -> 
     assert events[-1] is TrackerEvent.TAG_CARRIED
 
 
+@pytest.mark.slow
 def test_two_tags_that_are_exchanged_are_not_believed_at_once(renderer: SceneRenderer) -> None:
     watched = Watched()
     watched.at(renderer, STANDING, 5)
@@ -195,6 +197,7 @@ def test_a_newcomer_is_found_within_three_sweeps(renderer: SceneRenderer) -> Non
     assert error(measured(sightings[-1])[3], STANDING[2]) < 3e-4
 
 
+@pytest.mark.slow
 def test_in_the_dark_robots_are_followed_on(renderer: SceneRenderer) -> None:
     rng, watched = np.random.default_rng(1), Watched()
     for k in range(20):
@@ -215,6 +218,7 @@ def test_a_flash_that_hides_everything_is_survived(renderer: SceneRenderer) -> N
     assert measured(after).keys() == set(IDS)
 
 
+@pytest.mark.slow
 def test_a_flash_that_hides_floor_tags_and_robots_costs_a_few_searches_an_image(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -235,6 +239,7 @@ def test_a_flash_that_hides_floor_tags_and_robots_costs_a_few_searches_an_image(
     assert looks.count("detect") == 1
 
 
+@pytest.mark.slow
 def test_a_robot_that_leaves_the_image_is_not_seen_elsewhere(renderer: SceneRenderer) -> None:
     watched = Watched()
     edge = GEOMETRY.to_plane(np.array([[1279.0, 300.0]]), HEIGHT_M)[0, 0]
