@@ -109,8 +109,8 @@ def reset(
 
     $ robofleet reset
 
-    It asks the run of ARENA. Where no run is on, it clears what the drivers of this computer have kept: for real robots
-    it asks you first whether they are at rest.
+    If a run is on, its supervisor clears the latches. If none is on, this command clears the latches that the drivers
+    of this computer have stored; for real robots it first asks you whether they are at rest.
     """
     raise typer.Exit(direct.reset(arena, overrides, confirmed=yes))
 

@@ -106,7 +106,7 @@ def run(
         ),
     ] = None,
     no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the page's address; open no browser.")
+        bool, typer.Option("--no-browser", help="With --web: print the page's address, open no browser.")
     ] = False,
     foxglove: Annotated[
         str | None,
@@ -215,7 +215,7 @@ def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 
     tree = load_checked(config, overrides, None, lockstep=False)
     console = Console()
     rows = [tuple(as_shown(cell, console.encoding) for cell in row) for row in proofs(tree)]
-    console.print(proofs_table(printable(f"{config} can run. What was proved:"), rows))
+    console.print(proofs_table(printable(f"{config} can run. These limits hold:"), rows))
     for warning in start_warnings(tree):
         print(f"This may take long: {warning}")
     for warning in margin_warnings(tree):

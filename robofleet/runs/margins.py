@@ -33,9 +33,9 @@ def margin_rows(config: Config) -> Iterator[tuple[str, str, str, str]]:
     tick = config.controller.tick_s
     delay, lag = min(m.delay for m in every), min(m.lag for m in every)
     low, high = max(m.gain[0] for m in every), min(m.gain[1] for m in every)
-    yield "the unknown delay that the loop bears at top speed", _shown(delay, MOST_DELAY * tick), "", ""
-    yield "the unknown motor lag that it bears", _shown(lag, MOST_LAG * tick), "", ""
-    yield "the wheels' true radius that it bears", f"{1.0 + low:.2f} to {1.0 + high:.2f} times", "", ""
+    yield "the unknown delay that the loop tolerates at top speed", _shown(delay, MOST_DELAY * tick), "", ""
+    yield "the unknown motor lag that it tolerates", _shown(lag, MOST_LAG * tick), "", ""
+    yield "the true wheel radius that it tolerates", f"{1.0 + low:.2f} to {1.0 + high:.2f} times", "", ""
 
 
 def margin_warnings(config: Config) -> Iterator[str]:

@@ -35,12 +35,12 @@ def drive(
         typer.Option("--out", metavar="FILE", help="File of the drive. Default: runs/<time>-drive/drive.yaml."),
     ] = None,
 ) -> None:
-    """Propose the drive that tells most of each robot.
+    """Propose a drive that measures each robot well.
 
-    It chooses short manoeuvres by what they tell of the parameters that are still uncertain (Fisher information), and
-    writes them as a configuration to run. The robots drive one after the other; nothing moves yet. What is uncertain
-    is what robots/ID.yaml beside CONFIG says, where `robofleet identify` wrote it, else what CONFIG believes. The table
-    has each parameter's standard deviation now, and as `robofleet identify` will state it.
+    It chooses short manoeuvres that measure the uncertain parameters best (Fisher information), and writes them as a
+    configuration to run. Nothing moves yet. In the run, the robots drive one after the other. The uncertainty now
+    comes from robots/ID.yaml beside CONFIG if `robofleet identify` has written it, else from CONFIG. A table shows
+    the standard deviation of each parameter now, and the predicted one after `robofleet identify`.
 
     $ robofleet calibrate drive configs/lab.yaml --seconds 40
 

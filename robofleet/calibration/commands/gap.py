@@ -38,12 +38,11 @@ def gap(
 ) -> None:
     """Compare recorded runs with their simulation.
 
-    The simulation has the same configuration and seed, and the robots that `robofleet identify` found. Compared are
-    predictions by the same commands, and the figures of both runs. The gap is the worst ratio; ``run.bounds.gap``
-    limits it. The run's report gets a section. Several runs are a curve over days, in their order, with a page: it
-    says which robot's predictions grew worse since when. Those that were compared with the same files already are not
-    simulated again. Exit code 1: a gap is above its bound. Your own behaviours are imported only from the folder that
-    you name.
+    The simulation uses the same configuration and seed, and the robots that `robofleet identify` found. It compares
+    predictions from the same commands, and the figures of both runs. The gap is the worst ratio; the bound
+    run.bounds.gap limits it. The run's report gets a section. Several runs give a curve over days, with a page that
+    names robots whose predictions became worse. Runs that were compared with the same files before are not simulated
+    again. Exit code 1: a gap is above its bound. Your own behaviours are imported only from the folder that you name.
 
     $ robofleet gap runs/20260102T030405Z-platoon --configs configs
 

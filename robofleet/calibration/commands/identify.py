@@ -32,8 +32,9 @@ def identify(
 ) -> None:
     """Identify each robot's model from recordings.
 
-    Wheels, motor lag, delay, dead band, slip, top speed and the tag's place are fitted to commands and poses. What the
-    recordings do not tell is named and stays as it is. robots/ID.yaml gets the result; the file before is kept.
+    Wheels, motor lag, delay, dead band, slip, top speed and the tag's place are fitted to commands and poses. If the
+    recordings do not determine a parameter, it is named and keeps its value. The result is written into
+    robots/ID.yaml; the previous file is kept.
 
     $ robofleet identify runs/20260102T030405Z-platoon --configs configs
 

@@ -43,7 +43,7 @@ def projector(
         float, typer.Option(metavar="S", min=0.0, max=3600.0, help="How long to wait for a browser.")
     ] = _WAIT_S,
     least_percent: Annotated[
-        float, typer.Option(metavar="PERCENT", min=1.0, max=100.0, help="Least part of the arena to be lit.")
+        float, typer.Option(metavar="PERCENT", min=1.0, max=100.0, help="Smallest part of the arena that must be lit.")
     ] = 95.0,
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare with the calibration that is there; write no calibration.")

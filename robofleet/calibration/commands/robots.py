@@ -59,8 +59,9 @@ def offsets(
 ) -> None:
     """Drive each robot; measure its tag's place and its wheels.
 
-    The robots drive one after the other. It finds the radius of the wheels and the distance between them, and how high
-    the tag lies, as well as the side of the print (``tracker.tag_side_tolerance_m``) or two cameras tell that.
+    The robots drive one after the other. It measures where the tag is, the radius of the wheels and the distance
+    between them. It also measures the height of the tag; tracker.tag_side_tolerance_m limits how accurately one camera
+    can do this.
 
     $ robofleet calibrate offsets configs/lab.yaml
 

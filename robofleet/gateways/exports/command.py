@@ -37,7 +37,7 @@ def export(
 ) -> None:
     """Write a run as tables, ROS 2 bag or LeRobot dataset.
 
-    Several runs become one LeRobot dataset, each with its episodes. Also of a run that was killed.
+    Several runs become one LeRobot dataset, each with its episodes. Runs that were killed can be exported too.
 
     $ robofleet export runs/20260102T030405Z-platoon --to parquet
 
@@ -84,13 +84,17 @@ def film(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A new .mp4 or .gif file; default: RUN/film.mp4.")
     ] = None,
-    from_s: Annotated[float, typer.Option("--from", metavar="S", help="Begin so long after the run's first tick.")] = 0,
-    to_s: Annotated[float | None, typer.Option("--to", metavar="S", help="End so long after it.")] = None,
-    speed: Annotated[float, typer.Option(metavar="X", help="So many times as fast as it was.")] = 1.0,
+    from_s: Annotated[
+        float, typer.Option("--from", metavar="S", help="Start of the film, in seconds after the first tick.")
+    ] = 0,
+    to_s: Annotated[
+        float | None, typer.Option("--to", metavar="S", help="End of the film, in seconds after the first tick.")
+    ] = None,
+    speed: Annotated[float, typer.Option(metavar="X", help="Speed of the film; 2 is twice as fast as the run.")] = 1.0,
     width: Annotated[int, typer.Option(metavar="PX", help="Width of the film.")] = 1280,
     view: Annotated[
         str | None,
-        typer.Option(metavar="VIEW", help="camera or arena; default: camera, if it has 5 images a second or more."),
+        typer.Option(metavar="VIEW", help="camera or arena; default: camera, if it has 5 images per second or more."),
     ] = None,
     camera: Annotated[str | None, typer.Option(metavar="NAME", help="Which of several cameras.")] = None,
     title: Annotated[

@@ -79,7 +79,9 @@ def track(
         Path | None, typer.Option(metavar="CSV", help="Times of the images, where file or names have none.")
     ] = None,
     rate: Annotated[float | None, typer.Option(metavar="HZ", help="Images per second, in place of all times.")] = None,
-    max_speed: Annotated[float, typer.Option(metavar="M_S", help="Faster motion in m/s is not believed.")] = 2.0,
+    max_speed: Annotated[
+        float, typer.Option(metavar="M_S", help="Reject tags that move faster than this, in m/s.")
+    ] = 2.0,
     out: Annotated[
         str | None,
         typer.Option(metavar="FILE", help="A new CSV file, or - to print. Default: SOURCE-poses.csv; of a camera: -."),
