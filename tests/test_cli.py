@@ -98,6 +98,7 @@ def test_every_fault_at_once_one_line_each(folder: Path) -> None:
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_json_is_one_object_and_nothing_else(folder: Path) -> None:
     (folder / "new" / "deep").mkdir(parents=True)  # an empty folder is used
     result = robofleet("run", PLATOON, *TRUTH, "--duration", "6", "--seed", "5", "--json", "--out", "new/deep")

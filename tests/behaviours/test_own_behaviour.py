@@ -44,6 +44,7 @@ def test_the_shipped_one_is_short() -> None:
     assert len((CONFIGS / "mylab.py").read_text().splitlines()) <= 25
 
 
+@pytest.mark.slow
 def test_it_is_found_beside_its_configuration_here_and_in_processes_started_from_here(tmp_path: Path) -> None:
     file = laboratory(tmp_path / "lab", "found_lab")
     config = load_config(file)

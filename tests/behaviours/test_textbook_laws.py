@@ -88,7 +88,7 @@ def test_cyclic_pursuit_refuses_circles_and_groups_that_cannot_be() -> None:
 # Coverage
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{}, {"peak_m": [0.8, 0.4], "peak_width_m": 0.4}])
 def test_the_locational_cost_never_rises_and_the_robots_end_in_the_middles_of_their_cells(
     settings: dict[str, object],

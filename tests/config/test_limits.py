@@ -105,7 +105,7 @@ def is_accepted(key: str, number: float) -> bool:
     return True
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("number", EXTREMES)
 def test_no_quantity_is_so_large_or_so_small(number: float) -> None:
     tiny = 0.0 < abs(number) < 1.0  # as good as 0, which is meant where it is allowed

@@ -95,6 +95,7 @@ def test_five_steps_are_within_half_a_millimetre_of_500_of_the_papers() -> None:
     assert np.abs(y - fine).max() < 5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("predict", ["by hand", pytest.param("general", marks=pytest.mark.long)])
 def test_an_eigenvalue_that_grows_on_the_way_asks_for_more_steps(predict: str) -> None:
     x, u, y, dg = np.array([0.0, 0, 10, 0, 0, 0]), np.array([-15.0, 0.0]), np.empty(2), np.empty((2, 2))

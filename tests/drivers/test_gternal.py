@@ -81,6 +81,7 @@ def test_half_a_line_moves_nothing(
     assert tell(bench, WheelSpeeds(a, b)) in (pytest.approx((a, b), abs=BOUND), STOP)
 
 
+@pytest.mark.slow
 @given(
     st.lists(
         st.binary(max_size=300) | st.sampled_from([b'{"status"', b':[1],"body":[{"batt_volt":1e999}]}', b"[" * 999])

@@ -126,6 +126,7 @@ def test_a_robot_that_was_switched_off_keeps_its_latch_and_its_driver_says_that_
 # Robot and driver in virtual time.
 
 
+@pytest.mark.slow
 def test_the_target_is_zero_120_ms_after_the_newest_nonce() -> None:
     with NetworkBench() as bench:
         driven(bench)

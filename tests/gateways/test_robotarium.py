@@ -255,6 +255,7 @@ def test_errors_are_counted_as_the_original_counts_them(runs: Runs) -> None:
     assert "before" in values["early"]
 
 
+@pytest.mark.slow
 def test_version_1_counts_each_robots_collisions(runs: Runs) -> None:
     values = told(
         runs("""

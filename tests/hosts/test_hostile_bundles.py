@@ -112,7 +112,7 @@ hostile = st.sampled_from(HOSTILE) | st.text(max_size=8)
 @example(arena="lab", name="../../../victim/r1", kind="viewer", common_name=None)
 @example(arena="lab", name="authority", kind="viewer", common_name=None)
 @example(arena="..", name="r1", kind="viewer", common_name=None)
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_bundle_that_names_a_path_changes_nothing(
     stranger: Stranger, arena: str, name: str, kind: str, common_name: str | None
 ) -> None:

@@ -123,6 +123,7 @@ def test_the_authoritys_key_is_in_no_bundle(lab: Path, bundle: Path) -> None:
     assert own in bundle.read_text()
 
 
+@pytest.mark.slow_after_first
 @pytest.mark.parametrize("name", ["no", "null", "on", "e1", "true"])
 @pytest.mark.parametrize("router", ["quic/[fe80::1]:7447", "tls/lab,x:1", ROUTER])
 def test_what_yaml_reads_otherwise_is_joined_as_it_is(lab: Path, desk: Path, name: str, router: str) -> None:

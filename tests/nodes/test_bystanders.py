@@ -56,7 +56,7 @@ def hand(config: Config, speed: float, at_s: float, duration_s: float) -> str:
     return f"faults=[{{kind: pushed, robot: p1, velocity_m_s: {velocity}, at_s: {at_s}, duration_s: {duration_s}}}]"
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("left_m", "how"),
     [

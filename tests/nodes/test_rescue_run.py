@@ -242,7 +242,7 @@ def test_whatever_fails_lets_it_stand(fault: str, ends: Phase, tmp_path: Path) -
     assert not held.broken
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_in_any_sequence_of_inputs_one_robot_at_most_may_crawl_and_none_without_the_button(seed: int) -> None:
     draw, held = Random(seed), Held()

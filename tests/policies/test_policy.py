@@ -184,6 +184,7 @@ def test_nan_from_the_network_holds_the_run_and_names_the_robot(
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_run_of_a_policy_arrives_and_is_replayed_bit_for_bit(tmp_path: Path) -> None:
     saved(tmp_path / "go_to.onnx")
     lockstep = Lockstep(load_checked(laboratory(tmp_path), lockstep=True))

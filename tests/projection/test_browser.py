@@ -31,6 +31,7 @@ def display() -> Iterator[BrowserDisplay]:
         yield opened
 
 
+@pytest.mark.slow
 def test_a_picture_is_shown_pixel_by_pixel_when_it_is_said_to_be(display: BrowserDisplay) -> None:
     picture = np.random.default_rng(1).integers(0, 256, SIZE[::-1], dtype=np.uint8)
     with chromium() as browser:

@@ -27,7 +27,7 @@ def chi_square(found: Projector) -> float:
     return float(np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.spread(points)), error).mean()) / 2.0
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [1.0, 0.3])
 def test_the_predicted_error_is_true_whatever_was_stated_of_the_noise(stated: float) -> None:
     ratios = [chi_square(fit([seen(np.random.default_rng(k), stated=stated)], SIZE).projector) for k in range(6)]

@@ -60,6 +60,7 @@ def survives(run_messages: recorded.Messages, data: bytes, file: Path) -> tuple[
     return len(found), recording.whole
 
 
+@pytest.mark.slow
 def test_a_file_cut_anywhere_gives_a_valid_beginning(
     run_messages: recorded.Messages, whole: bytes, tmp_path: Path
 ) -> None:

@@ -202,6 +202,7 @@ def test_a_notebook_shows_the_arena_and_no_script(tmp_path: Path) -> None:
     assert {"r1", "r2", "r3", "control error, mean"} <= set(texts)
 
 
+@pytest.mark.slow
 def test_a_plot_has_the_floor_and_the_errors_over_time(run_file: Path) -> None:
     figure = robofleet.load(run_file).plot()
     floor, *errors = figure.axes

@@ -45,7 +45,7 @@ def loaded(drivers: str) -> set[str]:
     return {name for name in done.stdout.split() if not name.startswith("_")}
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("drivers", [("simulated",), ("gternal", "arduino_bridge", "create2", "rfp")], ids=" ".join)
 def test_a_driver_process_loads_the_base_install_alone(drivers: tuple[str, ...]) -> None:
     base, owners = base_install(), packages_distributions()

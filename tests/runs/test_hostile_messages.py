@@ -15,6 +15,7 @@ def _hold(name: str, messages: int, *more: str, whole: bool = True) -> None:
     assert figures.endings.total() == figures.fleets
 
 
+@pytest.mark.slow
 def test_messages_with_hostile_content_end_no_process_and_no_listener() -> None:
     _hold("teleop", 60, BOTH, "robots.0.sensors=true", whole=False)
 

@@ -149,6 +149,7 @@ def test_robots_that_are_never_seen_are_named_and_turn_no_wheel(platoon_of: Call
         assert not run.recording.of_robot(COMMAND, robot)["left_rad_s"].any()
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_summary_of_what_was_recorded_until_then(platoon_of: Callable[..., Any]) -> None:
     seconds = iter(range(2))
 

@@ -38,6 +38,7 @@ def test_every_example_is_short_and_says_how_it_is_started() -> None:
     assert len([*EXAMPLES.glob("*.py")]) == table.count(".py](")
 
 
+@pytest.mark.slow
 def test_hello_stops_on_each_corner_of_the_square_and_the_others_stand() -> None:
     ran = started("hello")
     at = np.array(ran["fleet"].arrived)

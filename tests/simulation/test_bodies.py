@@ -84,7 +84,7 @@ def test_whatever_is_asked_of_robots_at_whatever_instant(seed: int) -> None:
     both.compare()
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize("loop_period", [0.01, 0.001, 0.015])
 def test_a_long_drive_with_slip_uses_the_same_draws_as_one_robot(loop_period: float) -> None:
     """Many more than are drawn at once, told every 5 ms, and looked at seldom."""

@@ -426,6 +426,7 @@ def test_a_run_whose_twins_cannot_be_compiled_is_refused(monkeypatch: pytest.Mon
     assert refused in list(of_robot(config_of(twin="rfp", vehicle="rfp"), 0))
 
 
+@pytest.mark.slow
 def test_what_others_may_have_written_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     firmware_library.firmware_library({})

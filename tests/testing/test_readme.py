@@ -33,6 +33,7 @@ def test_every_name_is_in_the_guide() -> None:
         robofleet.testing.nothing  # noqa: B018
 
 
+@pytest.mark.slow
 def test_a_run_in_lockstep_is_the_same_again() -> None:
     config = load_config(SHIPPED / "platoon.yaml", ["tracker.source=truth", "run.duration_s=1"])
     first, second = run_lockstep(config), run_lockstep(config)

@@ -6,6 +6,7 @@ from tests.tracking.peers import OURS, UNTIMED
 from tools.measure.tracking.accuracy import SCENES, evaluate
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("title", "frames"), [("noise 3.5", (8,)), pytest.param("fisheye", (8,), marks=pytest.mark.long)]
 )

@@ -46,7 +46,7 @@ def misplaced(found: PlacedCamera, seeing: RayCamera, truth: Array) -> Array:
     return np.asarray(np.abs(seen * turn / abs(turn) - true))
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tilt_deg", "fov_deg", "distortion", "edge_m"),
     [

@@ -79,7 +79,7 @@ def test_the_lens_is_opencvs(fisheye: bool, coefficients: int) -> None:
 @pytest.mark.parametrize("fisheye", [False, True])
 def test_paper_and_print_lie_where_opencv_projects_them(fisheye: bool) -> None:
     eye = camera(FISHEYE if fisheye else PINHOLE, fisheye)
-    for x, y, psi in np.random.default_rng(2).uniform([-0.45, -0.3, -3.0], [0.45, 0.3, 3.0], (6, 3)).tolist():
+    for x, y, psi in np.random.default_rng(2).uniform([-0.45, -0.3, -3.0], [0.45, 0.3, 3.0], (3, 3)).tolist():
         patch = caster(eye).patch(Print(5, SIDE, HEIGHT, (x, y, psi)))
         cover, dark = np.zeros(SIZE[::-1]), np.zeros(SIZE[::-1])
         cover[patch.where], dark[patch.where] = patch.cover, black(patch)

@@ -44,6 +44,7 @@ def measured(looks: list[Sightings]) -> int:
     return sum(robot.coasted_ns == 0 for look in looks for robot in look.poses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [pytest.param(0.2, marks=pytest.mark.long), 0.8])
 def test_no_robot_is_measured_in_the_wrong_place_while_a_knock_is_corrected(tilt_deg: float) -> None:
     looks = looked_at(tilt_deg, (KNOCKED - 0.5) * PERIOD_S, 2 * KNOCKED, range(0), 0.0)

@@ -75,7 +75,7 @@ def test_who_was_stopped_or_hangs_on_a_busy_machine_is_not_late_by_load(
     assert (message.cause, message.goes_on, message.resumed) == (Event.NOTHING, 0, 0)
 
 
-@pytest.mark.slow_after_first
+@pytest.mark.slow
 @pytest.mark.parametrize(("who", "event", "robot"), SILENT)
 @pytest.mark.parametrize(("contended", "driver"), [(None, "simulated"), (0.3, "simulated"), (0.9, "gternal")])
 def test_without_evidence_and_with_a_robot_that_exists_it_stands_as_ever(

@@ -117,6 +117,7 @@ def _off_px(picture: Array, points: Array) -> float:
     return float(np.percentile(np.abs((light * steps).sum(axis=1) / light.sum(axis=1)), 90))
 
 
+@pytest.mark.slow
 def test_each_robot_and_its_tag_lie_in_constant_grey(browser: Chrome, stand: WebStand) -> None:
     with lit(browser, stand, STANDING) as page:
         page.becomes("window.robofleet?.state.pictures > 1")

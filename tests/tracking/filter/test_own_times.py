@@ -86,6 +86,7 @@ def test_the_pose_now_through_45_ms_of_delay_60_ms_of_lag_and_lost_images(delay_
     assert error_deg <= 0.2
 
 
+@pytest.mark.slow
 def test_every_robot_has_its_own_delay_lag_and_exposure() -> None:
     different = [0.0, 0.02, 0.07, 0.045], [0.0, 0.12, 0.03, 0.06], [28 * MS, 18 * MS, 8 * MS, 45 * MS]
     error_mm, _ = Fleet(*different).run(20.0)

@@ -66,7 +66,7 @@ def measure(renderer: SceneRenderer, frames: int) -> tuple[NDArray[np.float64], 
 
 
 def test_poses_all_over_the_arena(renderer: SceneRenderer) -> None:
-    frames = 400
+    frames = 200
     errors, false = measure(renderer, frames)
     assert len(errors) >= 0.99 * frames * len(IDS)
     assert false == 0
