@@ -57,7 +57,7 @@ class Fleet:
             thread.join()
 
 
-class OpenPage:
+class BrowserPage:
     """A page of any kind in a browser, and the fleet that it shows."""
 
     def __init__(self, browser: Chrome, stand: WebStand, fleet: Fleet) -> None:
@@ -67,7 +67,7 @@ class OpenPage:
         return self.browser.execute_script(script, *arguments)
 
 
-class Seen(OpenPage):
+class Seen(BrowserPage):
     """A page that is open."""
 
     def text(self, name: str) -> str:

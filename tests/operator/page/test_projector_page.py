@@ -24,7 +24,7 @@ from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.run_picture import RunPicture
 from robofleet.vehicles.differential_drive import body_from_wheels
 from tests.operator.page.browser import show_as
-from tests.operator.page.openpage import SOON_S, Fleet, OpenPage
+from tests.operator.page.openpage import SOON_S, BrowserPage, Fleet
 from tests.operator.page.test_web_projector import hanging
 from tests.operator.page.webstand import WebStand, placed, web_stand
 from tests.projection.projectors import SIZE, on_floor, tilted
@@ -42,7 +42,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStand]:
         yield stand
 
 
-class Lit(OpenPage):
+class Lit(BrowserPage):
     """A projector's page that is open."""
 
     def becomes(self, condition: str) -> None:
