@@ -11,18 +11,12 @@ from itertools import count
 
 from robofleet.config import groups
 from robofleet.config.obstacles import Moving
-from robofleet.config.plant_errors import PlantErrors
+from robofleet.config.plant_errors import NO_ERRORS
 from robofleet.config.robots import UNTAGGED, Robot, StartPose, Vehicle
 from robofleet.config.tree import Config
 
 CART = "robofleet.drivers.cart:Cart"
 _WHEEL_PER_RADIUS, _BASE_PER_RADIUS = 0.25, 1.0  # wheels that it has not, inside its disc
-
-_IDEAL = PlantErrors(
-    motor_lag_s=0.0, speed_quantum_rad_s=0.0, loop_period_s=0.01, deadband_rad_s=0.0, breakaway_rad_s=0.0,
-    wheel_gain_spread=0.0, wheel_base_spread=0.0, slip_s_per_rad=0.0, slip_noise=0.0, top_speed_sag=0.0,
-    battery_life_s=1e9,
-)  # fmt: skip
 
 
 def with_moving_obstacles(config: Config) -> Config:
@@ -92,7 +86,7 @@ def _robot(config: Config, moving: Moving) -> Robot:
         wheel_radius_m=wheel, wheel_base_m=_BASE_PER_RADIUS * moving.radius_m, body_radius_m=moving.radius_m,
         max_wheel_speed_rad_s=moving.speed_m_s / wheel, max_speed_m_s=moving.speed_m_s,
         max_wheel_acceleration_rad_s2=1e3,
-        motor_lag_s=0.0, simulated=_IDEAL,
+        motor_lag_s=0.0, simulated=NO_ERRORS,
     )  # fmt: skip
     driver = "simulated" if config.poses_simulated else CART
     return Robot(

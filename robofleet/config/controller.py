@@ -63,3 +63,9 @@ class ControllerSettings(Model):
     """Filter that estimates each robot's pose from its measured poses and its commands."""
     barrier: BarrierSettings = BarrierSettings()
     """Barrier that keeps robots apart and inside the arena."""
+
+    @property
+    def filter_in_force(self) -> FilterSettings:
+        """The filter's settings: where no disturbance is estimated, every wheel travels as believed."""
+        changes = {} if self.disturbance == "estimated" else {"efficiency_sigma": 0.0}
+        return self.filter.model_copy(update=changes)

@@ -50,3 +50,10 @@ class PlantErrors(Model):
     """Share of the top speed that an empty battery takes."""
     battery_life_s: Annotated[float, within(1, 1e10)]
     """Time from a full battery to an empty one."""
+
+
+NO_ERRORS = PlantErrors(  # an ideal robot
+    motor_lag_s=0.0, speed_quantum_rad_s=0.0, loop_period_s=0.01, deadband_rad_s=0.0, breakaway_rad_s=0.0,
+    wheel_gain_spread=0.0, wheel_base_spread=0.0, slip_s_per_rad=0.0, slip_noise=0.0, top_speed_sag=0.0,
+    battery_life_s=1e9,
+)  # fmt: skip

@@ -67,9 +67,7 @@ def robot_growth(config: Config, robot: Robot, speed: float, duration: float, de
     The robot is ideal but for its motor lag, the poses are without noise, and wheels have no limits.
     """
     c, drive = config.controller, slices.drive(robot)
-    noise = c.filter.model_copy(update={"gate_sigma": 1e6})
-    if c.disturbance != "estimated":
-        noise = noise.model_copy(update={"efficiency_sigma": 0.0})
+    noise = c.filter_in_force.model_copy(update={"gate_sigma": 1e6})
     known_ns, tick_ns, age_ns = slices.delay_ns(config, robot), round(c.tick_s * S), round(image_age_s(config) * S)
     fleet, law = FleetFilter((drive,), (known_ns,), noise), PointFlow(1, c.alpha, c.horizon_s, c.tick_s, c.integrator)
     imperfections = _ideal(drive.motor_lag, (age_ns + known_ns) / S + delay)

@@ -13,9 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidat
 
 from robofleet.bus.credentials import AUTHORITY, JOINED, ROUTER, Credentials, Joined, KeysError, Passport
 from robofleet.bus.private_folder import PlaceError, check_private
+from robofleet.config.files.robot_file import Routers
 from robofleet.core.clock import utc_now
 from robofleet.core.files import read_named, write_bytes
-from robofleet.core.patterns import NETWORK_PATTERN
 from robofleet.core.valid_json import dumps
 
 FORMAT: Final = 1
@@ -38,9 +38,7 @@ class Bundle(BaseModel):
     certificate: _PEM
     key: _PEM
     authority: _PEM
-    router: Annotated[
-        tuple[Annotated[str, Field(pattern=NETWORK_PATTERN)], ...], Field(min_length=1, max_length=8, strict=False)
-    ]
+    router: Routers
 
 
 class _Any(BaseModel):

@@ -12,10 +12,8 @@ from robofleet.vehicles.differential_drive import DifferentialDrive
 
 def fleet_filter(config: Config) -> FleetFilter:
     """Return the Kalman filter of the members' poses."""
-    noise = config.controller.filter
-    if config.controller.disturbance != "estimated":
-        noise = noise.model_copy(update={"efficiency_sigma": 0.0})
-    return FleetFilter(drives(config), tuple(slices.delay_ns(config, robot) for robot in config.members), noise)
+    delays_ns = tuple(slices.delay_ns(config, robot) for robot in config.members)
+    return FleetFilter(drives(config), delays_ns, config.controller.filter_in_force)
 
 
 def barrier(config: Config) -> Barrier:

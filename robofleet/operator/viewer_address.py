@@ -88,8 +88,7 @@ class Address(NamedTuple):
 
     def url(self, port: int) -> str:
         """Return what a viewer opens; ``port``: the one that was found free."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{'wss' if self.secured else 'ws'}://{host}:{port}"
+        return f"{'wss' if self.secured else 'ws'}://{self._replace(port=port)}"
 
     def __str__(self) -> str:
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"

@@ -79,9 +79,7 @@ def robot_loop(config: Config, robot: Robot, speed: float) -> SampledLoop:
     A, B = np.zeros((3, 3)), np.zeros((3, 2))
     A[1, 2] = speed
     B[0], B[2] = drive.wheel_radius / 2.0, drive.wheel_radius / drive.wheel_base * np.array([-1.0, 1.0])
-    believed, noise = np.zeros((5, 5)), c.filter
-    if c.disturbance != "estimated":
-        noise = noise.model_copy(update={"efficiency_sigma": 0.0})
+    believed, noise = np.zeros((5, 5)), c.filter_in_force
     believed[:3, :3] = A
     believed[:3, 3:] = speed / drive.wheel_radius * B  # what wrong efficiencies of the wheels do
     believed[3:, 3:] = -np.eye(2) / noise.efficiency_time_s

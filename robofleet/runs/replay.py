@@ -152,14 +152,11 @@ class _Takings:
 
     def __init__(self, recording: Recording, topic: Topic, name: str, layout: ListLayout[Any]) -> None:
         self.topic, self.name = topic, name
-        self._messages: dict[Name, bytes] = {}
+        self.messages: dict[Name, bytes] = {}
         for recorded in (topic, *_EARLIER_TOPICS.get(topic, ())):
             for payload in recording.messages.get(key(recording.config.arena.name, recorded, name), ()):
                 if (head := layout.decode_head(payload)) is not None:
-                    self._messages.setdefault((head.epoch, head.seq), payload)
-
-    def of(self, name: Name) -> bytes | None:
-        return self._messages.get(name)
+                    self.messages.setdefault((head.epoch, head.seq), payload)
 
 
 def _scripted(recording: Recording) -> dict[str, tuple[int, int]]:
@@ -213,7 +210,7 @@ class _Player:
         self._late = late
         for k, (taking, publish) in enumerate(self._give):
             if taken[k] != self._given[k] and (k < _ALWAYS or taken[k] != NO_NAME):
-                payload = taking.of(taken[k])
+                payload = taking.messages.get(taken[k])
                 if payload is None:
                     return None
                 publish(payload)

@@ -126,6 +126,12 @@ def odd(run: Path, tmp_path: Path) -> Iterator[list[Path]]:
         yield names
 
 
+def are_refused(asked: list[tuple[object, ...]]) -> None:
+    came = zip(asked, commands(asked), strict=True)
+    wrong = [f"{line}: {why}" for line, result in came if (why := is_well(result, may_succeed=False))]
+    assert not wrong, "\n".join(wrong)
+
+
 @pytest.mark.slow
 def test_what_is_no_recording_is_refused_in_a_line(odd: list[Path], run: Path) -> None:
     commands_asked = [
@@ -134,12 +140,7 @@ def test_what_is_no_recording_is_refused_in_a_line(odd: list[Path], run: Path) -
         for command, names in ((["report"], [name]), (["replay"], [name]), (["repair"], [name]),
                                (["report"], [run, name]), (["report"], [name, run]))
     ]  # fmt: skip
-    wrong = [
-        f"{line}: {why}"
-        for line, came in zip(commands_asked, commands(commands_asked), strict=True)
-        if (why := is_well(came, may_succeed=False))
-    ]
-    assert not wrong, "\n".join(wrong)
+    are_refused(commands_asked)
 
 
 @pytest.mark.slow
@@ -152,12 +153,7 @@ def test_what_no_page_can_stand_in_is_refused_in_a_line(run: Path, tmp_path: Pat
         commands_asked.append(("report", copy := tmp_path / f"run of {folder}"))
         (copy / folder).mkdir(parents=True)
         (copy / FILE).write_bytes((run / FILE).read_bytes())
-    wrong = [
-        f"{line}: {why}"
-        for line, came in zip(commands_asked, commands(commands_asked), strict=True)
-        if (why := is_well(came, may_succeed=False))
-    ]
-    assert not wrong, "\n".join(wrong)
+    are_refused(commands_asked)
     assert not (tmp_path / "elsewhere").exists()
 
 

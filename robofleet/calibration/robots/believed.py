@@ -6,23 +6,18 @@ from robofleet.calibration.robots.drive_file import RobotDrive
 from robofleet.calibration.robots.information import Prior
 from robofleet.calibration.robots.shooting import Noise, Shots, Wheels
 from robofleet.config import slices
-from robofleet.config.plant_errors import PlantErrors
+from robofleet.config.plant_errors import NO_ERRORS, PlantErrors
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.clock import S
 
-_IDEAL = PlantErrors(
-    motor_lag_s=0.0, speed_quantum_rad_s=0.0, loop_period_s=0.01, deadband_rad_s=0.0, breakaway_rad_s=0.0,
-    wheel_gain_spread=0.0, wheel_base_spread=0.0, slip_s_per_rad=0.0, slip_noise=0.0, top_speed_sag=0.0,
-    battery_life_s=1e9,
-)  # fmt: skip
 _LEAST_WANDER = 1e-4  # as in Noise
 
 
 def believed_errors(robot: Robot) -> PlantErrors:
     """Return how the robot would be simulated before it is identified."""
     known = None if robot.calibration is None else robot.calibration.simulated
-    return known or robot.vehicle.simulated or _IDEAL
+    return known or robot.vehicle.simulated or NO_ERRORS
 
 
 def prior(config: Config, robot: Robot) -> Prior:

@@ -11,6 +11,9 @@ from robofleet.core.patterns import NETWORK_PATTERN
 from robofleet.core.settings import Model, Name
 
 FILE = "robot.yaml"
+Routers = Annotated[
+    tuple[Annotated[str, Field(pattern=NETWORK_PATTERN)], ...], Field(min_length=1, max_length=8, strict=False)
+]
 
 
 class Allowed(Model):
@@ -31,9 +34,7 @@ class RobotFile(Parameters):
     """The arena that this robot has joined."""
     unit: Name
     """The name by which a configuration's ``robots[].unit`` calls this computer."""
-    router: Annotated[
-        tuple[Annotated[str, Field(pattern=NETWORK_PATTERN)], ...], Field(min_length=1, max_length=8, strict=False)
-    ]
+    router: Routers
     """Addresses of the laboratory's router, the first one that answers is taken."""
     allows: Allowed = Allowed()
     """What a run may ask; what is not named is allowed."""

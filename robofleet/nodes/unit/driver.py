@@ -39,7 +39,7 @@ class DriverProcess:
         ``boot_id``: 64 bits that nobody has had before; ``phase_ns``: of the loop, so that those of several processes
         are not in phase.
         """
-        self._clock, self._build = clock, slices.build(config)
+        self._clock, self.build = clock, slices.build(config)
         self._newest_ns = clock.now_ns()
         self._sensing_ns = slices.sensing_period_ns(config, unit)
         self._robots = behind_gates(drivers, config, config.units[unit], boot_id, state_store, probe, self._now)
@@ -90,10 +90,6 @@ class DriverProcess:
         return min(self._loop_ns, robots.deadline_ns, scheduling.next_ns)
 
     @property
-    def build(self) -> int:
-        return self._build
-
-    @property
     def any_open(self) -> bool:
         return self._robots.any_open
 
@@ -139,6 +135,6 @@ class DriverProcess:
         robots, now_ns = self._robots, self._now()
         self._seq += 1
         refused = self._refused + self._commands.rejected + self._enables.rejected
-        head = UnitStatus(self._seq, self._build, robots.boot_id, now_ns, now_ns, self._scheduling.hurry, ())
+        head = UnitStatus(self._seq, self.build, robots.boot_id, now_ns, now_ns, self._scheduling.hurry, ())
         self._publish_status(UNIT_STATUS.encode_view(head, robots.statuses(now_ns, refused)))
         self._scheduling.told(now_ns)

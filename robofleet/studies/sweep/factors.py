@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robofleet.config.load import spelled
 from robofleet.core.arrays import Array
 from robofleet.reports.bounds import JUDGED, JUDGED_KEYS
-from robofleet.reports.own_figures import own_figures
+from robofleet.reports.own_figures import is_number, own_figures
 from robofleet.studies.sweep.load import Study
 from robofleet.studies.sweep.table import Ran
 
@@ -112,7 +112,7 @@ def _own(summary: dict[str, Any] | None) -> Iterator[tuple[str, str, float]]:
 def _factor(study: Study, key: str, name: str) -> Factor:
     values = [run.values[key] for run in study.runs]
     spellings = [spelled(value) for value in values]
-    numeric = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    numeric = all(map(is_number, values))
     if numeric and len(set(values)) > _MOST_LEVELS:
         return _classes(key, name, np.array(values, np.float64), logarithmic=study.spans.get(key, False))
     known = list(dict.fromkeys(spellings))

@@ -57,14 +57,18 @@ class Fleet:
             thread.join()
 
 
-class Seen:
-    """A page that is open."""
+class BrowserPage:
+    """A page of any kind in a browser, and the fleet that it shows."""
 
     def __init__(self, browser: Chrome, stand: WebStand, fleet: Fleet) -> None:
         self.browser, self.stand, self.fleet = browser, stand, fleet
 
     def run(self, script: str, *arguments: Any) -> Any:
         return self.browser.execute_script(script, *arguments)
+
+
+class Seen(BrowserPage):
+    """A page that is open."""
 
     def text(self, name: str) -> str:
         return str(self.browser.find_element(By.ID, name).text)

@@ -4,7 +4,6 @@ import base64
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import cv2
 import httpx
@@ -25,7 +24,7 @@ from robofleet.safety.supervisor import Event, Phase
 from robofleet.simulation.run_picture import RunPicture
 from robofleet.vehicles.differential_drive import body_from_wheels
 from tests.operator.page.browser import show_as
-from tests.operator.page.openpage import SOON_S, Fleet
+from tests.operator.page.openpage import SOON_S, BrowserPage, Fleet
 from tests.operator.page.test_web_projector import hanging
 from tests.operator.page.webstand import WebStand, placed, web_stand
 from tests.projection.projectors import SIZE, on_floor, tilted
@@ -43,14 +42,8 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebStand]:
         yield stand
 
 
-class Lit:
+class Lit(BrowserPage):
     """A projector's page that is open."""
-
-    def __init__(self, browser: Chrome, stand: WebStand, fleet: Fleet) -> None:
-        self.browser, self.stand, self.fleet = browser, stand, fleet
-
-    def run(self, script: str, *arguments: Any) -> Any:
-        return self.browser.execute_script(script, *arguments)
 
     def becomes(self, condition: str) -> None:
         assert wait(lambda: self.run(f"return {condition}"), SOON_S), self.run("return document.body.innerText")

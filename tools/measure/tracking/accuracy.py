@@ -11,7 +11,6 @@ twice. The rms are of the rest. The bound is Cramer and Rao's: the least rms tha
 greys can have, with gain, offset and a slope of the light unknown (and no cable).
 """
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -27,7 +26,7 @@ from tests.tracking.peers import CANDIDATES, UNTIMED, Setting
 from tests.tracking.raycamera import RayCamera
 from tests.tracking.raycast import SQUARES, Cable, Print, RayCaster, along, clutter
 from tools.measure.program import program
-from tools.measure.tracking.score import Score, rms
+from tools.measure.tracking.score import Score, print_tables, rms
 
 SIDE, HEIGHT = 0.07, 0.08
 SIZE = (1920, 1080)
@@ -193,23 +192,14 @@ def main() -> None:
     if arguments.frames < 1:
         parser.error(f"--frames {arguments.frames}: at least 1")
     cv2.setNumThreads(1)
-    tables = {}
-    for title, scene in scenes.items():
+    frames = [math.ceil(arguments.frames / len(_DRIVES))] * len(_DRIVES)
+
+    def rows(scene: Scene) -> dict[str, dict[str, float]]:
         shown = [name for name in names if name != UNTIMED or scene.line_time]
-        tables[title] = evaluate(scene, [*shown, BOUND], [math.ceil(arguments.frames / len(_DRIVES))] * len(_DRIVES))
-        if not arguments.json:
-            _show(title, tables[title])
-    if arguments.json:
-        print(json.dumps(tables))
+        return evaluate(scene, [*shown, BOUND], frames)
 
-
-def _show(title: str, rows: dict[str, dict[str, float]]) -> None:
-    widths = {"rms_mm": 8, "max_mm": 8, "mean_mm": 8, "rms_deg": 8, "max_deg": 8, "measured": 9, "wrong": 6}
-    print(f"{title:<30}" + "".join(f"{column:>{width + 1}}" for column, width in widths.items()))
-    for name, row in rows.items():
-        cells = (f"{row[c]:>{w + 1}.4g}" if c in row else " " * w + "-" for c, w in widths.items())
-        print(f"  {name:<28}" + "".join(cells), flush=True)
-    print()
+    widths = {"rms_mm": 9, "max_mm": 9, "mean_mm": 9, "rms_deg": 9, "max_deg": 9, "measured": 10, "wrong": 7}
+    print_tables(((title, rows(scene)) for title, scene in scenes.items()), widths, 30, as_json=arguments.json)
 
 
 if __name__ == "__main__":

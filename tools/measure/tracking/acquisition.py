@@ -10,7 +10,6 @@ many of all images; what was said that is wrong: of no such tag, or of a tag ove
 largest error [mm]; the median time of an image [ms].
 """
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -29,7 +28,7 @@ from tests.tracking.raycast import BLACK, SQUARES, WHITE, Cable, Print, RayCaste
 from tools.measure.program import program
 from tools.measure.tracking.accuracy import HEIGHT, PERIOD, SIDE, SIZE, camera, cell_wide
 from tools.measure.tracking.accuracy import Scene as Quality
-from tools.measure.tracking.score import WRONG
+from tools.measure.tracking.score import WRONG, print_tables
 
 IMAGES = 10  # a trial
 TAGS = 8
@@ -185,22 +184,9 @@ def main() -> None:
     if arguments.trials < 1:
         parser.error(f"--trials {arguments.trials}: at least 1")
     cv2.setNumThreads(1)
-    tables = {}
-    for title, scene in scenes.items():
-        tables[title] = evaluate(scene, names, arguments.trials)
-        if not arguments.json:
-            _show(title, tables[title])
-    if arguments.json:
-        print(json.dumps(tables))
-
-
-def _show(title: str, rows: dict[str, dict[str, float]]) -> None:
-    columns = ("acquired", "seen", "wrong", "rms_mm", "max_mm", "p50_ms", "max_ms")
-    print(f"{title:<44}" + "".join(f"{column:>9}" for column in columns))
-    for name, row in rows.items():
-        cells = (f"{row[c]:>9.4g}" if c in row else " " * 8 + "-" for c in columns)
-        print(f"  {name:<42}" + "".join(cells), flush=True)
-    print()
+    widths = dict.fromkeys(("acquired", "seen", "wrong", "rms_mm", "max_mm", "p50_ms", "max_ms"), 9)
+    tables = ((title, evaluate(scene, names, arguments.trials)) for title, scene in scenes.items())
+    print_tables(tables, widths, 44, as_json=arguments.json)
 
 
 if __name__ == "__main__":

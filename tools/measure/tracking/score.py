@@ -1,7 +1,8 @@
 """Errors of tags that were placed, and whether their covariances are true."""
 
+import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -45,6 +46,26 @@ class Score:
             "mean_mm": math.hypot(x.mean(), y.mean()),
             "measured": len(self.errors) / self.tags, "wrong": self.wrong,
         }  # fmt: skip
+
+
+def print_tables(
+    tables: Iterable[tuple[str, dict[str, dict[str, float]]]], widths: Mapping[str, int], first: int, *, as_json: bool
+) -> None:
+    """Print each scene's rows as soon as they are there, or all of them as one JSON object.
+
+    ``widths``: of the columns, by the keys of the rows; ``first``: of the column of names.
+    """
+    found = {}
+    for title, rows in tables:
+        found[title] = rows
+        if not as_json:
+            print(f"{title:<{first}}" + "".join(f"{column:>{width}}" for column, width in widths.items()))
+            for name, row in rows.items():
+                cells = (f"{row[c]:>{w}.4g}" if c in row else f"{'-':>{w}}" for c, w in widths.items())
+                print(f"  {name:<{first - 2}}" + "".join(cells), flush=True)
+            print()
+    if as_json:
+        print(json.dumps(found))
 
 
 def rms(values: Array) -> float:
