@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from robofleet.simulation.compiled_c import compiled
-from robofleet.simulation.firmware_library import SOURCES, files
+from robofleet.simulation.firmware_library import SOURCES, image_files
 from tests.simulation.rfp_host import RfpHost
 
 BAUD = 250000
@@ -152,4 +152,4 @@ def image(board: str, baud: int, counts_per_turn: float) -> Path:
         elf = folder / f"{board}.elf"
         subprocess.run(["arm-none-eabi-objcopy", "-O", "binary", elf, elf.with_suffix(".bin")], check=True)
 
-    return compiled(board, [flags.encode(), *(file.read_bytes() for file in files())], make) / f"{board}.bin"
+    return compiled(board, [flags.encode(), *(file.read_bytes() for file in image_files())], make) / f"{board}.bin"
