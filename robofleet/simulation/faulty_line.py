@@ -84,7 +84,7 @@ class Ledger:
     def __init__(self, firmware: Firmware, hardware: Hardware, healthy: Firmware, spare: Hardware) -> None:
         self.wrong = 0
         self.furthest = 0.0  # of a wrong target from everything that was sent, of one wheel [rad/s]
-        self.longest_ns = 0  # that a wrong target was kept
+        self.longest_ns = 0  # that wrong targets lasted, one after the other
         self._firmware, self._hardware, self._healthy, self._spare = firmware, hardware, healthy, spare
         self._sent: dict[WheelSpeeds, int] = {}  # when the healthy one aimed at it last [ns]
         self._target = STOP

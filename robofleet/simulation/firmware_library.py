@@ -48,7 +48,7 @@ def firmware_library(built_in: Mapping[str, object], sources: Path = SOURCES, *f
     return Library(ffi, ffi.dlopen(str(target / "firmware")))
 
 
-def files() -> list[Path]:
+def image_files() -> list[Path]:
     """Return the files that decide an image: all but guides and what was built."""
     found = (file for file in sorted(SOURCES.rglob("*")) if file.is_file() and file.suffix != ".md")
     return [file for file in found if "build" not in file.relative_to(SOURCES).parts]

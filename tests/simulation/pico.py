@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from robofleet.simulation.compiled_c import compiled
-from robofleet.simulation.firmware_library import SOURCES, files
+from robofleet.simulation.firmware_library import SOURCES, image_files
 from tests.simulation.rfp_host import RfpHost
 
 BAUD = 250000
@@ -164,5 +164,5 @@ def flashed(name: str, baud: int, counts_per_turn: float) -> bytes:
         command = ["make", "-sC", str(SOURCES), board, f"RFP={flags}", f"BUILD={folder}"]
         subprocess.run(command, check=True, capture_output=True)
 
-    content = [flags.encode(), *(file.read_bytes() for file in files())]
+    content = [flags.encode(), *(file.read_bytes() for file in image_files())]
     return (compiled(board, content, make) / name).read_bytes()

@@ -121,7 +121,7 @@ def image(name: str, *flags: str) -> Path:
     if missing := [tool for tool in ("make", "avr-gcc") if shutil.which(tool) is None]:
         raise NoAvrError(f"NO AVR: no {' and no '.join(missing)} here: install Debian's gcc-avr, avr-libc and make")
     make = ["make", "-sC", str(firmware_library.SOURCES), name, f"RFP={' '.join(flags)}"]
-    return _built(f"{name}.elf", firmware_library.files(), flags, lambda folder: [*make, f"BUILD={folder}"])
+    return _built(f"{name}.elf", firmware_library.image_files(), flags, lambda folder: [*make, f"BUILD={folder}"])
 
 
 @cache
