@@ -114,6 +114,11 @@ int32_t board_encoder(enum board_side side)
 #ifdef CONFIG_ROBOFLEET_UDP
 static struct udp udp;
 
+_Static_assert(sizeof CONFIG_ROBOFLEET_WIFI_SSID - 1u >= 1u && sizeof CONFIG_ROBOFLEET_WIFI_SSID - 1u <= 32u,
+    "name of the Wi-Fi: 1 to 32 characters, in idf.py menuconfig");
+_Static_assert(sizeof CONFIG_ROBOFLEET_WIFI_PASSWORD - 1u >= 8u && sizeof CONFIG_ROBOFLEET_WIFI_PASSWORD - 1u <= 63u,
+    "password of the Wi-Fi: 8 to 63 characters, in idf.py menuconfig");
+
 static void on_wifi(void *argument, esp_event_base_t base, int32_t event, void *data)
 {
     (void)argument;
@@ -129,8 +134,8 @@ static void start_line(void)
     const wifi_init_config_t init = WIFI_INIT_CONFIG_DEFAULT();
     wifi_config_t wifi = {0};
 
-    memcpy(wifi.sta.ssid, CONFIG_ROBOFLEET_WIFI_SSID, strnlen(CONFIG_ROBOFLEET_WIFI_SSID, sizeof wifi.sta.ssid));
-    memcpy(wifi.sta.password, CONFIG_ROBOFLEET_WIFI_PASSWORD, strnlen(CONFIG_ROBOFLEET_WIFI_PASSWORD, sizeof wifi.sta.password));
+    memcpy(wifi.sta.ssid, CONFIG_ROBOFLEET_WIFI_SSID, sizeof CONFIG_ROBOFLEET_WIFI_SSID - 1u);
+    memcpy(wifi.sta.password, CONFIG_ROBOFLEET_WIFI_PASSWORD, sizeof CONFIG_ROBOFLEET_WIFI_PASSWORD - 1u);
     wifi.sta.threshold.authmode = WIFI_AUTH_WPA2_PSK; /* an open network is no network of robots */
     ESP_ERROR_CHECK(esp_netif_init());
     ESP_ERROR_CHECK(esp_event_loop_create_default());
