@@ -24,9 +24,9 @@ from robofleet.control.platoon import follow
 from robofleet.control.prediction import compile_plant
 from robofleet.control.wheels import feasible_ratio, wheels_from_body
 from robofleet.core.arrays import Array
+from robofleet.experiments.platoon import driven
 from robofleet.experiments.results import Cell, Table
 from robofleet.recording.run import Run
-from robofleet.runs.lockstep import Lockstep
 from robofleet.vehicles.plant import built
 
 _STATES = 14  # of a robot's plant
@@ -173,12 +173,7 @@ def driven_platoon(name: str, seed: int, changes: Mapping[str, Any]) -> Run:
     group = tree.groups[0]
     settings = {**group.settings, **changes.get("settings", {})}
     changed = group.model_copy(update={**changes, "settings": settings})
-    config = tree.model_copy(update={"groups": (changed, *tree.groups[1:])})
-    lockstep = Lockstep(config)
-    outcome, cause = lockstep.run()
-    if outcome != "completed":
-        raise RuntimeError(f"{name} ended: {cause}")
-    return Run(lockstep.recording)
+    return driven(tree.model_copy(update={"groups": (changed, *tree.groups[1:])}), name)
 
 
 def exact_robots(config: Config) -> list[list[list[float]]]:

@@ -69,14 +69,19 @@ def run(parameters: PlatoonParameters) -> Result:
 
 def drive(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Drive:
     config = scaled(parameters, base, robots, integrator)
-    lockstep = Lockstep(config)
-    outcome, cause = lockstep.run()
-    if outcome != "completed":
-        raise RuntimeError(f"the platoon of {robots} ended: {cause}")
-    found = Run(lockstep.recording)
+    found = driven(config, f"the platoon of {robots}")
     (recorded,) = found.group_figures
     view = RunView(found, {"stops": []}) if robots == len(base.members) else None
     return Drive(found.t, recorded.figures["control_error"], found.points(), view)
+
+
+def driven(config: Config, what: str) -> Run:
+    """Return a run in lockstep, which must come to its end."""
+    lockstep = Lockstep(config)
+    outcome, cause = lockstep.run()
+    if outcome != "completed":
+        raise RuntimeError(f"{what} ended: {cause}")
+    return Run(lockstep.recording)
 
 
 def scaled(parameters: PlatoonParameters, base: Config, robots: int, integrator: Integrator) -> Config:

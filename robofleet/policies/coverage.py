@@ -13,7 +13,7 @@ from robofleet.behaviours.interface import Team
 from robofleet.core.arrays import Array, Indices
 from robofleet.core.kernels import kernel
 from robofleet.core.settings import Model, within
-from robofleet.policies.interface import Task, TaskView, Term, top_speeds
+from robofleet.policies.interface import MOTION, Task, TaskView, Term, top_speeds
 from robofleet.policies.observations import NEIGHBOUR, nearness, neighbours, rays
 
 _BEARINGS = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
@@ -41,9 +41,8 @@ class Coverage(Task):
 
     @property
     def terms(self) -> Sequence[Term]:
-        own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
         return (
-            *own,
+            *MOTION,
             Term("rays", len(_BEARINGS), "m", 1.0),
             Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 1.0),
         )

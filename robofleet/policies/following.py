@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robofleet.core.arrays import Array
-from robofleet.policies.interface import Task, TaskView, Term
+from robofleet.policies.interface import MOTION, Task, TaskView, Term
 from robofleet.policies.observations import NEIGHBOUR, away, in_frames, nearness, neighbours
 
 _NEIGHBOURS = 2
@@ -38,8 +38,7 @@ class Following(Task):
     @property
     def terms(self) -> Sequence[Term]:
         target, velocity = Term("target", 2, "m", 0.25), Term("target_velocity", 2, "m/s", 0.2)
-        own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
-        return target, velocity, *own, Term("neighbours", NEIGHBOUR * _NEIGHBOURS, "m", 0.5)
+        return target, velocity, *MOTION, Term("neighbours", NEIGHBOUR * _NEIGHBOURS, "m", 0.5)
 
     def observe(self, view: TaskView) -> Sequence[Array]:
         targets = self._targets(view)

@@ -10,7 +10,7 @@ from robofleet.behaviours.go_to import Goal
 from robofleet.behaviours.interface import Dots, Refusal, Shape, Team
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.settings import ROBOTS, Model, Name, within
-from robofleet.policies.interface import Task, TaskView, Term, top_speeds
+from robofleet.policies.interface import MOTION, Task, TaskView, Term, top_speeds
 from robofleet.policies.observations import NEIGHBOUR, away, drawn_poses, in_frames, nearness, neighbours
 
 
@@ -40,8 +40,7 @@ class GoTo(Task):
 
     @property
     def terms(self) -> Sequence[Term]:
-        own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
-        return Term("goal", 2, "m", 1.0), *own, Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
+        return Term("goal", 2, "m", 1.0), *MOTION, Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
 
     def observe(self, view: TaskView) -> Sequence[Array]:
         near = neighbours(view, self.settings.neighbours, self.settings.range_m)

@@ -41,6 +41,9 @@ class Term(NamedTuple):
     scale: float = 1.0
 
 
+MOTION = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)  # of a robot itself
+
+
 @dataclass(frozen=True, kw_only=True)
 class TaskView:
     """The arenas (A,) at one tick, when its commands act.

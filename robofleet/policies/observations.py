@@ -89,14 +89,13 @@ def gaps(poses: Array, others: Array, radii: Array, arena: tuple[float, float], 
     return found
 
 
-def drawn_poses(team: Team, count: int, rng: "np.random.Generator", taken: Array | None = None) -> Array:
+def drawn_poses(team: Team, count: int, rng: "np.random.Generator") -> Array:
     """Draw poses for the robots with free way around each, in ``count`` arenas.
 
     Args:
         team: The robots, their bodies, the arena with its obstacles, the bystanders.
         count: K.
         rng: Random numbers.
-        taken: Points (K, T, 2) [m; world] that the poses stay away from, too. None: none.
 
     Returns:
         Poses (K, N, 3): x, y [m], psi [rad; world].
@@ -110,7 +109,6 @@ def drawn_poses(team: Team, count: int, rng: "np.random.Generator", taken: Array
     half = np.array(team.arena) / 2.0 - edge
     still = [pose[:2] for _, _, pose in team.bystanders if pose is not None]
     bodies = np.broadcast_to(np.array(still).reshape(-1, 2), (count, len(still), 2))
-    bodies = bodies if taken is None else np.concatenate([bodies, taken], axis=1)
     poses = np.full((count, n, 3), np.nan)
     poses[..., 2] = rng.uniform(-np.pi, np.pi, (count, n))
     for robot in range(n):

@@ -8,7 +8,7 @@ import numpy as np
 from robofleet.behaviours.interface import Team
 from robofleet.core.arrays import Array, Flags, Indices
 from robofleet.core.settings import Model, within
-from robofleet.policies.interface import Task, TaskView, Term, top_speeds
+from robofleet.policies.interface import MOTION, Task, TaskView, Term, top_speeds
 from robofleet.policies.observations import NEIGHBOUR, away, in_frames, nearness, neighbours, rays
 
 _BEARINGS = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
@@ -37,8 +37,7 @@ class Pursuit(Task):
     @property
     def terms(self) -> Sequence[Term]:
         near = Term("neighbours", NEIGHBOUR * self.settings.neighbours, "m", 0.5)
-        own = Term("speed", 1, "m/s", 0.2), Term("turn_rate", 1, "rad/s", 3.0)
-        return Term("flees", 1), Term("prey", 2, "m", 1.0), *own, Term("rays", len(_BEARINGS), "m", 1.0), near
+        return Term("flees", 1), Term("prey", 2, "m", 1.0), *MOTION, Term("rays", len(_BEARINGS), "m", 1.0), near
 
     def observe(self, view: TaskView) -> Sequence[Array]:
         s, poses, others = self.settings, view.poses, view.others

@@ -14,7 +14,7 @@ import inspect
 import sys
 import types
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import llvmlite
 import numba
@@ -25,6 +25,7 @@ from numba.core.compiler import Compiler
 from numba.core.dispatcher import Dispatcher
 
 from robofleet.core.errors import UnknownMeaningError
+from robofleet.core.kernels import Kernel
 
 # what they compile to is known from their name and the version
 _LIBRARIES = {"numpy", "numba", "math", "cmath", "operator", "builtins"}
@@ -72,16 +73,6 @@ INNER = {"no_cpython_wrapper": True, "forceinline": True, "pipeline_class": Inne
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
 
-@runtime_checkable
-class LazyFunction(Protocol):
-    """A function that is compiled when it is called."""
-
-    py_func: Callable[..., Any]
-
-    def meaning(self) -> str:
-        """Return its digest."""
-
-
 def digest_of(function: Callable[..., Any], options: object) -> str:
     """Return the digest of what a function, compiled with ``options``, means now.
 
@@ -121,7 +112,7 @@ class _Walk:
 
     def digest(self, function: Callable[..., Any], options: object) -> str:
         self._say("versions", *_VERSIONS, "options", repr(options), repr(INNER))
-        plain = function.py_func if isinstance(function, Dispatcher | LazyFunction) else function
+        plain = function.py_func if isinstance(function, Dispatcher | Kernel) else function
         if not isinstance(plain, types.FunctionType):
             raise UnknownMeaningError(f"expected a Python function, got a {type(function).__name__}")
         self.top = self._function(plain, numba.njit(**self._options))
@@ -158,7 +149,7 @@ class _Walk:
         return value
 
     def _by_name_or_code(self, value: Any, name: str) -> Any:
-        if isinstance(value, LazyFunction):
+        if isinstance(value, Kernel):
             if _is_ours(value.py_func):
                 self._say("kernel", value.meaning())
                 return value

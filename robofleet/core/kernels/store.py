@@ -32,6 +32,7 @@ from robofleet.core.files import open_plain
 from robofleet.core.folders import kernels_folder
 from robofleet.core.kernels import SHIPPED, label
 
+folder: Callable[[], Path] = kernels_folder  # another one in tests, and where a wheel is built
 _TURN_EVERY_NS, _LONGEST_WAIT_NS = 20 * MS, 60 * S
 _LARGEST = 256_000_000  # bytes in the folder; those that nobody has read for longest go first
 _CHECK = 16  # bytes of digest before the content
@@ -48,11 +49,6 @@ _SHIPPED_CPU_FEATURES = (
     "popcnt",
     "xsave",
 )  # LLVM's names
-
-
-def folder() -> Path:
-    """Return where they are kept: in this user's cache."""
-    return kernels_folder()
 
 
 def labels() -> frozenset[str]:

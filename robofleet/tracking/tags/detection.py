@@ -226,11 +226,6 @@ def tiles(size: tuple[int, int], count: tuple[int, int], overlap: float) -> list
     ]
 
 
-def wrapped(psi: float) -> float:
-    """Return an angle in [-pi, pi] [rad]."""
-    return math.remainder(psi, math.tau)
-
-
 def _parameters() -> cv2.aruco.DetectorParameters:
     parameters = cv2.aruco.DetectorParameters()
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = 13

@@ -25,7 +25,7 @@ from robofleet.tracking.camera import CameraGeometry
 from robofleet.tracking.events import News, Notice, TrackerEvent
 from robofleet.tracking.offset import UNKNOWN, Covariance
 from robofleet.tracking.tags.deep import DeepSearch
-from robofleet.tracking.tags.detection import Findings, Region, Sweep, TagDetector, tiles, wrapped
+from robofleet.tracking.tags.detection import Findings, Region, Sweep, TagDetector, tiles
 from robofleet.tracking.tags.imaging import Imaging
 from robofleet.tracking.tags.motion import measure, predict
 from robofleet.tracking.tags.photometric import NOBODY, Fit, Found, PhotometricFit, side_px
@@ -294,7 +294,7 @@ class TagTracker:
                 self._say(TrackerEvent.TAG_LOST, i, coasted_ns * 1e-9, exposure_ns)
                 continue
             centre, psi, _ = predict(np.array([i]), exposure_ns, np.zeros(2), *self._motion)
-            pose = (float(centre[0].real), float(centre[0].imag), wrapped(float(psi[0])))
+            pose = (float(centre[0].real), float(centre[0].imag), math.remainder(float(psi[0]), math.tau))
             poses.append(TagSighting(self._targets[i].tag, *pose, 0, max(1, coasted_ns), UNKNOWN))
         return poses
 
