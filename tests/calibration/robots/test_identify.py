@@ -135,18 +135,13 @@ def test_a_robot_without_dead_band_has_none_and_bends_nothing_else(smooth: Robot
 
 
 @pytest.mark.slow
-def test_outliers_and_missing_images_change_little(driven: Make) -> None:
-    drive, truth = driven(lost=0.2), true(1)
-    rng, poses = np.random.default_rng(3), drive.poses.copy()
-    wrong = rng.choice(len(poses), 40, replace=False)
-    poses[wrong] += rng.normal(size=(40, 3)) * (0.02, 0.02, 0.5)
-    found = found_in(replace(drive, poses=poses))
-    wheels = found.wheels
-    assert 30 <= found.left_out <= 90
-    assert wheels.left_radius_m == pytest.approx(truth.left_radius_m, rel=0.002)
-    assert (wheels.delay_s, wheels.motor_lag_s) == pytest.approx((truth.delay_s, truth.motor_lag_s), abs=0.001)
-    assert (wheels.tag_forward_m, wheels.tag_left_m) == pytest.approx((truth.tag_forward_m, truth.tag_left_m), abs=6e-5)
-    assert wheels.tag_heading_rad == pytest.approx(truth.tag_heading_rad, abs=math.radians(0.04))
+def test_outliers_are_left_out(worn: RobotDrive) -> None:
+    rng, poses = np.random.default_rng(3), worn.poses.copy()
+    wrong = rng.choice(len(poses), 25, replace=False)
+    poses[wrong] += rng.normal(size=(25, 3)) * (0.02, 0.02, 0.5)
+    found = found_in(replace(worn, poses=poses))
+    assert 20 <= found.left_out <= 40
+    assert found.wheels.left_radius_m == pytest.approx(true(1).left_radius_m, rel=0.002)
 
 
 def test_a_recording_that_says_too_little_is_refused(worn: RobotDrive) -> None:

@@ -58,6 +58,17 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive, *, counting: bool) 
 
 
 @pytest.mark.slow
+def test_outliers_and_missing_images_change_little(driven: Make) -> None:
+    drive = driven(lost=0.2)
+    rng, poses = np.random.default_rng(3), drive.poses.copy()
+    wrong = rng.choice(len(poses), 30, replace=False)
+    poses[wrong] += rng.normal(size=(30, 3)) * (0.02, 0.02, 0.5)
+    found = find(replace(drive, poses=poses))
+    assert (found.delay_s, found.motor_lag_s) == pytest.approx((0.043, 0.06), abs=0.001)
+    assert 20 <= found.found.left_out <= 70
+
+
+@pytest.mark.slow
 def test_too_little_is_refused(worn: RobotDrive) -> None:
     def refusal(drive: RobotDrive) -> str:
         with pytest.raises(CalibrationError) as refused:

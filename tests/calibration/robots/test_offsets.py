@@ -69,6 +69,22 @@ def test_sigma_is_what_drives_scatter_by(smooth: RobotDrive) -> None:
     assert (scatter < 2.0).all()
 
 
+def test_outliers_change_little_and_are_counted(worn: RobotDrive) -> None:
+    rng, poses = np.random.default_rng(3), worn.poses.copy()
+    wrong = rng.choice(len(poses), 40, replace=False)
+    poses[wrong] += rng.normal(size=(40, 3)) * (0.02, 0.02, 0.5)
+    found = find(replace(worn, poses=poses))
+    assert 30 <= found.found.left_out <= 90
+    assert np.abs(found.values[:2] - TRUE_TAG[:2]).max() < 0.00006
+    assert abs(found.values[2] - TRUE_TAG[2]) < 0.04
+
+
+def test_missing_images_do_no_harm(driven: Make) -> None:
+    found = find(driven(lost=0.2))
+    assert np.abs(found.values[:2] - TRUE_TAG[:2]).max() < 0.00005
+    assert abs(found.values[2] - TRUE_TAG[2]) < 0.03
+
+
 def test_a_robot_is_measured_by_what_reached_it_and_when(driven: Make) -> None:
     """On a busy machine commands come late: a way that was asked for is not one that was told."""
     found = find(driven(late=15_000_000))
