@@ -286,7 +286,7 @@ class CameraSettings(Model):
     """Exposure time of each row; with ``exposure_control: auto`` the first one."""
     exposure_control: Literal["fixed", "auto"] | None = None
     """``auto``: exposure time and gain follow the light slowly, and white paper stays below saturation. null: ``auto``
-    with ``v4l2`` and ``basler``, since daylight changes more in an hour than a print bears; ``fixed`` with others, and
+    with ``v4l2`` and ``basler``, since daylight changes too much in an hour; ``fixed`` with others, and
     with a Basler that a line triggers, since that trigger cannot move with the exposure."""
     exposure: ExposureSettings = ExposureSettings()
     """Aim and limits of ``exposure_control: auto``."""

@@ -72,12 +72,12 @@ class Robot(Model):
     id: Name
     """Name of the robot on the bus, in messages and in the summary."""
     tag: Annotated[int, Field(ge=0, le=UNTAGGED)] = UNTAGGED
-    """Id of its AprilTag, of the family ``tracker.family``, where a camera must see it. 65535: it wears none; messages
-    then name it by the lowest number that is free."""
+    """Id of its AprilTag, of the family ``tracker.family``, where a camera must see it. 65535: it has none; messages
+    then use the lowest free number."""
     body: Annotated[str, Field(min_length=1, max_length=100)] | None = None
     """Name of its body in the motion capture (``tracker.source: mocap``); null: its id."""
     unit: Name | None = None
-    """Name of the driver process that drives it, with all robots of the same unit; null: ``drivers`` says it."""
+    """Name of the driver process that drives it, with all robots of the same unit; null: see ``drivers``."""
     tag_height_m: Height | None = None
     """Height of its tag above the floor; null: ``tracker.tag_height_m``."""
     driver: Named = "simulated"
@@ -93,7 +93,7 @@ class Robot(Model):
     vehicle: Vehicle
     """Kind of the robot."""
     sensors: bool = False
-    """``true``: its driver tells what its sensors (``vehicle.sensors``) measure. The law does not use them."""
+    """``true``: its driver reads its sensors (``vehicle.sensors``). The law does not use them."""
     calibration: RobotCalibration | None = None
     """What ``robofleet calibrate`` measured of the robot; null: nothing was measured."""
     park: StartPose | None = None

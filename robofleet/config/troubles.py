@@ -101,7 +101,7 @@ class LineFault(Timed):
 
 
 class PoseFault(Timed):
-    """The tracker does not see a robot's tag, or sees it twice and believes neither."""
+    """The tracker does not see a robot's tag, or sees it twice and rejects both."""
 
     kind: Literal["pose_dropout", "duplicate_tag"]
     """``pose_dropout``: the tag is not seen. ``duplicate_tag``: the tag is seen twice."""

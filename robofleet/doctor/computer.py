@@ -31,7 +31,7 @@ def cores(needs: Needs) -> Iterator[Finding]:
     one_minute, five_minutes, _ = os.getloadavg()
     says = f"{count:g} cores, load {one_minute:.1f} (over five minutes {five_minutes:.1f})"
     if one_minute >= count:
-        yield Finding("cores", Mark.WARN, f"{says}: this machine is busy", "end other programs, else ticks come late")
+        yield Finding("cores", Mark.WARN, f"{says}: this machine is busy", "end other programs, or ticks come late")
     elif count < wanted:
         why = "the tracker and the controller work" if wanted == 2 else "the trackers of all cameras work"
         yield Finding("cores", Mark.WARN, says, f"take {wanted} cores or more: {why} at once")
@@ -80,12 +80,12 @@ def clock(_needs: Needs) -> Iterator[Finding]:
     name, right = clock_name(), date_is_synchronised()
     if name != "CLOCK_BOOTTIME":
         cure = "do not let this machine sleep during a run: its clock then stands still"
-        yield Finding("clock", Mark.WARN, f"ticks by {name}: there is no CLOCK_BOOTTIME", cure)
+        yield Finding("clock", Mark.WARN, f"ticks use {name}: there is no CLOCK_BOOTTIME", cure)
     elif right is False:
-        cure = "`timedatectl set-ntp true`: recordings have this date, ticks do not need it"
-        yield Finding("clock", Mark.WARN, f"ticks by {name}; the date is not synchronised", cure)
+        cure = "`timedatectl set-ntp true`: this affects the dates in recordings, not the ticks"
+        yield Finding("clock", Mark.WARN, f"ticks use {name}; the date is not synchronised", cure)
     else:
-        yield ok("clock", f"ticks by {name}; the date is {'synchronised' if right else 'not looked at'}")
+        yield ok("clock", f"ticks use {name}; the date is {'synchronised' if right else 'not checked'}")
 
 
 def browser(needs: Needs) -> Iterator[Finding]:

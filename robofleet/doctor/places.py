@@ -50,7 +50,7 @@ def bus(needs: Needs) -> Iterator[Finding]:
     """The folder of the bus's socket is this user's alone; what is asked for can be listened at."""
     try:
         if needs.config is None:
-            yield ok("bus", f"{private_folder()} is this user's alone")
+            yield ok("bus", f"{private_folder()} can be entered by this user only")
             return
         config = settled(needs.config, listen=needs.whole_run)
         if needs.whole_run:  # else the router of the run may be there

@@ -74,7 +74,7 @@ def serial_ports(needs: Needs) -> Iterator[Finding]:
         yield ok("which robot", "`robofleet doctor --ask all` opens the ports and says which robot answers at each")
     built_in = [candidate.path for candidate in ports if candidate.usb is None]
     if built_in:
-        yield ok("built-in ports", f"{', '.join(built_in)}: looked at only where a configuration names them")
+        yield ok("built-in ports", f"{', '.join(built_in)}: checked only if a configuration names them")
     if not ports:
         yield ok("serial ports", "no adapter is plugged in")
     if shutil.which("brltty"):
