@@ -43,7 +43,7 @@
 _Static_assert(RFP_COUNTS_PER_TURN >= 20 && RFP_COUNTS_PER_TURN <= 200000, "RFP_COUNTS_PER_TURN: 20 to 200000");
 _Static_assert(RFP_WHEEL_RADIUS_M >= 0.001 && RFP_WHEEL_RADIUS_M <= 1, "RFP_WHEEL_RADIUS_M: 0.001 to 1, in metres");
 _Static_assert(RFP_BAUD >= 57600, "RFP_BAUD: at least 57600");
-#ifdef RFP_UART_HZ /* the baud rate of the board's UART, which divides it by a whole number; from the Makefile */
+#ifdef RFP_UART_HZ /* the Makefile gives it: the board's UART divides it by a whole number */
 #define RFP_DIVISOR ((RFP_UART_HZ + RFP_BAUD / 2) / RFP_BAUD)
 _Static_assert(RFP_DIVISOR > 0 && 40 * (RFP_UART_HZ - RFP_DIVISOR * RFP_BAUD) <= RFP_UART_HZ
                    && 40 * (RFP_DIVISOR * RFP_BAUD - RFP_UART_HZ) <= RFP_UART_HZ,
