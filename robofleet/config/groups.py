@@ -47,6 +47,8 @@ def load_kind(name: str) -> type[Behaviour]:
     found: type[Behaviour] = load(GROUP, name)
     if not issubclass(found, Behaviour):
         raise PluginError(f"{name!r} is not a behaviour: derive it from robofleet.behaviours.Behaviour")
+    if not issubclass(found.Settings, Behaviour.Settings):
+        raise PluginError(f"{name!r} has Settings of another kind: derive them from Behaviour.Settings")
     if found.decide is Behaviour.decide:
         raise PluginError(f"{name!r} decides nothing: write its method `decide`")
     return found
