@@ -43,7 +43,7 @@ def load(group: str, name: str) -> Any:
     try:
         found = getattr(import_module(module), attribute) if ":" in name else points[name].load()
     except Exception as error:
-        where = raised_in(error)
+        where = _raised_in(error)
         mend = "mend its name, or install its package"
         if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
             mend += f", or put {error.name}.py beside the configuration"
@@ -64,7 +64,12 @@ def known(group: str) -> list[str]:
     return sorted(_points(group))
 
 
-def raised_in(error: Exception) -> str | None:
+def blamed(error: Exception) -> str:
+    """Return what a plug-in has raised, and where to mend it."""
+    return f"raised {type(error).__name__}: {error}: mend {_raised_in(error)}"
+
+
+def _raised_in(error: Exception) -> str | None:
     """Return the file and line, outside installed packages if there is one, that raised; None: nothing was loaded."""
     if isinstance(error, SyntaxError):
         return f"line {error.lineno} of {error.filename}"

@@ -7,7 +7,7 @@ from robofleet.behaviours.interface import Behaviour, Bound, Dots, Figure, Line,
 from robofleet.config import groups
 from robofleet.config.faults import Complaint
 from robofleet.config.tree import Config
-from robofleet.core.plugins import raised_in
+from robofleet.core.plugins import blamed
 
 
 def complaints(config: Config) -> Iterator[Complaint]:
@@ -24,8 +24,7 @@ def complaints(config: Config) -> Iterator[Complaint]:
             if isinstance(error, ValueError) and not made:
                 yield f"groups.{i}.settings", f"{group.behaviour} cannot be made of them: {error}"
             else:
-                words = f"{type(error).__name__}: {error}: mend {raised_in(error) or 'the class'}"
-                yield f"groups.{i}.behaviour", f"{group.behaviour} raised {words}"
+                yield f"groups.{i}.behaviour", f"{group.behaviour} {blamed(error)}"
 
 
 def _unusable(behaviour: Behaviour) -> Iterator[str]:
