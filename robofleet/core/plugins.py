@@ -20,6 +20,7 @@ from robofleet.core.errors import RobofleetError
 
 _KINDS = {"robofleet.poses": "source of poses"}  # where the group's name is not that of one of it in the plural
 _NONE = "none: install robofleet, or add it as `module:Class`"
+_INSTALLED = "/lib/python"  # in the paths of Python's own modules, and of packages
 _HANDED = "ROBOFLEET_MODULES"  # environment of the processes started from here: the folders to search last, as JSON
 
 
@@ -52,7 +53,8 @@ def load(group: str, name: str) -> Any:
             mend = f"mend {where or 'its name'}: import it from `robofleet` itself, whose modules move (UPGRADING.md)"
         elif where is not None:
             mend = f"mend {where}"
-        raise PluginError(f"{name!r} cannot be loaded: {error}: {mend}") from error
+        reason = str(error).partition("\n")[0]
+        raise PluginError(f"{name!r} cannot be loaded: {reason}: {mend}") from error
     if not isinstance(found, type):
         raise PluginError(f"{name!r} is not a class: mend its name")
     return found
@@ -62,12 +64,18 @@ def known(group: str) -> list[str]:
     return sorted(_points(group))
 
 
+def blamed(error: Exception) -> str:
+    """Return what a plug-in has raised, and where to mend it."""
+    return f"raised {type(error).__name__}: {error}: mend {_raised_in(error)}"
+
+
 def _raised_in(error: Exception) -> str | None:
-    """Return the file and line of a module that raised while it was loaded; None: it was not found at all."""
+    """Return the file and line, outside installed packages if there is one, that raised; None: nothing was loaded."""
     if isinstance(error, SyntaxError):
         return f"line {error.lineno} of {error.filename}"
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "importlib" not in frame.filename]
-    return f"line {frames[-1].lineno} of {frames[-1].filename}" if len(frames) > 1 else None
+    own = [frame for frame in frames[1:] if _INSTALLED not in frame.filename]
+    return f"line {(own or frames)[-1].lineno} of {(own or frames)[-1].filename}" if len(frames) > 1 else None
 
 
 def reach(folder: Path, name: str) -> bool:

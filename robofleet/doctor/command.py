@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from robofleet.config.files.names import SHIPPED
+from robofleet.config.files.names import SHIPPED, guide
 from robofleet.config.load import ConfigFile, load_config
 from robofleet.core.refusal import RefusedError
 from robofleet.core.settings import ROBOTS
@@ -127,7 +127,7 @@ def _print_plan(findings: list[Finding], as_json: bool) -> None:
     if as_json:
         print(dumps({"plan": [finding.as_json() for finding in findings]}))
     else:
-        show(findings, "configs/BUY.md explains each line. Next: robofleet init DIR, then edit DIR/lab.yaml.")
+        show(findings, f"{guide('BUY.md')} explains each line. Next: robofleet init DIR, then edit DIR/lab.yaml.")
 
 
 def _wanted(

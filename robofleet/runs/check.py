@@ -20,7 +20,7 @@ from robofleet.core.clock import S
 from robofleet.core.plugins import PluginError, load
 from robofleet.nodes import views
 from robofleet.nodes.pose_sources import POSES
-from robofleet.runs import check_drivers, check_faults
+from robofleet.runs import check_behaviours, check_drivers, check_faults
 from robofleet.runs.margins import margin_rows
 from robofleet.safety.distances import least_room_m
 from robofleet.safety.gate import VALID_NS
@@ -79,7 +79,7 @@ def refusals(config: Config, *, lockstep: bool = False) -> list[Complaint]:
         for (path, _), view in zip(config.camera_keys, config.views, strict=True):
             complaints += _camera_source(view, path, lockstep)
         complaints += views.complaints(config)
-    if impossible := list(_impossible(config)):
+    if impossible := list(check_behaviours.complaints(config)):
         return complaints + impossible
     for bound in _worst(bound for bound in _bounds(config) if not bound.holds):
         key = bound.path.rpartition(".")[2]
@@ -154,14 +154,6 @@ def _bounds(config: Config) -> Iterator[Bound]:
     if config.tracker.source == "camera":
         for (path, _), view in zip(config.camera_keys, config.views, strict=True):
             yield from _camera(view, path)
-
-
-def _impossible(config: Config) -> Iterator[Complaint]:
-    for i, group in enumerate(config.groups):
-        try:
-            groups.behaviour(config, group)
-        except ValueError as error:
-            yield f"groups.{i}.settings", f"{group.behaviour} cannot be made of them: {error}"
 
 
 def _ways(config: Config) -> Iterator[Complaint]:

@@ -15,11 +15,10 @@ from robofleet.config.faults import Complaint, no_errors
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S, WallClock
-from robofleet.core.plugins import PluginError, load
+from robofleet.core.plugins import PluginError, blamed, load
 from robofleet.nodes.unit import driver_settings
-from robofleet.nodes.unit.reconnecting_driver import in_words
 from robofleet.runs.children import ended_by
-from robofleet.vehicles.interface import SimulatedDriver, is_concurrent
+from robofleet.vehicles.interface import DriverError, SimulatedDriver, is_concurrent
 
 _OWN_SIMULATION = "simulated"
 _WARN_AFTER_S, _AT_MOST_S = 1.0, 15.0
@@ -45,6 +44,12 @@ def of_robot(config: Config, i: int, *, lockstep: bool = False) -> Iterator[Comp
     except PluginError as error:
         yield f"robots.{i}.driver", str(error)
         return
+    if missing := [name for name in ("write", "read", "close") if not hasattr(kind, name)]:
+        yield (
+            f"robots.{i}.driver",
+            f"{robot.driver!r} has no {' and no '.join(missing)}: write what drivers/YOUR_OWN.md describes",
+        )
+        return
     if lockstep and not issubclass(kind, SimulatedDriver):
         yield f"robots.{i}.driver", f"{robot.driver!r} keeps real time, and lockstep does not: run without --lockstep"
     if robot.start is None and (robot.twin is not None or issubclass(kind, SimulatedDriver)):
@@ -65,8 +70,11 @@ def of_robot(config: Config, i: int, *, lockstep: bool = False) -> Iterator[Comp
     if wrong := driver_settings.complaints(config, i):
         yield from wrong
     elif hasattr(kind, "refusals"):
-        refused = kind.refusals(driver_settings.of(config, robot), slices.drive(robot))
-        yield from ((f"robots.{i}.{path}", words) for path, words in refused)
+        try:
+            refused = kind.refusals(driver_settings.of(config, robot), slices.drive(robot))
+            yield from [(f"robots.{i}.{path}", words) for path, words in refused]
+        except Exception as error:  # noqa: BLE001 - a class of the user's raises anything
+            yield f"robots.{i}.driver", f"the refusals of {robot.driver!r} {blamed(error)}"
 
 
 def unreachable(config: Config) -> list[Complaint]:
@@ -153,7 +161,7 @@ def _open_all(config: Config, robots: Sequence[Robot], theirs: Connection, news:
                 kind = load("robofleet.drivers", robot.driver)
                 kind(driver_settings.context(config, robot, clock.now_ns, world)).close()
             except Exception as error:  # noqa: BLE001 - a robot that cannot be opened cannot drive, whatever the reason
-                report(robot, in_words(error))
+                report(robot, str(error) if isinstance(error, DriverError) else f"{robot.driver!r} {blamed(error)}")
             else:
                 report(robot, "")
 

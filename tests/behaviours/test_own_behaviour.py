@@ -12,6 +12,7 @@ from robofleet.behaviours.interface import statistics
 from robofleet.config import groups
 from robofleet.config.load import ConfigError, load_config
 from robofleet.core.plugins import PluginError, load, reach
+from robofleet.runs import check_behaviours
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SWIRL = (CONFIGS / "swirl.yaml").read_text()
@@ -84,12 +85,45 @@ def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
             "from robofleet.behaviours import Behaviour\n\nclass Swirl(Behaviour): ...\n",
             "decides nothing: write its method `decide`",
         ),
+        (
+            "unset_lab",
+            "from robofleet.behaviours import Behaviour\n\nclass Swirl(Behaviour):\n    class Settings: ...\n",
+            "has Settings that are no pydantic model: derive them from Behaviour.Settings",
+        ),
+        (
+            "array_lab",
+            "import numpy as np\nfrom robofleet.behaviours import Behaviour\n\nclass Swirl(Behaviour):\n"
+            "    class Settings(Behaviour.Settings):\n        gains: np.ndarray\n",
+            "mend line 5 of ",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_used_says_where_to_mend_it(tmp_path: Path, module: str, code: str, words: str) -> None:
     fault = refused(laboratory(tmp_path, module, code))
     assert f"groups.0.behaviour: '{module}:Swirl' " in fault
     assert words in fault
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        ("def __init__(self, settings, team): ...", "its `__init__` must call `super().__init__(settings, team)`"),
+        ("def __init__(self, settings, team): {}['gain']", "raised KeyError: 'gain': mend line 7 of "),
+        ("def bounds(self): return [1]", "`bounds` gives 1: it must be a Bound"),
+        ("def start(self, poses): ...", "`start` gives None: it must be a Start"),
+        ("def shapes(self): return 1 / 0", "raised ZeroDivisionError: division by zero: mend line 7 of "),
+        ("figures = ('off',)", "`figures` gives 'off': it must be a Figure"),
+    ],
+)
+def test_a_class_that_no_run_could_use_is_refused_before_anything_is_started(
+    tmp_path: Path, method: str, words: str
+) -> None:
+    head = "import numpy as np\nfrom robofleet.behaviours import Behaviour\n\nclass Swirl(Behaviour):\n"
+    settings = "    class Settings(Behaviour.Settings): radius_m: float = 0.5\n"
+    code = f"{head}{settings}    def decide(self, now): ...\n    {method}\n"
+    ((path, complaint),) = check_behaviours.complaints(load_config(laboratory(tmp_path, f"{tmp_path.name}_lab", code)))
+    assert path == "groups.0.behaviour"
+    assert words in complaint
 
 
 def test_a_name_that_python_has_already_is_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import math
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robofleet.config.calibrated import CameraModel, PoseSettings
+from robofleet.config.files.names import guide
 from robofleet.doctor.plan import ANGLES_DEG, NEEDED_PX, RIM_M, TILT_DEG, Wanted, cameras, lowest_m, side_px
 from robofleet.tracking.camera import CameraGeometry
 from tests.command import robofleet
@@ -92,6 +94,13 @@ def test_a_plan_is_a_line_for_each_thing_to_buy() -> None:
     assert "800 packets a second" in done.output
     report = json.loads(robofleet(*arguments, "--json").output)
     assert {"cameras", "lens", "computer", "radio"} < {line["name"] for line in report["plan"]}
+
+
+def test_a_plan_names_its_guide_where_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert guide("BUY.md").is_file()
+    monkeypatch.chdir(Path(__file__).parents[2])
+    assert guide("BUY.md") == Path("configs/BUY.md")
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,37 @@ class Crowded:
         pass
 
 
+class Mute:
+    """A class whose author has forgotten half of it."""
+
+    read = Echo.read
+
+
+class Plain(Crowded):
+    """A class whose settings are no model."""
+
+    class Settings: ...
+
+
+class Failing(Mute):
+    """A class that raises what no driver should, where it is constructed."""
+
+    write, close = Echo.write, Crowded.close
+
+    def __init__(self, context: DriverContext) -> None:
+        raise KeyError("gain")
+
+
+class Judging(Failing):
+    """A class that raises where it is asked for refusals."""
+
+    Settings = Crowded.Settings
+
+    @staticmethod
+    def refusals(settings: BaseModel, drive: DifferentialDrive) -> list[tuple[str, str]]:
+        raise ZeroDivisionError
+
+
 class Eye:
     """A camera that exists."""
 
@@ -163,6 +194,23 @@ def test_a_driver_that_crashes_is_named_and_the_command_goes_on(tmp_path: Path) 
     ((path, why),) = told(*robots(*settings, driver=f"{__name__}:Crowded"))
     assert path == "robots.1.driver"
     assert why == "the process that opened it was killed by SIGKILL: mend its driver"
+
+
+@pytest.mark.parametrize(
+    ("driver", "words"),
+    [
+        ("Mute", "has no write and no close: write what drivers/YOUR_OWN.md describes"),
+        ("Plain", "has Settings that are no pydantic model: derive them from pydantic.BaseModel"),
+        ("Failing", "raised KeyError: 'gain': mend line "),
+        ("Judging", "raised ZeroDivisionError: : mend line "),
+    ],
+)
+def test_a_class_of_ones_own_that_is_wrong_is_named_with_its_mistake(driver: str, words: str) -> None:
+    settings = {"made": "made"} if driver == "Judging" else {}
+    ((path, why),) = told(*robots(settings, driver=f"{__name__}:{driver}"))
+    assert path == "robots.0.driver"
+    assert words in why
+    assert __file__ in why or "mend line" not in words
 
 
 def test_robots_that_nobody_came_to_open_are_refused(port: str, monkeypatch: pytest.MonkeyPatch) -> None:

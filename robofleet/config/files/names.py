@@ -10,6 +10,12 @@ _ENDS = (".yaml", ".yml")
 _MOST_NAMES_IN_LINE = 5
 
 
+def guide(name: str) -> Path:
+    """Return where a guide of this installation stands: relative to the current folder where it is below that."""
+    file, here = (SHIPPED / name).resolve(), Path.cwd()
+    return file.relative_to(here) if file.is_relative_to(here) else file
+
+
 def missing(file: Path) -> str:
     """Return what to say of a file that is not there: the nearest one that is, else those of its folder."""
     found = _beside(file) or _below(file) or _shipped(file)
