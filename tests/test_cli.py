@@ -206,7 +206,7 @@ def test_a_terminal_of_the_c_locale_gets_ascii_alone(folder: Path) -> None:
 def test_check_prints_what_it_proved(folder: Path) -> None:
     result = robofleet("check", PLATOON)
     assert (result.exit_code, result.stderr) == (0, "")
-    for proved in ("proved", "wheel", "12.5 rad/s", "0.2 m/s"):
+    for proved in ("limits hold", "wheel", "12.5 rad/s", "0.2 m/s"):
         assert proved in result.stdout
     assert list(folder.iterdir()) == []
 
