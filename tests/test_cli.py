@@ -223,7 +223,7 @@ def test_an_output_that_is_full_or_closed_is_no_traceback(redirections: str, cod
 def test_check_prints_what_it_proved(folder: Path) -> None:
     result = robofleet("check", PLATOON)
     assert (result.exit_code, result.stderr) == (0, "")
-    for proved in ("proved", "wheel", "12.5 rad/s", "0.2 m/s"):
+    for proved in ("limits hold", "wheel", "12.5 rad/s", "0.2 m/s"):
         assert proved in result.stdout
     assert list(folder.iterdir()) == []
 

@@ -208,7 +208,7 @@ def go(
 def check(config: ConfigFile, overrides: Overrides = []) -> None:  # noqa: B006 - typer copies it
     """Check a configuration; nothing moves.
 
-    It prints what was proved, or every mistake with its line and how to mend it.
+    It prints the limits that hold, or every mistake with its line and how to mend it.
 
     $ robofleet check configs/platoon.yaml --set groups.0.settings.path_rate=0.06
     """
