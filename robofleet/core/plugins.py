@@ -75,7 +75,7 @@ def lacks(kind: type, *methods: str) -> str:
 
 def blamed(error: Exception) -> str:
     """Return what a plug-in has raised, and where to mend it."""
-    return f"raised {type(error).__name__}: {error}: mend {_raised_in(error)}"
+    return f"raised {type(error).__name__}: {error}: mend {_raised_in(error) or 'its class'}"
 
 
 def _raised_in(error: Exception) -> str | None:
