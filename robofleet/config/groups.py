@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, JsonValue
+from pydantic import JsonValue
 
 from robofleet.behaviours import described
 from robofleet.behaviours.interface import Behaviour, Flow, Pose, Team
@@ -47,8 +47,6 @@ def load_kind(name: str) -> type[Behaviour]:
     found: type[Behaviour] = load(GROUP, name)
     if not issubclass(found, Behaviour):
         raise PluginError(f"{name!r} is not a behaviour: derive it from robofleet.behaviours.Behaviour")
-    if not issubclass(found.Settings, BaseModel):
-        raise PluginError(f"{name!r} has Settings that are no pydantic model: derive them from Behaviour.Settings")
     if found.decide is Behaviour.decide:
         raise PluginError(f"{name!r} decides nothing: write its method `decide`")
     return found

@@ -16,6 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from robofleet.core.errors import RobofleetError
 
 _KINDS = {"robofleet.poses": "source of poses"}  # where the group's name is not that of one of it in the plural
@@ -57,6 +59,8 @@ def load(group: str, name: str) -> Any:
         raise PluginError(f"{name!r} cannot be loaded: {reason}: {mend}") from error
     if not isinstance(found, type):
         raise PluginError(f"{name!r} is not a class: mend its name")
+    if not issubclass(getattr(found, "Settings", BaseModel), BaseModel):
+        raise PluginError(f"{name!r} has Settings that are no pydantic model: derive them from pydantic.BaseModel")
     return found
 
 
@@ -64,9 +68,14 @@ def known(group: str) -> list[str]:
     return sorted(_points(group))
 
 
+def lacks(kind: type, *methods: str) -> str:
+    """Return which methods a class does not have, in words; empty where it has all."""
+    return " and ".join(f"no {method}" for method in methods if not hasattr(kind, method))
+
+
 def blamed(error: Exception) -> str:
     """Return what a plug-in has raised, and where to mend it."""
-    return f"raised {type(error).__name__}: {error}: mend {_raised_in(error)}"
+    return f"raised {type(error).__name__}: {error}: mend {_raised_in(error) or 'its class'}"
 
 
 def _raised_in(error: Exception) -> str | None:

@@ -17,7 +17,7 @@ from robofleet.config.load import Change, ConfigFile, Files
 from robofleet.config.robots import Robot, StartPose
 from robofleet.config.tree import OWN_PLANT, Config
 from robofleet.core.clock import S
-from robofleet.core.plugins import PluginError, load
+from robofleet.core.plugins import PluginError, blamed, lacks, load
 from robofleet.nodes import views
 from robofleet.nodes.pose_sources import POSES
 from robofleet.runs import check_behaviours, check_drivers, check_faults
@@ -112,8 +112,15 @@ def _plant(config: Config) -> Iterator[Complaint]:
         for wrong in invalid.errors(include_url=False):
             yield ".".join(["plant.settings", *map(str, wrong["loc"])]), plain_words(wrong, kind.Settings)
     else:
-        refused = kind.refusals(settings, [robot.id for robot in config.robots]) if hasattr(kind, "refusals") else ()
-        yield from ((f"plant.{path}", words) for path, words in refused)
+        if missing := lacks(kind, "step", "state"):
+            yield "plant.model", f"{name!r} has {missing}: write what robofleet/simulation/PLANTS.md describes"
+        try:
+            refused = (
+                kind.refusals(settings, [robot.id for robot in config.robots]) if hasattr(kind, "refusals") else ()
+            )
+            yield from [(f"plant.{path}", words) for path, words in refused]
+        except Exception as error:  # noqa: BLE001 - a class of the user's raises anything
+            yield "plant.model", f"the refusals of {name!r} {blamed(error)}"
 
 
 def proofs(config: Config) -> list[tuple[str, str, str, str]]:

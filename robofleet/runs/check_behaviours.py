@@ -31,14 +31,16 @@ def _unusable(behaviour: Behaviour) -> Iterator[str]:
     if not hasattr(behaviour, "team"):
         yield "its `__init__` must call `super().__init__(settings, team)`"
         return
-    starts = [pose for pose in behaviour.team.starts if pose is not None]
     behaviour.places()
+    bounds, refusals = [*behaviour.bounds()], [*behaviour.refusals()]
+    starts = [pose for pose in behaviour.team.starts if pose is not None]
+    holds = not refusals and all(getattr(bound, "holds", False) for bound in bounds)
     returned: dict[str, tuple[Sequence[Any], tuple[type, ...]]] = {
         "figures": (behaviour.figures, (Figure,)),
-        "shapes": ([*behaviour.shapes()], (Line, Dots)),
-        "bounds": ([*behaviour.bounds()], (Bound,)),
-        "refusals": ([*behaviour.refusals()], (Refusal,)),
-        "start": ([behaviour.start(starts)] if len(starts) == len(behaviour.team) else [], (Start,)),
+        "shapes": (behaviour.shapes(), (Line, Dots)),
+        "bounds": (bounds, (Bound,)),
+        "refusals": (refusals, (Refusal,)),
+        "start": ([behaviour.start(starts)] if holds and len(starts) == len(behaviour.team) else [], (Start,)),
     }
     for name, (values, kinds) in returned.items():
         for value in values:

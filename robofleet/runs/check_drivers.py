@@ -15,7 +15,7 @@ from robofleet.config.faults import Complaint, no_errors
 from robofleet.config.robots import Robot
 from robofleet.config.tree import Config
 from robofleet.core.clock import Clock, S, WallClock
-from robofleet.core.plugins import PluginError, blamed, load
+from robofleet.core.plugins import PluginError, blamed, lacks, load
 from robofleet.nodes.unit import driver_settings
 from robofleet.runs.children import ended_by
 from robofleet.vehicles.interface import DriverError, SimulatedDriver, is_concurrent
@@ -44,11 +44,8 @@ def of_robot(config: Config, i: int, *, lockstep: bool = False) -> Iterator[Comp
     except PluginError as error:
         yield f"robots.{i}.driver", str(error)
         return
-    if missing := [name for name in ("write", "read", "close") if not hasattr(kind, name)]:
-        yield (
-            f"robots.{i}.driver",
-            f"{robot.driver!r} has no {' and no '.join(missing)}: write what drivers/YOUR_OWN.md describes",
-        )
+    if missing := lacks(kind, "write", "read", "close"):
+        yield f"robots.{i}.driver", f"{robot.driver!r} has {missing}: write what drivers/YOUR_OWN.md describes"
         return
     if lockstep and not issubclass(kind, SimulatedDriver):
         yield f"robots.{i}.driver", f"{robot.driver!r} keeps real time, and lockstep does not: run without --lockstep"

@@ -88,7 +88,7 @@ def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
         (
             "unset_lab",
             "from robofleet.behaviours import Behaviour\n\nclass Swirl(Behaviour):\n    class Settings: ...\n",
-            "has Settings that are no pydantic model: derive them from Behaviour.Settings",
+            "has Settings that are no pydantic model: derive them from pydantic.BaseModel",
         ),
         (
             "array_lab",

@@ -19,6 +19,7 @@ from robofleet.config.load import load_config
 from robofleet.drivers.serial_port import SerialPort
 from robofleet.nodes.unit.drivers import ConfiguredDrivers
 from robofleet.runs import check_drivers
+from robofleet.runs.check import refusals
 from robofleet.vehicles.differential_drive import DifferentialDrive
 from robofleet.vehicles.interface import DriverContext, DriverError, DriverReading, WheelSpeeds
 from tests.command import robofleet
@@ -116,6 +117,12 @@ class Failing(Mute):
         raise KeyError("gain")
 
 
+class Bare(Failing):
+    """A class that does not take what it is given."""
+
+    def __init__(self) -> None: ...
+
+
 class Judging(Failing):
     """A class that raises where it is asked for refusals."""
 
@@ -202,6 +209,7 @@ def test_a_driver_that_crashes_is_named_and_the_command_goes_on(tmp_path: Path) 
         ("Mute", "has no write and no close: write what drivers/YOUR_OWN.md describes"),
         ("Plain", "has Settings that are no pydantic model: derive them from pydantic.BaseModel"),
         ("Failing", "raised KeyError: 'gain': mend line "),
+        ("Bare", "2 were given: mend its class"),
         ("Judging", "raised ZeroDivisionError: : mend line "),
     ],
 )
@@ -210,7 +218,17 @@ def test_a_class_of_ones_own_that_is_wrong_is_named_with_its_mistake(driver: str
     ((path, why),) = told(*robots(settings, driver=f"{__name__}:{driver}"))
     assert path == "robots.0.driver"
     assert words in why
-    assert __file__ in why or "mend line" not in words
+    assert (__file__ in why) == ("mend line" in words)
+
+
+def test_a_plant_of_ones_own_that_is_wrong_is_named_with_its_mistake() -> None:
+    found = refusals(load_config(PLATOON, [f"plant.model={__name__}:Judging"]), lockstep=True)
+    assert [path for path, _ in found] == ["plant.settings.made"]
+    changes = [f"plant.model={__name__}:Judging", "plant.settings={made: x}"]
+    (lacking, (path, why)) = refusals(load_config(PLATOON, changes), lockstep=True)
+    assert lacking[1].endswith("has no step and no state: write what robofleet/simulation/PLANTS.md describes")
+    assert path == "plant.model"
+    assert "raised ZeroDivisionError: : mend line " in why
 
 
 def test_robots_that_nobody_came_to_open_are_refused(port: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from robofleet.bus.arena_file import twin_port
 from robofleet.bus.private_folder import PlaceError
@@ -70,9 +70,6 @@ def complaints(config: Config, index: int) -> list[Complaint]:
         without_port = f"{robot.driver!r} opens no serial port: name another driver, or remove the twin"
         twin = [(f"robots.{index}.twin", without_port)] if robot.twin is not None else []
         return twin + ([(path, f"{robot.driver!r} takes none: remove them")] if robot.settings else [])
-    if not issubclass(kind, BaseModel):
-        words = f"{robot.driver!r} has Settings that are no pydantic model: derive them from pydantic.BaseModel"
-        return [(f"robots.{index}.driver", words)]
     try:
         of(config, robot)
     except PlaceError as error:
