@@ -187,6 +187,8 @@ def test_a_refusal_is_reported_at_its_line_and_column(tmp_path: FilePath) -> Non
 class RealRobot:
     """A driver that is not a simulation: it has no truth."""
 
+    write = read = close = None
+
 
 def test_lockstep_refuses_a_real_robot_and_a_real_camera() -> None:
     real = f"{__name__}:RealRobot"
