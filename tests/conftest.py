@@ -8,6 +8,7 @@ import fcntl
 import gc
 import os
 import re
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,6 +31,8 @@ if _WORKER:
 # Else every process that a test starts compiles all sources anew, and every worker rewrites all assertions.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# A shell's background job ignores it, and so would every process that a test starts and interrupts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # Else each command that a test runs is made anew, of all the others.
 typer.testing._get_command = cache(typer.testing._get_command)
 

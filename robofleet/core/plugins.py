@@ -59,7 +59,8 @@ def load(group: str, name: str) -> Any:
         raise PluginError(f"{name!r} cannot be loaded: {reason}: {mend}") from error
     if not isinstance(found, type):
         raise PluginError(f"{name!r} is not a class: mend its name")
-    if not issubclass(getattr(found, "Settings", BaseModel), BaseModel):
+    settings = getattr(found, "Settings", BaseModel)
+    if not (isinstance(settings, type) and issubclass(settings, BaseModel)):
         raise PluginError(f"{name!r} has Settings that are no pydantic model: derive them from pydantic.BaseModel")
     return found
 

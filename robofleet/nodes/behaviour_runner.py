@@ -173,6 +173,9 @@ class BehaviourRunner:
         behaviour, own = self._crew[k]
         try:
             decision, late = self._judge(k, lambda: behaviour.decide(situation))
+            if not isinstance(decision, Decision):
+                self._fail(k, 0, Event.BEHAVIOUR_RAISED, f"{type(decision).__name__} instead of a Decision")
+                return None
             velocities = np.asarray(decision.velocities, dtype=np.float64)
             if decision.of not in ("point", "body"):
                 raise ValueError(f"of={decision.of!r}: must be 'point' or 'body'")

@@ -91,6 +91,11 @@ def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
             "has Settings that are no pydantic model: derive them from pydantic.BaseModel",
         ),
         (
+            "counted_lab",
+            "from robofleet.behaviours import Behaviour\n\nclass Swirl(Behaviour):\n    Settings = 3\n",
+            "has Settings that are no pydantic model: derive them from pydantic.BaseModel",
+        ),
+        (
             "array_lab",
             "import numpy as np\nfrom robofleet.behaviours import Behaviour\n\nclass Swirl(Behaviour):\n"
             "    class Settings(Behaviour.Settings):\n        gains: np.ndarray\n",

@@ -16,7 +16,7 @@ class Broken(Behaviour):
     class Settings(Behaviour.Settings):
         """How it fails."""
 
-        how: Literal["raises", "raises_when_told", "not_finite", "shape", "sleeps", "never"]
+        how: Literal["raises", "raises_when_told", "not_finite", "shape", "array", "sleeps", "never"]
 
     t = 0.0  # of its newest decision [s]
 
@@ -29,6 +29,8 @@ class Broken(Behaviour):
         if AT_S <= now.t < AT_S + 0.04:
             if how == "raises":
                 raise RuntimeError("the law has no solution")
+            if how == "array":
+                return velocities  # type: ignore[return-value]
             if how == "shape":
                 return Decision(velocities[:, :1], of="body")
             if how == "not_finite":

@@ -48,6 +48,7 @@ def options(how: str) -> list[str]:
         ("raises_when_told", Event.BEHAVIOUR_RAISED, "r1"),
         ("not_finite", Event.BEHAVIOUR_NOT_FINITE, "r2"),
         ("shape", Event.BEHAVIOUR_SHAPE, "r1"),
+        ("array", Event.BEHAVIOUR_RAISED, "r1"),
     ],
 )
 def test_its_group_stands_at_once_and_the_run_is_held(how: str, event: Event, robot: str, tmp_path: Path) -> None:
@@ -56,6 +57,7 @@ def test_its_group_stands_at_once_and_the_run_is_held(how: str, event: Event, ro
     assert ran.exit_code == 1
     stderr = ran.stderr
     assert f"group failing, {robot}: Broken returned" in stderr
+    assert "behaviour_runner.py" not in stderr or how.startswith("raises")
     assert ("RuntimeError: the law has no solution" in stderr) == how.startswith("raises")
     summary = json.loads((out / "summary.json").read_text())
     assert summary["outcome"] == "fault"
