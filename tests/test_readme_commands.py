@@ -41,7 +41,7 @@ PLACEHOLDERS = {
 }  # fmt: skip
 WRITTEN = {  # by a measurement, or by the reader whom the text tells what to write
     "survey.yaml", "photos", "configs/cameras/ceiling.yaml", "robots.mp4",
-    "drivers/firmware/build/uno.hex",
+    "drivers/firmware/build/uno.hex", "drivers/firmware/build/pico.uf2",
 }  # fmt: skip
 SHELL = {  # what a system has; a path of the project that it is given must be there
     "cd", "cp", "export", "git", "grep", "install", "ls", "mkdir", "mutmut", "rm", "sed", "source", "sudo", "systemctl",
@@ -196,7 +196,7 @@ def robofleet(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
             load_sweep(values["sweep"], lambda sweep: bar("checks", sweep))
         if name == "paper":
             assert values["experiment"] in {"all", *EXPERIMENTS}
-        if name != "web":  # its run is an arena, as a rule
+        if name not in ("web", "project"):  # their run is an arena, as a rule
             there([str(values[run]) for run in ("run", "other") if values.get(run) is not None])
         there([str(values[file]) for file in ("camera", "survey") if isinstance(values.get(file), Path)])
 

@@ -70,7 +70,7 @@ class Rolling(NamedTuple):
 
     seen_ns: int = NEVER  # the image at which this window begins [supervisor's clock]
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in it
-    told: Wheels = (0.0, 0.0)  # what the gate had let through by then [rad]
+    output_angles: Wheels = (0.0, 0.0)  # the gate's outputs, added up until then [rad]
     commanded: Wheels = (0.0, 0.0)  # mean of the window before [rad/s]
     by_itself: tuple[int, int] = (0, 0)  # windows before, each with a motion the same way; below 0: backwards
     stalled: tuple[int, int] = (0, 0)  # windows before in which the wheel was much too slow
@@ -94,16 +94,16 @@ def counts(robot: RobotView) -> bool:
 def watch(before: Rolling, robot: RobotView, radius: float, base: float) -> Rolling:
     """Return what the newest view adds; radius of its wheels and base [m]."""
     x, y, psi = robot.pose
-    pose, told = (x, y, math.remainder(psi, math.tau)), (robot.left_told, robot.right_told)
+    pose, angles = (x, y, math.remainder(psi, math.tau)), (robot.left_told, robot.right_told)
     since_ns = robot.seen_ns - before.seen_ns
     if counts(robot) or robot.seen_ns == NEVER:
         return Rolling()
     if before.seen_ns == NEVER or not 0 <= since_ns < 2 * WINDOW_NS:
-        return Rolling(robot.seen_ns, pose, told)
+        return Rolling(robot.seen_ns, pose, angles)
     if since_ns < WINDOW_NS:
         return before
     since_s = since_ns / 1e9
-    left, right = ((now - then) / since_s for now, then in zip(told, before.told, strict=True))
+    left, right = ((now - then) / since_s for now, then in zip(angles, before.output_angles, strict=True))
     speeds = [wheel / since_s for wheel in rolled(before.pose, pose, radius, base)]
     by_hand = _is_carried(before.pose, pose)
     wheels = [
@@ -111,7 +111,7 @@ def watch(before: Rolling, robot: RobotView, radius: float, base: float) -> Roll
         for of_wheel in zip((left, right), before.commanded, speeds, before.by_itself, before.stalled, strict=True)
     ]
     (left_runs, left_stalls), (right_runs, right_stalls) = wheels
-    return Rolling(robot.seen_ns, pose, told, (left, right), (left_runs, right_runs), (left_stalls, right_stalls))
+    return Rolling(robot.seen_ns, pose, angles, (left, right), (left_runs, right_runs), (left_stalls, right_stalls))
 
 
 def _obeying(

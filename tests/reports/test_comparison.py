@@ -91,8 +91,8 @@ def test_the_command_writes_into_the_first_runs_folder_or_where_it_is_told(
     story: Make, kept: Make, tmp_path: Path
 ) -> None:
     first, other = (kept(story(ticks=20), name) for name in ("one", "other"))
-    result = robofleet(first, other)
+    result = robofleet("report", first, other)
     assert (result.exit_code, result.stdout.strip()) == (0, str(first / "compare-other.html"))
-    result = robofleet(first, other / "run.mcap", "--out", tmp_path / "new" / "both.html")
+    result = robofleet("report", first, other / "run.mcap", "--out", tmp_path / "new" / "both.html")
     assert (result.exit_code, result.stdout.strip()) == (0, str(tmp_path / "new" / "both.html"))
     assert (tmp_path / "new" / "both.html").stat().st_size > 10_000

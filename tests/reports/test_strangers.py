@@ -126,8 +126,8 @@ def odd(run: Path, tmp_path: Path) -> Iterator[list[Path]]:
         yield names
 
 
-def are_refused(asked: list[tuple[object, ...]]) -> None:
-    came = zip(asked, commands(asked), strict=True)
+def are_refused(refused: list[tuple[object, ...]]) -> None:
+    came = zip(refused, commands(refused), strict=True)
     wrong = [f"{line}: {why}" for line, result in came if (why := is_well(result, may_succeed=False))]
     assert not wrong, "\n".join(wrong)
 

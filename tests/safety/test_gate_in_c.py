@@ -288,7 +288,6 @@ def test_both_gates_agree_in_whatever_hypothesis_draws(library: Any, data: bytes
         pair.random_step(rng)
 
 
-@pytest.mark.slow
 def test_both_gates_agree_at_random(library: Any) -> None:
     met = walk(library, 20_000, seed=1)
     assert min(met[f"status {status}"] for status in range(5)) > 200

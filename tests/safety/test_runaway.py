@@ -256,16 +256,16 @@ def test_rolling_as_far_as_the_threshold_counts() -> None:
 
 def followed(commands: Iterable[tuple[float, float]], wheels: Iterable[tuple[float, float]]) -> Rolling:
     """Return what 3 s tell of a robot without encoders: commands and wheels [rad/s], each for a window."""
-    rolling, told, (x, y, psi) = Rolling(), (0.0, 0.0), (0.2, -0.1, 3.0)
+    rolling, angles, (x, y, psi) = Rolling(), (0.0, 0.0), (0.2, -0.1, 3.0)
     for k, (command, wheel) in enumerate(zip(((0.0, 0.0), *commands), ((0.0, 0.0), *wheels), strict=False)):
-        told = told[0] + 0.25 * command[0], told[1] + 0.25 * command[1]
+        angles = angles[0] + 0.25 * command[0], angles[1] + 0.25 * command[1]
         chord_x, chord_y, turn = driven(*wheel, 2)[1]
         x, y = (
             x + chord_x * math.cos(psi) - chord_y * math.sin(psi),
             y + chord_x * math.sin(psi) + chord_y * math.cos(psi),
         )
         psi = math.remainder(psi + turn, math.tau)
-        robot = RobotView(seen_ns=NOW + k * WINDOW_NS, pose=(x, y, psi), left_told=told[0], right_told=told[1])
+        robot = RobotView(seen_ns=NOW + k * WINDOW_NS, pose=(x, y, psi), left_told=angles[0], right_told=angles[1])
         rolling = runaway.watch(rolling, robot, WHEEL_RADIUS, WHEEL_BASE)
     return rolling
 

@@ -84,15 +84,15 @@ def turned(at_s: Array, speeds: Array, when_s: Array) -> Array:
 
 def test_inputs_turn_as_far_as_the_gate_told(worn: RobotDrive) -> None:
     """Between two statuses the gate was closed, which no command says."""
-    told = worn.told_rad.copy()
+    angles_rad = worn.told_rad.copy()
     closed = slice(600, 700)
-    told[601:] -= (worn.told_rad[closed.stop] - worn.told_rad[closed.start]) * np.clip(
+    angles_rad[601:] -= (worn.told_rad[closed.stop] - worn.told_rad[closed.start]) * np.clip(
         (worn.told_s[601:] - worn.told_s[600]) / (worn.told_s[700] - worn.told_s[600]), 0.0, 1.0
     )[:, None]
-    stopped = replace(worn, told_rad=told)
+    stopped = replace(worn, told_rad=angles_rad)
     at_s, outputs = inputs.as_told(stopped, *inputs.through_gate(stopped))
     travel = turned(at_s, outputs, stopped.told_s)
-    assert np.abs((travel - travel[0]) - (told - told[0])).max() < 1e-3
+    assert np.abs((travel - travel[0]) - (angles_rad - angles_rad[0])).max() < 1e-3
 
 
 def test_inputs_of_late_commands_are_late(worn: RobotDrive) -> None:
@@ -100,8 +100,8 @@ def test_inputs_of_late_commands_are_late(worn: RobotDrive) -> None:
     commands = np.repeat(((0.0, 0.0), (4.0, -6.0), (0.0, 0.0)), 20, axis=0)
     commands_s, told_s = 0.033 * np.arange(60), 0.02 * np.arange(90)
     late_s = commands_s + 0.011 * (np.arange(60) == 40)  # the stop is
-    told = turned(late_s, commands, told_s)
-    drive = replace(worn, commands_s=commands_s, commands_rad_s=commands, told_s=told_s, told_rad=told)
+    angles_rad = turned(late_s, commands, told_s)
+    drive = replace(worn, commands_s=commands_s, commands_rad_s=commands, told_s=told_s, told_rad=angles_rad)
     at_s, outputs = inputs.as_told(drive, *inputs.through_gate(drive))
     grid_s = np.arange(0.0, 1.7, 0.0005)
     speeds = outputs[np.searchsorted(at_s, grid_s, side="right") - 1]
