@@ -151,7 +151,7 @@ def understand(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         install(arguments)
     elif name == "pytest":
         there([word for word in arguments if "/" in word])
-    elif name == "cp" and len(arguments) == 2:
+    elif name == "cp" and len(arguments) == 2 and arguments[0] not in WRITTEN:
         shutil.copy(*arguments)
     elif name.startswith("tools/"):
         there([name])
