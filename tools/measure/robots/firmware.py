@@ -49,6 +49,7 @@ from tools.measure.program import program
 WALL = WallClock()
 FASTEST = WheelSpeeds(9.0, 9.0)  # rad/s; by the body's top speed
 REMEMBERED_NS = 300 * MS
+BETWEEN_WRITES_CYCLES = 160  # 10 us: the emulator may stop a board when it has written the target of one wheel only
 _PATIENCE_NS = 10 * S  # with a driver that starts, or a stop
 _LATEST_S = 0.2  # of a line that is late
 
@@ -245,8 +246,14 @@ class Watch:
             self._standing_ns += passed_ns
         else:
             self._moving_ns += passed_ns
-            self._wrong += all(target != wheels for _, wheels in self.commanded)
+            if self._is_wrong(target) and isinstance(self._firmware, ArduinoUnoFirmware):
+                self._firmware.board.run(BETWEEN_WRITES_CYCLES)
+                target = self._firmware.target
+            self._wrong += self._is_wrong(target)
         return answer
+
+    def _is_wrong(self, target: WheelSpeeds) -> bool:
+        return target != STOP and all(target != wheels for _, wheels in self.commanded)
 
     def __str__(self) -> str:
         times = f"moving {self._moving_ns / S:.0f} s, standing {self._standing_ns / S:.0f} s"
