@@ -93,11 +93,11 @@ def counts(robot: RobotView) -> bool:
 
 def watch(before: Rolling, robot: RobotView, radius: float, base: float) -> Rolling:
     """Return what the newest view adds; radius of its wheels and base [m]."""
+    if counts(robot) or robot.seen_ns == NEVER:
+        return Rolling()
     x, y, psi = robot.pose
     pose, angles = (x, y, math.remainder(psi, math.tau)), (robot.left_told, robot.right_told)
     since_ns = robot.seen_ns - before.seen_ns
-    if counts(robot) or robot.seen_ns == NEVER:
-        return Rolling()
     if before.seen_ns == NEVER or not 0 <= since_ns < 2 * WINDOW_NS:
         return Rolling(robot.seen_ns, pose, angles)
     if since_ns < WINDOW_NS:
